@@ -1,0 +1,422 @@
+"""The intermediate model: a robot as frozen dataclasses, everything in SI.
+
+Passes build it, backends and the runtime read it; nothing changes it.  Every
+element carries the ``origin`` in the source it came from.  Lists are in model
+order: the order of the modules in the file, depth first, which every output
+follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from thorvaldc.diagnostics import Span
+from thorvaldc.model.spatial import Inertial, Pose, Vec3
+
+Scalar = bool | int | float | str
+
+
+# -- geometry -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """Full edge lengths along x, y, z in m, centred on the frame."""
+
+    size: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """Radius and full length in m, along z, centred on the frame."""
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class MeshShape:
+    """A mesh by its name in ``Robot.meshes``; ``scale`` per axis."""
+
+    mesh: str
+    scale: Vec3 = (1.0, 1.0, 1.0)
+
+
+Shape = Box | Cylinder | Sphere | MeshShape
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """A mesh file that goes along: ``name`` is its file name in the output.
+
+    Only STL and OBJ occur here (what URDF readers and MuJoCo share); other
+    formats are converted before.  ``data`` is left out of the JSON form.
+    """
+
+    name: str
+    sha256: str
+    data: bytes = field(default=b"", compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Visual:
+    """What is seen: ``pose`` in the link's frame, ``color`` RGBA in 0..1."""
+
+    shape: Shape
+    pose: Pose
+    color: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Collision:
+    """What touches: ``pose`` in the link's frame."""
+
+    shape: Shape
+    pose: Pose
+
+
+# -- the tree -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A rigid body.  ``inertial`` is given in the link's frame; ``None``: massless.
+
+    ``module`` is the path of the module that it came from, ``fl.steering``.
+    """
+
+    name: str
+    module: str
+    inertial: Inertial | None
+    visuals: tuple[Visual, ...]
+    collisions: tuple[Collision, ...]
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """q = multiplier * q_joint + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """``pose`` is that of the child link in the parent link at joint position 0.
+
+    ``type`` is ``fixed``, ``revolute`` (limited), ``continuous`` or
+    ``prismatic``; ``axis`` a unit vector in the child's frame.  Limits in rad
+    or m (``None`` where there is none), ``effort`` in N m or N, ``velocity``
+    in rad/s or m/s.  ``stiffness`` and ``spring_reference`` (the position at
+    which the spring is at rest) describe a spring; ``damping`` and
+    ``friction`` (Coulomb) the joint's losses; ``armature`` is the inertia of
+    the motor at the joint.  ``role`` is ``steering``, ``propulsion``,
+    ``suspension``, ``swivel``, ``wheel`` (a passive one) or empty.
+    """
+
+    name: str
+    module: str
+    type: str
+    parent: str
+    child: str
+    pose: Pose
+    origin: Span
+    axis: Vec3 = (0.0, 0.0, 1.0)
+    lower: float | None = None
+    upper: float | None = None
+    effort: float | None = None
+    velocity: float | None = None
+    damping: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    spring_reference: float = 0.0
+    armature: float = 0.0
+    mimic: Mimic | None = None
+    role: str = ""
+
+
+# -- the base -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """A wheel and its geometry in ``base_link`` with every joint at zero.
+
+    ``x``, ``y`` (m): where the steering (or swivel) axis meets the ground; for
+    a wheel that does not turn, its contact point.  ``heading`` (rad): the
+    direction in which a positive joint speed rolls, at steering angle 0; at
+    steering angle q it is ``heading + steering_sign * q``.  ``trail`` and
+    ``lateral_offset`` (m): the contact point relative to that axis, along and
+    to the left of the rolling direction.  ``radius`` and ``width`` in m;
+    ``radii`` holds named alternatives (``floor``, ``rail``).  ``load`` (N) is
+    the static share of the weight.  ``contact_height`` (m) is how far the
+    wheel's lowest point is above the ground (0 for a well-built robot).
+    """
+
+    name: str
+    module: str
+    link: str
+    spin_joint: str
+    steering_joint: str | None
+    swivel_joint: str | None
+    suspension_joint: str | None
+    driven: bool
+    x: float
+    y: float
+    heading: float
+    steering_sign: float
+    trail: float
+    lateral_offset: float
+    radius: float
+    width: float
+    radii: tuple[tuple[str, float], ...]
+    friction: float
+    rolling_resistance: float
+    load: float
+    contact_height: float
+    origin: Span
+
+    @property
+    def steered(self) -> bool:
+        return self.steering_joint is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """A motor with its gear on a joint; every limit is at the joint.
+
+    ``role`` is ``propulsion`` (speed-controlled) or ``steering`` (position-
+    controlled).  ``max_velocity`` rad/s, ``max_acceleration`` rad/s^2,
+    ``max_torque`` N m, ``armature`` kg m^2 (rotor inertia times gear^2).
+    ``motor_max_speed`` rad/s and ``encoder_ppr`` (pulses per revolution, four
+    counts each) are at the motor shaft.  ``node`` and ``channel`` name the
+    controller that drives it, or are ``None``.
+    """
+
+    name: str
+    module: str
+    joint: str
+    role: str
+    gear_ratio: float
+    motor_max_speed: float
+    encoder_ppr: int
+    max_velocity: float
+    max_acceleration: float
+    max_torque: float
+    armature: float
+    node: str | None
+    channel: str | None
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """``type``: ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another module's own.
+
+    ``link`` is the frame in which it measures; ``properties`` in SI.
+    """
+
+    name: str
+    module: str
+    type: str
+    link: str
+    properties: tuple[tuple[str, Scalar], ...]
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """A battery enclosure; ``node`` is ``None`` where no battery is in it."""
+
+    name: str
+    module: str
+    link: str
+    node: str | None
+    properties: tuple[tuple[str, Scalar], ...]
+    origin: Span
+
+
+# -- the bus ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A field of a frame, little endian: physical = raw * scale + offset.
+
+    ``start`` and ``length`` in bits.  ``joint`` names the joint that the value
+    is about, with ``unit`` then at the joint (rad/s, rad).  ``multiplexer`` marks
+    the selector; ``selected_by`` lists the selector values under which the
+    signal is present.  ``choices`` names raw values.
+    """
+
+    name: str
+    start: int
+    length: int
+    signed: bool = False
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    joint: str | None = None
+    multiplexer: bool = False
+    selected_by: tuple[int, ...] = ()
+    choices: tuple[tuple[int, str], ...] = ()
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A standard CAN frame; ``producer``/``consumers`` are node names or ``master``.
+
+    ``kind`` is ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``,
+    ``broadcast`` or ``relay``.  ``period`` and ``deadline`` in s, ``None`` for
+    a frame sent on demand.
+    """
+
+    name: str
+    cob_id: int
+    kind: str
+    producer: str
+    consumers: tuple[str, ...]
+    length: int
+    period: float | None
+    deadline: float | None
+    signals: tuple[Signal, ...]
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A channel of a controller and the actuator on it (``None``: not wired)."""
+
+    name: str
+    role: str
+    actuator: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A device on a bus.  ``id_space`` keeps batteries' ids apart from node ids."""
+
+    name: str
+    module: str
+    protocol: str
+    id: int
+    id_space: str
+    vendor_id: int | None
+    serial: str | None
+    channels: tuple[Channel, ...]
+    properties: tuple[tuple[str, Scalar], ...]
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Bus:
+    """A CAN bus: ``bitrate`` bit/s, ``sync_period`` s (the control cycle)."""
+
+    name: str
+    bitrate: int
+    sync_period: float
+    nodes: tuple[Node, ...]
+    frames: tuple[Frame, ...]
+    origin: Span
+
+
+# -- the whole ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CalculatorChoice:
+    """The base calculator's plugin name and its options."""
+
+    name: str
+    options: tuple[tuple[str, Scalar], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DriverSettings:
+    """``rate`` Hz of the control loop; ``command_timeout`` s; twist limits in SI.
+
+    The limits are what the modules allow together or what the file says, at
+    the robot: m/s, rad/s, m/s^2, rad/s^2.
+    """
+
+    rate: float
+    command_timeout: float
+    max_linear_velocity: float
+    max_angular_velocity: float
+    max_linear_acceleration: float
+    max_angular_acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A whole robot.  ``links[0]`` is ``base_link``, which lies on the ground.
+
+    ``namespace`` prefixes names in outputs (empty: none).  ``urdf_extensions``
+    are XML elements of the extras that only URDF can carry (``<gazebo>``).
+    """
+
+    name: str
+    namespace: str
+    description: str
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    wheels: tuple[Wheel, ...]
+    actuators: tuple[Actuator, ...]
+    sensors: tuple[Sensor, ...]
+    batteries: tuple[Battery, ...]
+    buses: tuple[Bus, ...]
+    meshes: tuple[Mesh, ...]
+    calculator: CalculatorChoice
+    driver: DriverSettings
+    inertial: Inertial
+    origin: Span
+    urdf_extensions: tuple[str, ...] = ()
+
+    def link(self, name: str) -> Link:
+        """The link of that name; ``KeyError`` where there is none."""
+        for link in self.links:
+            if link.name == name:
+                return link
+        raise KeyError(name)
+
+    def joint(self, name: str) -> Joint:
+        """The joint of that name; ``KeyError`` where there is none."""
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        raise KeyError(name)
+
+    def actuator_of(self, joint: str) -> Actuator | None:
+        """The actuator on that joint, if any."""
+        for actuator in self.actuators:
+            if actuator.joint == joint:
+                return actuator
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """A robot of a fleet: its name in the scene, its name space, ``base_link`` in the world."""
+
+    name: str
+    pose: Pose
+    robot: Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """Several robots in one scene, in file order."""
+
+    name: str
+    description: str
+    placements: tuple[Placement, ...]

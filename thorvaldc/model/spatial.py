@@ -1,0 +1,265 @@
+"""Rigid-body algebra in plain Python: vectors, unit quaternions, poses, inertias.
+
+The compiler's layers do not import numpy: a cold build is shorter without it,
+and three-vectors are faster as tuples.  Quaternions are ``(w, x, y, z)``
+everywhere in the project.  A pose named ``X_AB`` is the pose of frame B in
+frame A, so that ``X_AC = X_AB * X_BC`` can be checked by eye.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+Mat3 = tuple[Vec3, Vec3, Vec3]
+
+ZERO3: Vec3 = (0.0, 0.0, 0.0)
+IDENTITY_QUAT: Quat = (1.0, 0.0, 0.0, 0.0)
+
+
+def clean(value: float) -> float:
+    """Round to 12 significant digits and drop noise below 1e-12.
+
+    Results of ``sin`` and ``cos`` differ in the last bit between C libraries;
+    what the model stores must not.
+    """
+    if -1e-12 < value < 1e-12:
+        return 0.0
+    return float(format(value, ".12g"))
+
+
+def clean3(v: Vec3) -> Vec3:
+    return (clean(v[0]), clean(v[1]), clean(v[2]))
+
+
+def add(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def sub(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(s: float, a: Vec3) -> Vec3:
+    return (s * a[0], s * a[1], s * a[2])
+
+
+def dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+def norm(a: Vec3) -> float:
+    return math.sqrt(dot(a, a))
+
+
+def quat_multiply(p: Quat, q: Quat) -> Quat:
+    pw, px, py, pz = p
+    qw, qx, qy, qz = q
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+    )
+
+
+def quat_normalize(q: Quat) -> Quat:
+    """Return the unit quaternion of the same rotation with ``w >= 0``."""
+    n = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if q[0] < 0.0:
+        n = -n
+    return (q[0] / n, q[1] / n, q[2] / n, q[3] / n)
+
+
+def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
+    """Rotation by fixed-axis roll, pitch, yaw in rad (the convention of URDF)."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def quat_from_axis_angle(axis: Vec3, angle: float) -> Quat:
+    """Rotation by ``angle`` rad about the unit vector ``axis``."""
+    s = math.sin(angle / 2)
+    return (math.cos(angle / 2), s * axis[0], s * axis[1], s * axis[2])
+
+
+def quat_to_matrix(q: Quat) -> Mat3:
+    w, x, y, z = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def matrix_to_rpy(r: Mat3) -> Vec3:
+    """Fixed-axis roll, pitch, yaw in rad of a rotation matrix.
+
+    Yaw is taken out before roll is read, so that the three angles rebuild the
+    matrix to rounding even at a pitch of +-90 degrees, where ``asin`` would
+    lose half of the digits.
+    """
+    pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
+    yaw = math.atan2(r[1][0], r[0][0]) if math.hypot(r[0][0], r[1][0]) > 1e-12 else 0.0
+    s, c = math.sin(yaw), math.cos(yaw)
+    roll = math.atan2(s * r[0][2] - c * r[1][2], c * r[1][1] - s * r[0][1])
+    return (roll, pitch, yaw)
+
+
+def rotate(q: Quat, v: Vec3) -> Vec3:
+    w, x, y, z = q
+    # v + 2 w (u x v) + 2 u x (u x v), u the vector part
+    tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
+    return (
+        v[0] + w * tx + y * tz - z * ty,
+        v[1] + w * ty + z * tx - x * tz,
+        v[2] + w * tz + x * ty - y * tx,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Pose of one frame in another: position in m, unit quaternion wxyz."""
+
+    xyz: Vec3 = ZERO3
+    quat: Quat = IDENTITY_QUAT
+
+    @staticmethod
+    def from_xyz_rpy(xyz: Vec3 = ZERO3, rpy: Vec3 = ZERO3) -> Pose:
+        if rpy == ZERO3:
+            return Pose(xyz)
+        return Pose(xyz, quat_normalize(quat_from_rpy(*rpy)))
+
+    def __mul__(self, other: Pose) -> Pose:
+        xyz = add(self.xyz, rotate(self.quat, other.xyz))
+        if other.quat == IDENTITY_QUAT:
+            return Pose(xyz, self.quat)
+        return Pose(xyz, quat_normalize(quat_multiply(self.quat, other.quat)))
+
+    def inverse(self) -> Pose:
+        w, x, y, z = self.quat
+        q = (w, -x, -y, -z)
+        return Pose(rotate(q, scale(-1.0, self.xyz)), q)
+
+    def apply(self, point: Vec3) -> Vec3:
+        """The point given in the inner frame, in the outer frame."""
+        return add(self.xyz, rotate(self.quat, point))
+
+    def rotate(self, vector: Vec3) -> Vec3:
+        return rotate(self.quat, vector)
+
+    def rpy(self) -> Vec3:
+        if self.quat == IDENTITY_QUAT:
+            return ZERO3
+        return matrix_to_rpy(quat_to_matrix(self.quat))
+
+    def clean(self) -> Pose:
+        q = self.quat
+        return Pose(clean3(self.xyz), (clean(q[0]), clean(q[1]), clean(q[2]), clean(q[3])))
+
+
+@dataclass(frozen=True, slots=True)
+class Inertial:
+    """Mass in kg, centre of mass ``com`` in m and rotational inertia in kg m^2.
+
+    ``inertia`` is ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre of mass,
+    in axes parallel to those of the frame in which ``com`` is given.  The
+    off-diagonal entries are elements of the matrix (URDF's sign convention).
+    """
+
+    mass: float
+    com: Vec3
+    inertia: tuple[float, float, float, float, float, float]
+
+    def matrix(self) -> Mat3:
+        xx, yy, zz, xy, xz, yz = self.inertia
+        return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+
+    def transformed(self, pose: Pose) -> Inertial:
+        """The same body given in the outer frame of ``pose``."""
+        if pose.quat == IDENTITY_QUAT:
+            return Inertial(self.mass, pose.apply(self.com), self.inertia)
+        r = quat_to_matrix(pose.quat)
+        m = self.matrix()
+        rm = [[sum(r[i][k] * m[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
+
+        def entry(i: int, j: int) -> float:
+            return rm[i][0] * r[j][0] + rm[i][1] * r[j][1] + rm[i][2] * r[j][2]
+
+        return Inertial(
+            self.mass,
+            pose.apply(self.com),
+            (entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)),
+        )
+
+    def clean(self) -> Inertial:
+        xx, yy, zz, xy, xz, yz = self.inertia
+        return Inertial(
+            clean(self.mass),
+            clean3(self.com),
+            (clean(xx), clean(yy), clean(zz), clean(xy), clean(xz), clean(yz)),
+        )
+
+    def principal_moments(self) -> Vec3:
+        """Eigenvalues of the inertia matrix in ascending order, kg m^2."""
+        return symmetric_eigenvalues(self.matrix())
+
+
+def combine(bodies: list[Inertial]) -> Inertial:
+    """One body out of several given in the same frame (parallel-axis theorem)."""
+    mass = sum(b.mass for b in bodies)
+    if mass <= 0.0:
+        return Inertial(0.0, ZERO3, (0.0,) * 6)
+    com: Vec3 = (
+        sum(b.mass * b.com[0] for b in bodies) / mass,
+        sum(b.mass * b.com[1] for b in bodies) / mass,
+        sum(b.mass * b.com[2] for b in bodies) / mass,
+    )
+    xx = yy = zz = xy = xz = yz = 0.0
+    for b in bodies:
+        x, y, z = sub(b.com, com)
+        i = b.inertia
+        xx += i[0] + b.mass * (y * y + z * z)
+        yy += i[1] + b.mass * (x * x + z * z)
+        zz += i[2] + b.mass * (x * x + y * y)
+        xy += i[3] - b.mass * x * y
+        xz += i[4] - b.mass * x * z
+        yz += i[5] - b.mass * y * z
+    return Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
+
+
+def symmetric_eigenvalues(m: Mat3) -> Vec3:
+    """Eigenvalues of a symmetric 3x3 matrix, ascending (trigonometric form)."""
+    p1 = m[0][1] ** 2 + m[0][2] ** 2 + m[1][2] ** 2
+    q = (m[0][0] + m[1][1] + m[2][2]) / 3
+    p2 = (m[0][0] - q) ** 2 + (m[1][1] - q) ** 2 + (m[2][2] - q) ** 2 + 2 * p1
+    if p2 == 0.0:
+        return (q, q, q)
+    p = math.sqrt(p2 / 6)
+    b = [[(m[i][j] - (q if i == j else 0.0)) / p for j in range(3)] for i in range(3)]
+    det = (
+        b[0][0] * (b[1][1] * b[2][2] - b[1][2] * b[2][1])
+        - b[0][1] * (b[1][0] * b[2][2] - b[1][2] * b[2][0])
+        + b[0][2] * (b[1][0] * b[2][1] - b[1][1] * b[2][0])
+    )
+    phi = math.acos(max(-1.0, min(1.0, det / 2))) / 3
+    high = q + 2 * p * math.cos(phi)
+    low = q + 2 * p * math.cos(phi + 2 * math.pi / 3)
+    return (low, 3 * q - high - low, high)
