@@ -28,6 +28,11 @@ _TABLE: tuple[Code, ...] = (
     # -- 5xx: bus ------------------------------------------------------------
     # -- 6xx: backends -------------------------------------------------------
     # -- 7xx: library and extras ---------------------------------------------
+    Code("TV730", "mesh-missing", "error", "a mesh file does not exist or cannot be read"),
+    Code("TV731", "mesh-format", "error", "a mesh file has a format that is not read"),
+    Code("TV732", "mesh-invalid", "error", "a mesh file is broken, empty or not finite"),
+    Code("TV733", "mesh-size", "warning", "a mesh is so large that its unit must be wrong"),
+    Code("TV734", "mesh-large", "error", "a mesh has more triangles or bytes than are read"),
     # -- 8xx: runtime --------------------------------------------------------
     # -- 9xx: files and import -----------------------------------------------
 )
