@@ -1,0 +1,162 @@
+"""Module types by name, read once and kept.
+
+A type's name is its folder's path under a library folder: ``drive/standard`` is
+``<library>/drive/standard/module.yaml``.  The user's folders come before the
+project's own, in the order given.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.diagnostics import Report
+from thorvaldc.schema.checker import check
+from thorvaldc.source.node import Node
+from thorvaldc.source.reader import read_file
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+FILE = "module.yaml"
+
+
+@cache
+def data_folder(name: str) -> Path:
+    """Where ``modules`` or ``templates`` lie: the checkout's own, else the wheel's.
+
+    An editable install may hold a stale copy, so the checkout comes first.
+    """
+    checkout = _PACKAGE.parent / name
+    if (_PACKAGE.parent / "pyproject.toml").is_file() and checkout.is_dir():
+        return checkout
+    return _PACKAGE / "_data" / name
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleType:
+    """A module document that has passed the schema.
+
+    ``folder`` is where its meshes lie, ``display`` the document's name in spans.
+    ``elaborated`` keeps what the passes made of it, by its parameters' values.
+    """
+
+    name: str
+    folder: Path
+    display: str
+    document: Node
+    elaborated: dict[Any, Any] = field(default_factory=dict)
+
+    @property
+    def category(self) -> str:
+        stated = self.document.get("category")
+        return str(stated.value) if stated is not None else self.name.split("/")[0]
+
+    def section(self, key: str) -> dict[str, Node]:
+        """A mapping of the document, empty where it is left out."""
+        node = self.document.get(key)
+        return node.value if node is not None and isinstance(node.value, dict) else {}
+
+    @property
+    def is_assembly(self) -> bool:
+        return self.document.get("modules") is not None
+
+
+@dataclass(frozen=True)
+class _Loaded:
+    stamp: tuple[int, int]
+    type: ModuleType | None
+    report: Report
+
+
+# By file and the name it is shown under; a file that changed is read again.
+_loaded: dict[tuple[str, str], _Loaded] = {}
+
+
+def _load(name: str, path: Path, display: str, report: Report) -> ModuleType | None:
+    status = path.stat()
+    stamp = (status.st_mtime_ns, status.st_size)
+    key = (str(path), display)
+    known = _loaded.get(key)
+    if known is None or known.stamp != stamp:
+        own = Report()
+        document = read_file(path, display, own)
+        good = document is not None and check(document, "module", own)
+        module = None
+        if document is not None and good and not own.has_errors:
+            module = ModuleType(name, path.parent, display, document)
+        known = _loaded[key] = _Loaded(stamp, module, own)
+    report.extend(known.report)
+    return known.type
+
+
+class Library:
+    """The library folders of one compilation, each with the name spans show for it."""
+
+    def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
+        self.folders = [*folders, (data_folder("modules"), "modules")]
+        self._found: dict[str, ModuleType | None] = {}
+        self._files: dict[str, Path] = {}
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """The module documents read so far: name in spans to file."""
+        return dict(self._files)
+
+    def exists(self, name: str) -> bool:
+        return any((folder / name / FILE).is_file() for folder, _ in self.folders)
+
+    def load(self, name: str, asked: Node, report: Report) -> ModuleType | None:
+        """The type of that name, or ``None`` with the reason in the report.
+
+        ``asked`` is where the name stands.
+        """
+        if name in self._found:
+            return self._found[name]
+        module = None
+        parts = name.split("/")
+        safe = all(part and part not in (".", "..") for part in parts) and "\\" not in name
+        for folder, display in self.folders if safe else ():
+            path = folder / name / FILE
+            if path.is_file():
+                shown = f"{display}/{name}/{FILE}"
+                self._files[shown] = path
+                module = _load(name, path, shown, report)
+                break
+        else:
+            near = difflib.get_close_matches(name, self.names(), n=1, cutoff=0.5)
+            hint = f"did you mean `{near[0]}`?" if near else "`thorvaldc modules list` shows them"
+            report.add("module-type-unknown", f"there is no module type `{name}`", asked.span, hint=hint)
+            return None
+        self._found[name] = module
+        return module
+
+    def names(self) -> list[str]:
+        """All type names, sorted."""
+        return sorted(set(self._walk()))
+
+    def _walk(self) -> Iterator[str]:
+        for folder, _ in self.folders:
+            for root, folders, files in os.walk(folder):
+                folders.sort()
+                if FILE in files:
+                    yield Path(root).relative_to(folder).as_posix()
+
+    def palette(self) -> dict[str, str]:
+        """Colour names of all library folders; the user's come before ours."""
+        colors: dict[str, str] = {}
+        for folder, _ in reversed(self.folders):
+            colors.update(_palette(str(folder / "palette.yaml")))
+        return colors
+
+
+@cache
+def _palette(path: str) -> dict[str, str]:
+    if not os.path.isfile(path):
+        return {}
+    node = read_file(Path(path), path, Report())
+    plain = node.plain() if node is not None else {}
+    return {str(k): str(v) for k, v in plain.items()} if isinstance(plain, dict) else {}

@@ -1,0 +1,545 @@
+"""What a module type with given parameters is made of: links, joints, ports, motors.
+
+The result does not depend on where the module sits, so that nine equal drives
+are worked out once.  Names are still the module's own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.library import ModuleType
+from thorvaldc.model.robot import (
+    Box,
+    Collision,
+    Cylinder,
+    Mesh,
+    MeshShape,
+    Scalar,
+    Shape,
+    Sphere,
+    Visual,
+)
+from thorvaldc.model.spatial import Inertial, Pose, Vec3, combine, norm, scale
+from thorvaldc.passes.meshes import load_mesh
+from thorvaldc.passes.scope import Scope, nearest
+from thorvaldc.source.node import Node
+from thorvaldc.source.units import UnitError, parse_any
+
+RGBA = tuple[float, float, float, float]
+DEFAULT_COLOR = "#9a9a9a"
+
+
+@dataclass(frozen=True)
+class LinkPart:
+    """A link of a module; ``inertial`` is ``None`` for a massless one."""
+
+    name: str
+    inertial: Inertial | None
+    visuals: tuple[Visual, ...]
+    collisions: tuple[Collision, ...]
+    span: Span
+
+
+@dataclass(frozen=True)
+class JointPart:
+    """A joint of a module; ``spring`` is stiffness and damping, ``None`` for none."""
+
+    name: str
+    type: str
+    role: str
+    parent: str
+    child: str
+    pose: Pose
+    axis: Vec3
+    lower: float | None
+    upper: float | None
+    effort: float | None
+    velocity: float | None
+    damping: float
+    friction: float
+    stiffness: float
+    span: Span
+
+
+@dataclass(frozen=True)
+class MotorPart:
+    """A motor; speeds in rad/s, torque in N m; limits at the joint."""
+
+    name: str
+    joint: str
+    role: str
+    gear_ratio: float
+    encoder_ppr: int
+    motor_max_speed: float
+    max_velocity: float
+    max_acceleration: float
+    max_torque: float
+    armature: float
+    span: Span
+
+
+@dataclass(frozen=True)
+class WheelPart:
+    link: str
+    radius: float
+    width: float
+    radii: tuple[tuple[str, float], ...]
+    friction: float
+    rolling_resistance: float
+    span: Span
+
+
+@dataclass(frozen=True)
+class SensorPart:
+    type: str
+    link: str
+    properties: tuple[tuple[str, Scalar], ...]
+
+
+@dataclass(frozen=True)
+class BatteryPart:
+    present: bool
+    link: str
+    properties: tuple[tuple[str, Scalar], ...]
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """A module with its parameters filled in.  ``mount_link``/``mount_pose``: where it is held."""
+
+    links: tuple[LinkPart, ...]
+    joints: tuple[JointPart, ...]
+    motors: tuple[MotorPart, ...]
+    wheel: WheelPart | None
+    sensor: SensorPart | None
+    battery: BatteryPart | None
+    mount_link: str
+    mount_pose: Pose
+    meshes: tuple[Mesh, ...]
+    height_above_ground: float | None
+
+
+def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware:
+    """The hardware of a leaf module; kept by the values of its parameters."""
+    key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.evaluate_all())
+    known = module.elaborated.get(key)
+    if known is None:
+        own = Report()
+        outer, scope.report = scope.report, own
+        try:
+            known = (_Builder(module, scope, own).build(), own)
+        finally:
+            scope.report = outer
+        module.elaborated[key] = known
+    hardware: Hardware
+    hardware, own = known
+    report.extend(own)
+    return hardware
+
+
+class _Builder:
+    def __init__(self, module: ModuleType, scope: Scope, report: Report) -> None:
+        self.module = module
+        self.scope = scope
+        self.report = report
+        self.meshes: dict[str, Mesh] = {}
+        self.palette = scope.library.palette()
+        self.link_names = [n for n, node in module.section("links").items() if self._present(node)]
+
+    def build(self) -> Hardware:
+        section = self.module.section
+        links = tuple(
+            self._link(name, section("links")[name]) for name in self.link_names
+        )
+        joints = tuple(
+            self._joint(name, node) for name, node in section("joints").items() if self._present(node)
+        )
+        self._check_tree(joints)
+        motors = tuple(
+            self._motor(name, node, joints)
+            for name, node in section("motors").items()
+            if self._present(node)
+        )
+        for port in section("ports").values():
+            self._link_name(port.get("link"))
+        document = self.module.document
+        free = document.get("free_mount")
+        if free is not None:
+            self._link_name(free.get("link"))
+        wheel, sensor, battery = document.get("wheel"), document.get("sensor"), document.get("battery")
+        mount = document.get("mount")
+        height = document.get("height_above_ground")
+        stated = self.scope.evaluate(height) if height is not None else None
+        return Hardware(
+            links,
+            joints,
+            motors,
+            self._wheel(wheel) if wheel is not None and self._present(wheel) else None,
+            self._sensor(sensor) if sensor is not None and self._present(sensor) else None,
+            self._battery(battery) if battery is not None and self._present(battery) else None,
+            self._link_name(mount.get("link")) if mount is not None else (self.link_names or [""])[0],
+            self.scope.pose(mount) if mount is not None else Pose(),
+            tuple(self.meshes.values()),
+            self.scope.quantity(height, "length") if stated is not None else None,
+        )
+
+    def _present(self, node: Node) -> bool:
+        return self.scope.boolean(node.get("when"), True)
+
+    def _link_name(self, node: Node | None) -> str:
+        """The link that a key names; the root link where the key is left out."""
+        first = self.link_names[0] if self.link_names else ""
+        if node is None:
+            return first
+        name = self.scope.text(node)
+        if name in self.link_names:
+            return name
+        if name:
+            self.report.add(
+                "link-unknown",
+                f"`{self.module.name}` has no link `{name}`",
+                node.span,
+                hint=nearest(name, self.link_names),
+            )
+        return first
+
+    # -- links ------------------------------------------------------------------------
+
+    def _link(self, name: str, node: Node) -> LinkPart:
+        visuals: list[Visual] = []
+        collisions: list[Collision] = []
+        masses: list[Inertial] = []
+        parts = node.get("parts")
+        for part in parts.value if parts is not None and isinstance(parts.value, tuple) else ():
+            for scope in self._repeated(part):
+                if scope.boolean(part.get("when"), True):
+                    self._part(part, scope, visuals, collisions, masses)
+        inertial = combine(masses).clean() if masses else None
+        return LinkPart(name, inertial, tuple(visuals), tuple(collisions), node.where)
+
+    def _repeated(self, part: Node) -> list[Scope]:
+        loop = part.get("for")
+        if loop is None or not isinstance(loop.value, dict):
+            return [self.scope]
+        scopes = [self.scope]
+        for name, node in loop.value.items():
+            values = self.scope.evaluate(node) if isinstance(node.value, str) else node.value
+            if not isinstance(values, tuple | list):
+                self.report.add("value-type", "a list is wanted", node.span)
+                values = ()
+            items = [self.scope.quantity(v, "number") if isinstance(v, Node) else v for v in values]
+            scopes = [s.with_names({name: item}) for s in scopes for item in items]
+        return scopes
+
+    def _part(
+        self,
+        part: Node,
+        scope: Scope,
+        visuals: list[Visual],
+        collisions: list[Collision],
+        masses: list[Inertial],
+    ) -> None:
+        shape_node, mass_node = part.get("shape"), part.get("mass")
+        pose = scope.pose(part).clean()
+        shape = self._shape(shape_node, scope) if shape_node is not None else None
+        if shape is not None:
+            if scope.boolean(part.get("show"), True):
+                visuals.append(Visual(shape, pose, self._color(part.get("color"), scope)))
+            if scope.boolean(part.get("collide"), False):
+                collisions.append(Collision(shape, pose))
+        if mass_node is None:
+            return
+        mass = scope.quantity(mass_node, "mass")
+        if mass < 0:
+            self.report.add(
+                "mass-negative", f"the mass is {mass:g} kg; it must not be negative", mass_node.span
+            )
+            return
+        explicit = part.get("inertia")
+        if explicit is not None:
+            masses.append(self._explicit(part, explicit, mass, scope).transformed(pose))
+            return
+        stand_in = part.get("inertia_shape")
+        if stand_in is not None:
+            shape = self._shape(stand_in, scope)
+        if shape is None or isinstance(shape, MeshShape):
+            if shape is not None or shape_node is None:
+                self.report.add(
+                    "inertia-unknown",
+                    "a mass needs a solid shape to have an inertia from",
+                    mass_node.where,
+                    hint="add `inertia_shape: {box: [...]}` or `com` and `inertia`",
+                )
+            return
+        wall = part.get("wall")
+        thickness = scope.quantity(wall, "length") if wall is not None else None
+        masses.append(uniform_solid(shape, mass, thickness).transformed(pose))
+
+    def _explicit(self, part: Node, node: Node, mass: float, scope: Scope) -> Inertial:
+        items = node.value if isinstance(node.value, tuple) else ()
+        values = [scope.quantity(item, "inertia") for item in items]
+        values += [0.0] * (6 - len(values))
+        com = scope.vector(part.get("com"), "length")
+        return Inertial(mass, com, (values[0], values[1], values[2], values[3], values[4], values[5]))
+
+    def _shape(self, node: Node, scope: Scope) -> Shape | None:
+        box, cylinder = node.get("box"), node.get("cylinder")
+        sphere, mesh = node.get("sphere"), node.get("mesh")
+        if box is not None:
+            size = scope.vector(box, "length")
+            self._positive(size, box)
+            return Box(size)
+        if cylinder is not None:
+            radius = scope.quantity(cylinder.get("radius"), "length")
+            length = scope.quantity(cylinder.get("length"), "length")
+            self._positive((radius, length), cylinder)
+            return Cylinder(radius, length)
+        if sphere is not None:
+            radius = scope.quantity(sphere.get("radius"), "length")
+            self._positive((radius,), sphere)
+            return Sphere(radius)
+        if mesh is not None:
+            return self._mesh(mesh, scope)
+        return None
+
+    def _positive(self, sizes: tuple[float, ...], node: Node) -> None:
+        if min(sizes) <= 0.0 and not self.report.has_errors:
+            shown = ", ".join(f"{s:g}" for s in sizes)
+            self.report.add("size-not-positive", f"sizes must be positive, not {shown} m", node.span)
+
+    def _mesh(self, node: Node, scope: Scope) -> MeshShape | None:
+        file = node.get("file")
+        if file is None:
+            return None
+        name = scope.text(file)
+        path = self.module.folder / name
+        mesh = load_mesh(path, file.span, self.report, display=name)
+        if mesh is None:
+            return None
+        self.meshes[mesh.name] = mesh
+        factor = node.get("scale")
+        if factor is not None and not isinstance(factor.value, tuple):
+            value = scope.evaluate(factor)
+            if isinstance(value, int | float | str):
+                one = scope.quantity(factor, "ratio", 1.0)
+                return MeshShape(mesh.name, (one, one, one))
+        return MeshShape(mesh.name, scope.vector(factor, "ratio", (1.0, 1.0, 1.0)))
+
+    def _color(self, node: Node | None, scope: Scope) -> RGBA:
+        text = scope.text(node, DEFAULT_COLOR) or DEFAULT_COLOR
+        digits = self.palette.get(text, text)
+        if digits.startswith("#") and len(digits) in (7, 9):
+            try:
+                values = [int(digits[i : i + 2], 16) / 255 for i in range(1, len(digits), 2)]
+                r, g, b, a = (round(v, 4) for v in [*values, 1.0][:4])
+            except ValueError:
+                pass
+            else:
+                return (r, g, b, a)
+        self.report.add(
+            "color-unknown",
+            f"`{text}` is no colour",
+            node.span if node is not None else None,
+            hint='write "#rrggbb" or a name of the palette; ' + nearest(text, list(self.palette)),
+        )
+        return (0.5, 0.5, 0.5, 1.0)
+
+    # -- joints and motors ---------------------------------------------------------------
+
+    def _joint(self, name: str, node: Node) -> JointPart:
+        scope = self.scope
+        kind = scope.text(node.get("type"), "fixed")
+        linear = kind == "prismatic"
+        position, speed = ("length", "velocity") if linear else ("angle", "angular_velocity")
+        axis_node = node.get("axis")
+        axis = scope.vector(axis_node, "number", (0.0, 0.0, 1.0))
+        length = norm(axis)
+        if length < 1e-9:
+            self.report.add(
+                "axis-zero", f"the axis of joint `{name}` has no direction",
+                axis_node.span if axis_node is not None else node.where,
+            )
+            axis, length = (0.0, 0.0, 1.0), 1.0
+
+        def optional(key: str, quantity: str) -> float | None:
+            value = node.get(key)
+            return scope.quantity(value, quantity) if value is not None else None
+
+        lower, upper = optional("lower", position), optional("upper", position)
+        if kind in ("revolute", "prismatic"):
+            for key, limit in (("lower", lower), ("upper", upper)):
+                if limit is None:
+                    self.report.add(
+                        "joint-limit-missing",
+                        f"joint `{name}` is {kind} and has no `{key}`",
+                        node.where,
+                        hint="state it, or make the joint `continuous`"
+                        if kind == "revolute" else "state it",
+                    )
+        if lower is not None and upper is not None and lower >= upper:
+            self.report.add(
+                "joint-limits-reversed",
+                f"joint `{name}`: lower {lower:g} is not below upper {upper:g}",
+                node.where,
+            )
+        spring = node.get("spring")
+        per = ("stiffness", "damping") if linear else ("rotational_stiffness", "rotational_damping")
+        stiffness = damping = 0.0
+        if spring is not None:
+            stiffness = scope.quantity(spring.get("stiffness"), per[0])
+            damping = scope.quantity(spring.get("damping"), per[1])
+        return JointPart(
+            name,
+            kind,
+            scope.text(node.get("role")),
+            self._link_name(node.get("parent")),
+            self._link_name(node.get("child")),
+            scope.pose(node).clean(),
+            axis if length == 1.0 else scale(1.0 / length, axis),
+            lower if kind != "continuous" else None,
+            upper if kind != "continuous" else None,
+            optional("effort", "force" if linear else "torque"),
+            optional("velocity", speed),
+            damping + scope.quantity(node.get("damping"), per[1]),
+            scope.quantity(node.get("friction"), "force" if linear else "torque"),
+            stiffness,
+            node.where,
+        )
+
+    def _check_tree(self, joints: tuple[JointPart, ...]) -> None:
+        """Every link but the first is the child of exactly one joint, without loops."""
+        parents: dict[str, JointPart] = {}
+        for joint in joints:
+            if joint.child in parents or joint.child == self.link_names[0]:
+                self.report.add(
+                    "link-two-parents",
+                    f"link `{joint.child}` of `{self.module.name}` has two parents"
+                    if joint.child in parents
+                    else f"the first link `{joint.child}` carries the mount and cannot be a child",
+                    joint.span,
+                )
+            parents.setdefault(joint.child, joint)
+        for name in self.link_names[1:]:
+            seen: list[str] = []
+            current = name
+            while current in parents and current not in seen:
+                seen.append(current)
+                current = parents[current].parent
+            if current != self.link_names[0] and not self.report.has_errors:
+                self.report.add(
+                    "link-unconnected",
+                    f"link `{name}` of `{self.module.name}` is not connected to `{self.link_names[0]}`",
+                    self.module.section("links")[name].where,
+                    hint="add a joint whose child it is",
+                )
+
+    def _motor(self, name: str, node: Node, joints: tuple[JointPart, ...]) -> MotorPart:
+        scope = self.scope
+        joint_node = node.get("joint")
+        joint = scope.text(joint_node)
+        if joint_node is not None and joint not in [j.name for j in joints]:
+            self.report.add(
+                "joint-unknown",
+                f"`{self.module.name}` has no joint `{joint}`",
+                joint_node.span,
+                hint=nearest(joint, [j.name for j in joints]),
+            )
+        gear = self._above_zero(node, "gear_ratio", "ratio", 1.0)
+        speed = self._above_zero(node, "motor_max_speed", "angular_velocity", 1.0)
+        rotor = scope.quantity(node.get("rotor_inertia"), "inertia")
+        ppr = self._above_zero(node, "encoder_ppr", "ratio", 1024.0)
+        return MotorPart(
+            name,
+            joint,
+            scope.text(node.get("role")),
+            gear,
+            round(ppr),
+            speed,
+            min(
+                scope.quantity(node.get("max_velocity"), "angular_velocity", math.inf), speed / gear
+            ),
+            self._above_zero(node, "max_acceleration", "angular_acceleration", 1.0),
+            self._above_zero(node, "max_torque", "torque", 1.0),
+            rotor * gear * gear,
+            node.where,
+        )
+
+    def _above_zero(self, node: Node, key: str, quantity: str, default: float) -> float:
+        found = node.get(key)
+        value = self.scope.quantity(found, quantity, default)
+        if value > 0:
+            return value
+        if found is not None:
+            self.report.add(
+                "size-not-positive", f"`{key}` is {value:g}; it must be positive", found.span
+            )
+        return default
+
+    # -- what the module is -----------------------------------------------------------------
+
+    def _wheel(self, node: Node) -> WheelPart:
+        scope = self.scope
+        radii = node.get("radii")
+        named = radii.value if radii is not None and isinstance(radii.value, dict) else {}
+        return WheelPart(
+            self._link_name(node.get("link")),
+            self._above_zero(node, "radius", "length", 0.1),
+            self._above_zero(node, "width", "length", 0.1),
+            tuple((k, scope.quantity(v, "length")) for k, v in named.items()),
+            scope.quantity(node.get("friction"), "ratio", 0.8),
+            scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
+            node.where,
+        )
+
+    def _sensor(self, node: Node) -> SensorPart:
+        return SensorPart(
+            self.scope.text(node.get("type")),
+            self._link_name(node.get("link")),
+            self._properties(node.get("properties")),
+        )
+
+    def _battery(self, node: Node) -> BatteryPart:
+        return BatteryPart(
+            self.scope.boolean(node.get("present"), True),
+            self._link_name(node.get("link")),
+            self._properties(node.get("properties")),
+        )
+
+    def _properties(self, node: Node | None) -> tuple[tuple[str, Scalar], ...]:
+        """Named values; text that is a quantity becomes its SI value."""
+        entries = node.value if node is not None and isinstance(node.value, dict) else {}
+        found: list[tuple[str, Scalar]] = []
+        for key, item in entries.items():
+            value = self.scope.evaluate(item)
+            if isinstance(value, str) and not item.quoted:
+                try:
+                    value = parse_any(value)
+                except UnitError:
+                    pass
+            if isinstance(value, bool | int | float | str):
+                found.append((key, value))
+        return tuple(found)
+
+
+def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
+    """Inertia of a body of uniform density about its centre; cylinders may be tubes.
+
+    Source: the textbook formulas of solid boxes, cylinders, tubes and spheres.
+    """
+    if isinstance(shape, Box):
+        x, y, z = shape.size
+        d = (y * y + z * z, x * x + z * z, x * x + y * y)
+        ixx, iyy, izz = (mass / 12 * v for v in d)
+    elif isinstance(shape, Cylinder):
+        inner = max(shape.radius - wall, 0.0) if wall is not None else 0.0
+        square = shape.radius**2 + inner**2
+        ixx = iyy = mass * (3 * square + shape.length**2) / 12
+        izz = mass * square / 2
+    elif isinstance(shape, Sphere):
+        ixx = iyy = izz = 0.4 * mass * shape.radius**2
+    else:
+        ixx = iyy = izz = 0.0
+    return Inertial(mass, (0.0, 0.0, 0.0), (ixx, iyy, izz, 0.0, 0.0, 0.0))

@@ -1,0 +1,422 @@
+"""From the robot's document to a tree of module instances with their connections.
+
+An assembly and the robot are the same thing here: named parts, each of a type,
+mounted on one another's ports.  What comes out are the leaves (modules with
+hardware of their own), each with the leaf, link and pose that it is mounted on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.library import Library, ModuleType
+from thorvaldc.model.spatial import Pose
+from thorvaldc.passes.scope import NONE, ModuleChoice, Scope, nearest
+from thorvaldc.source.node import Node
+
+MAX_DEPTH = 12
+
+
+@dataclass(eq=False)
+class Instance:
+    """A module in its place.  ``path`` is dotted, ``fl.steering``; the robot's is empty.
+
+    ``origin`` is the span of the robot file's own entry that it came from.
+    ``left_out`` names the parts that were chosen to be ``none``.
+    """
+
+    path: str
+    type: ModuleType | None
+    scope: Scope
+    entry: Node
+    origin: Span
+    parent: Instance | None
+    can: Node | None = None
+    children: dict[str, Instance] = field(default_factory=dict)
+    left_out: set[str] = field(default_factory=set)
+    mount: Mount | None = None
+
+    @property
+    def is_leaf(self) -> bool:
+        return self.type is not None and not self.type.is_assembly
+
+    @property
+    def is_mechanical(self) -> bool:
+        if self.is_leaf:
+            return self.type is not None and bool(self.type.section("links"))
+        return any(child.is_mechanical for child in self.children.values())
+
+    def leaves(self) -> Iterator[Instance]:
+        """The leaves in model order: file order, depth first."""
+        if self.is_leaf:
+            yield self
+        for child in self.children.values():
+            yield from child.leaves()
+
+
+@dataclass(frozen=True)
+class Mount:
+    """``leaf`` and its ``link`` that carry a part; ``pose`` of the mount in that link."""
+
+    leaf: Instance
+    link: str
+    pose: Pose
+    span: Span
+
+
+class Resolver:
+    """Builds the instance tree of one robot document."""
+
+    def __init__(self, library: Library, report: Report) -> None:
+        self.library = library
+        self.report = report
+        self._defaults: dict[str, dict[str, Node]] = {}
+        self._used_defaults: set[tuple[str, str]] = set()
+
+    def resolve(self, document: Node) -> Instance | None:
+        """The robot as an instance, its parts mounted; ``None`` if it has no root."""
+        scope = Scope(None, {}, self.library, self.report, None)
+        robot = Instance("", None, scope, document, document.span, None)
+        defaults = document.get("defaults")
+        for category, node in _entries(defaults).items():
+            self._defaults[category] = _entries(node)
+        for name, entry in _entries(document.get("modules")).items():
+            self._expand(robot, name, entry, entry.where, ())
+        self._check_defaults(robot)
+        root = self._root_part(robot, document.get("modules") or document)
+        if root is None:
+            return None
+        self._mount_parts(robot)
+        self._check_reached(robot, root)
+        return robot
+
+    # -- expansion ------------------------------------------------------------------
+
+    def _expand(
+        self, parent: Instance, name: str, entry: Node, origin: Span, chain: tuple[str, ...]
+    ) -> None:
+        report, scope = self.report, parent.scope
+        if not scope.boolean(entry.get("when"), True):
+            parent.left_out.add(name)
+            return
+        type_node = entry.get("type")
+        if type_node is None:
+            return
+        value = scope.evaluate(type_node)
+        given: dict[str, tuple[Node, Scope]] = {}
+        if isinstance(value, ModuleChoice):
+            module: ModuleType | None = value.module
+            given = {k: (node, value.written_in) for k, node in value.params.items()}
+        elif value is None or value == NONE:
+            parent.left_out.add(name)
+            return
+        else:
+            module = self.library.load(str(value), type_node, report)
+        if module is None:
+            parent.left_out.add(name)
+            return
+        path = f"{parent.path}.{name}" if parent.path else name
+        if module.name in chain or len(chain) >= MAX_DEPTH:
+            report.add(
+                "assembly-recursive",
+                f"`{module.name}` contains itself: " + " -> ".join([*chain, module.name]),
+                type_node.span,
+            )
+            return
+        # An assembly's own word about a part comes before what the chosen module was given.
+        params = _entries(entry.get("params"))
+        given = {**{k: (node, scope) for k, node in params.items()}, **given}
+        if not parent.path:
+            for key, node in self._defaults.get(module.category, {}).items():
+                if key in module.section("params"):
+                    self._used_defaults.add((module.category, key))
+                    given.setdefault(key, (node, scope))
+        inner = Scope(module, given, self.library, report, entry)
+        inner.check_given()
+        inner.evaluate_all()
+        instance = Instance(path, module, inner, entry, origin, parent, entry.get("can"))
+        parent.children[name] = instance
+        for child, child_entry in module.section("modules").items():
+            self._expand(instance, child, child_entry, origin, (*chain, module.name))
+        if module.is_assembly:
+            self._pass_can_on(instance)
+
+    def _pass_can_on(self, assembly: Instance) -> None:
+        """The assembly's `can` belongs to the part that its type names."""
+        if assembly.type is None:
+            return
+        taker = assembly.type.document.get("can")
+        name = str(taker.value) if taker is not None else ""
+        if assembly.can is None:
+            return
+        child = assembly.children.get(name)
+        if child is None:
+            self.report.add(
+                "can-without-device",
+                f"`{assembly.path}` has no controller that could take this address",
+                assembly.can.where,
+                hint="leave `can` out, or choose a controller",
+            )
+            return
+        child.can = assembly.can
+        if not child.is_leaf:
+            self._pass_can_on(child)
+
+    def _check_defaults(self, robot: Instance) -> None:
+        categories = [c.type.category for c in robot.children.values() if c.type is not None]
+        for category, params in self._defaults.items():
+            for key, node in params.items():
+                if (category, key) in self._used_defaults:
+                    continue
+                if category in categories:
+                    known = [
+                        p
+                        for c in robot.children.values()
+                        if c.type is not None and c.type.category == category
+                        for p in c.type.section("params")
+                    ]
+                    self.report.add(
+                        "param-unknown",
+                        f"no `{category}` module of this robot has a parameter `{key}`",
+                        node.where,
+                        hint=nearest(key, list(dict.fromkeys(known))),
+                    )
+                else:
+                    self.report.add(
+                        "default-unused",
+                        f"this robot has no module of the category `{category}`",
+                        node.where,
+                        hint=nearest(category, list(dict.fromkeys(categories))),
+                    )
+
+    # -- references -----------------------------------------------------------------
+
+    def find(self, inside: Instance, reference: str, node: Node) -> tuple[Instance, list[str]] | None:
+        """The part that a dotted reference leads to, and what of it is left over.
+
+        ``None`` where there is no such part (reported), or where it was left out.
+        """
+        parts = reference.split(".")
+        current = inside
+        while parts and parts[0] in current.children:
+            current = current.children[parts.pop(0)]
+        if current is inside:
+            if parts[0] not in inside.left_out:
+                where = f" in `{inside.path}`" if inside.path else ""
+                self.report.add(
+                    "module-unknown",
+                    f"there is no module `{parts[0]}`{where}",
+                    node.span,
+                    hint=nearest(parts[0], list(inside.children)),
+                )
+            return None
+        return current, parts
+
+    def find_port(self, inside: Instance, reference: str, node: Node) -> tuple[Instance, str] | None:
+        """The leaf and the name of its port."""
+        return self._find_offered(inside, reference, node, "ports", "port")
+
+    def find_motor(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, str] | None:
+        """The leaf and the name of its motor."""
+        return self._find_offered(inside, reference, node, "motors", "motor")
+
+    def _find_offered(
+        self, inside: Instance, reference: str, node: Node, section: str, word: str
+    ) -> tuple[Instance, str] | None:
+        found = self.find(inside, reference, node)
+        if found is None:
+            return None
+        part, rest = found
+        offered = part.type.section(section) if part.type is not None else {}
+        if len(rest) != 1:
+            first = next(iter(offered), None)
+            if not rest:
+                hint = f"name its {word}: `{reference}.{first}`" if first else None
+            else:
+                hint = nearest(rest[0], [*part.children, *offered])
+            self.report.add(
+                f"{word}-unknown",
+                f"`{reference}` is not a {word}" if not rest else f"`{part.path}` has no part `{rest[0]}`",
+                node.span,
+                hint=hint,
+            )
+            return None
+        name = rest[0]
+        if name not in offered:
+            self.report.add(
+                f"{word}-unknown",
+                f"`{part.path}` ({part.type.name if part.type else ''}) has no {word} `{name}`",
+                node.span,
+                hint=nearest(name, list(offered)),
+            )
+            return None
+        if part.is_leaf:
+            if not part.scope.boolean(offered[name].get("when"), True):
+                self.report.add(
+                    f"{word}-unknown",
+                    f"`{part.path}` has no {word} `{name}` with these parameters",
+                    node.span,
+                )
+                return None
+            return part, name
+        return self._find_offered(part, str(offered[name].value), offered[name], section, word)
+
+    # -- mounts -----------------------------------------------------------------------
+
+    def _root_part(self, assembly: Instance, where: Node) -> Instance | None:
+        """The part of an assembly that is mounted on nothing within it."""
+        roots = [c for c in assembly.children.values() if c.is_mechanical and not c.entry.get("mount")]
+        if len(roots) == 1:
+            root = roots[0]
+            return root if root.is_leaf else self._root_part(root, root.entry)
+        name = f"`{assembly.path}`" if assembly.path else "the robot"
+        if not roots:
+            if not assembly.children and assembly.left_out:
+                return None  # their faults are reported
+            self.report.add(
+                "root-missing",
+                f"{name} has no root: every module is mounted on another, or there is none",
+                where.where if assembly.path else where.span,
+                hint="the frame has no `mount`",
+            )
+        else:
+            first, second = roots[0], roots[1]
+            self.report.add(
+                "root-ambiguous",
+                f"{name} has two modules without `mount`: "
+                f"`{_last(first.path)}` and `{_last(second.path)}`",
+                second.entry.where,
+                labels=[Label(first.entry.where, "the first one")],
+                hint=f"mount it: `mount: {_last(first.path)}.<port>`",
+            )
+        return None
+
+    def _mount_parts(self, assembly: Instance) -> None:
+        for child in assembly.children.values():
+            if not child.is_leaf:
+                self._mount_parts(child)
+            node = child.entry.get("mount")
+            if node is None:
+                continue
+            if not child.is_mechanical:
+                self.report.add(
+                    "mount-without-hardware",
+                    f"`{child.path}` is electrical only and cannot be mounted",
+                    node.where,
+                    hint="leave `mount` out",
+                )
+                continue
+            plug = child if child.is_leaf else self._root_part(child, child.entry)
+            if plug is not None:
+                plug.mount = self._mount(assembly, plug, node)
+
+    def _mount(self, inside: Instance, plug: Instance, node: Node) -> Mount | None:
+        scope = inside.scope
+        if isinstance(node.value, dict):
+            pose = scope.pose(node)
+            parent, port = node.get("parent"), node.get("port")
+        else:
+            pose, parent, port = Pose(), None, node
+        if parent is not None:
+            return self._free_mount(inside, plug, parent, pose)
+        if port is None:
+            return None
+        reference = scope.text(port)
+        found = self.find_port(inside, reference, port) if reference else None
+        if found is None:
+            return None
+        leaf, name = found
+        if leaf.type is None:
+            return None
+        socket = leaf.type.section("ports")[name]
+        kind = leaf.scope.text(socket.get("kind"))
+        self._check_kind(plug, kind, reference, port, socket)
+        link = leaf.scope.text(socket.get("link"))
+        return Mount(leaf, link, leaf.scope.pose(socket) * pose, port.span)
+
+    def _free_mount(
+        self, inside: Instance, plug: Instance, parent: Node, pose: Pose
+    ) -> Mount | None:
+        reference = inside.scope.text(parent)
+        found = self.find(inside, reference, parent) if reference else None
+        if found is None:
+            return None
+        part, rest = found
+        if rest:
+            self.report.add(
+                "module-unknown",
+                f"`{part.path}` has no part `{rest[0]}`",
+                parent.span,
+                hint=nearest(rest[0], list(part.children)),
+            )
+            return None
+        leaf = part if part.is_leaf else self._root_part(part, part.entry)
+        if leaf is None or leaf.type is None:
+            return None
+        free = leaf.type.document.get("free_mount")
+        if free is None:
+            self.report.add(
+                "mount-not-free",
+                f"`{part.path}` ({leaf.type.name}) offers no free mounting",
+                parent.span,
+                hint="mount on one of its ports: "
+                + ", ".join(f"`{reference}.{p}`" for p in part.type.section("ports"))
+                if part.type is not None and part.type.section("ports")
+                else "it has no ports either",
+            )
+            return None
+        self._check_kind(plug, leaf.scope.text(free.get("kind")), reference, parent, free)
+        return Mount(leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span)
+
+    def _check_kind(
+        self, plug: Instance, kind: str, reference: str, node: Node, socket: Node
+    ) -> None:
+        if plug.type is None:
+            return
+        own = plug.type.document.get("mount")
+        kinds = own.get("kinds") if own is not None else None
+        fits = [str(k) for k in kinds.plain()] if kinds is not None else []
+        if kind in fits:
+            return
+        wanted = " or ".join(f"`{k}`" for k in fits) if fits else "no port at all"
+        self.report.add(
+            "port-kind",
+            f"`{reference}` is a `{kind}`; `{plug.path}` ({plug.type.name}) fits {wanted}",
+            node.span,
+            labels=[Label(socket.where, f"`{kind}` is declared here")],
+        )
+
+    def _check_reached(self, robot: Instance, root: Instance) -> None:
+        """Modules that hang on one another and not on the root."""
+        reached = {id(root)}
+        waiting = [leaf for leaf in robot.leaves() if leaf.mount is not None]
+        grew = True
+        while grew:
+            left = []
+            for leaf in waiting:
+                if leaf.mount is not None and id(leaf.mount.leaf) in reached:
+                    reached.add(id(leaf))
+                else:
+                    left.append(leaf)
+            grew = len(left) < len(waiting)
+            waiting = left
+        if not self.report.has_errors and waiting:
+            leaf = waiting[0]
+            self.report.add(
+                "mount-cycle",
+                "these modules are mounted on one another and not on the frame: "
+                + ", ".join(f"`{w.path}`" for w in waiting),
+                leaf.mount.span if leaf.mount is not None else leaf.origin,
+            )
+
+
+def _entries(node: Node | None) -> dict[str, Node]:
+    return node.value if node is not None and isinstance(node.value, dict) else {}
+
+
+def _last(path: str) -> str:
+    return path.rsplit(".", 1)[-1]

@@ -1,0 +1,389 @@
+"""Values of a module's parameters, and of the scalars and expressions that use them.
+
+Every reader here returns a value of the asked type in SI, whatever it finds: a
+fault is reported and a harmless value goes on, so that one run shows all faults.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from thorvaldc.diagnostics import Label, Report
+from thorvaldc.library import Library, ModuleType
+from thorvaldc.model.spatial import Pose, Vec3
+from thorvaldc.source.expressions import ExpressionError, evaluate
+from thorvaldc.source.node import Node
+from thorvaldc.source.units import UnitError, parse_quantity
+
+NONE = "none"
+
+
+class _Cycle(Exception):
+    """A `let` or a parameter that needs itself."""
+
+
+def nearest(word: str, known: list[str]) -> str:
+    """A hint: the nearest of the known words, or all of them."""
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean `{near[0]}`?"
+    return "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
+
+
+class ModuleChoice(Mapping[str, Any]):
+    """The value of a `module` parameter: a type with parameters of its own.
+
+    As a mapping it gives the values of the chosen module's parameters, which is
+    what `${wheel.radius}` reads.
+    """
+
+    def __init__(self, module: ModuleType, params: dict[str, Node], written_in: Scope) -> None:
+        self.module = module
+        self.params = params
+        self.written_in = written_in
+        self._scope: Scope | None = None
+
+    @property
+    def scope(self) -> Scope:
+        if self._scope is None:
+            self._scope = Scope(
+                self.module,
+                {name: (node, self.written_in) for name, node in self.params.items()},
+                self.written_in.library,
+                self.written_in.report,
+                None,
+            )
+        return self._scope
+
+    def __getitem__(self, name: str) -> Any:
+        return self.scope[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.scope)
+
+    def __len__(self) -> int:
+        return len(self.scope)
+
+
+class Scope(Mapping[str, Any]):
+    """The names that an expression of a module may use, evaluated when asked for.
+
+    ``given`` holds the parameters set by the user of the module, each with the
+    scope that its expression was written in; ``place`` is where the module is
+    used, for a parameter that is missing.  ``extra`` adds names (a loop variable).
+    """
+
+    def __init__(
+        self,
+        module: ModuleType | None,
+        given: dict[str, tuple[Node, Scope]],
+        library: Library,
+        report: Report,
+        place: Node | None,
+        extra: dict[str, Any] | None = None,
+    ) -> None:
+        self.module = module
+        self.library = library
+        self.report = report
+        self._params = module.section("params") if module is not None else {}
+        self._let = module.section("let") if module is not None else {}
+        self._given = given
+        self._place = place
+        self._values: dict[str, Any] = dict(extra or {})
+        self._busy: list[str] = []
+
+    def with_names(self, extra: dict[str, Any]) -> Scope:
+        """The same scope with more names."""
+        inner = Scope(self.module, self._given, self.library, self.report, self._place, extra)
+        inner._values = {**self._values, **extra}
+        return inner
+
+    # -- as a mapping -----------------------------------------------------------
+
+    def __getitem__(self, name: str) -> Any:
+        if name in self._values:
+            return self._values[name]
+        if name not in self._params and name not in self._let:
+            raise KeyError(name)
+        if name in self._busy:
+            raise _Cycle(" -> ".join([*self._busy[self._busy.index(name) :], name]))
+        self._busy.append(name)
+        try:
+            if name in self._params:
+                value = self._param(name, self._params[name])
+            else:
+                value = self.evaluate(self._let[name])
+        finally:
+            self._busy.pop()
+        self._values[name] = value
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self._params, **self._let, **self._values})
+
+    def __len__(self) -> int:
+        return len({**self._params, **self._let, **self._values})
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values or name in self._params or name in self._let
+
+    def evaluate_all(self) -> tuple[Any, ...]:
+        """All parameters' values, in order: with the type, what the hardware depends on."""
+        return tuple(self[name] for name in self._params)
+
+    # -- parameters ---------------------------------------------------------------
+
+    def check_given(self) -> None:
+        """Report parameters that the type does not have."""
+        for name, (node, _) in self._given.items():
+            if name not in self._params and self.module is not None:
+                self.report.add(
+                    "param-unknown",
+                    f"`{self.module.name}` has no parameter `{name}`",
+                    node.where,
+                    hint=nearest(name, list(self._params)),
+                )
+
+    def _param(self, name: str, declared: Node) -> Any:
+        given = self._given.get(name)
+        default = declared.get("default")
+        if given is not None:
+            node, scope = given
+        elif default is not None:
+            node, scope = default, self
+        else:
+            if self._place is not None and self.module is not None:
+                self.report.add(
+                    "param-missing",
+                    f"`{self.module.name}` needs a value for `{name}`",
+                    self._place.where,
+                    hint=f"add `params: {{{name}: ...}}`: {_text(declared, 'description')}",
+                )
+            return _harmless(declared)
+        value = scope._typed(node, declared, is_default=given is None)
+        self._check_range(name, declared, node, value, scope)
+        return value
+
+    def _typed(self, node: Node, declared: Node, *, is_default: bool = False) -> Any:
+        kind = _text(declared, "type") or "quantity"
+        quantity = _text(declared, "quantity")
+        if node.value is None or (node.value == NONE and kind != "module"):
+            # Only a default may say that there is no value; the module's expressions then ask for it.
+            if is_default:
+                return None
+            self.report.add(
+                "param-type", f"`{node.value}` is no value here", node.span,
+                hint="leave the parameter out to have its default",
+            )
+            return _harmless(declared)
+        if kind == "module":
+            return self._module(node, declared)
+        if kind == "list":
+            value = self.evaluate(node) if isinstance(node.value, str) else node.value
+            if not isinstance(value, tuple | list):
+                self.report.add("param-type", f"a list is wanted, not {_found(node)}", node.span)
+                return ()
+            return tuple(
+                self.quantity(v, quantity or "number") if isinstance(v, Node) else v for v in value
+            )
+        if kind == "quantity":
+            return self.quantity(node, quantity)
+        value = self.evaluate(node)
+        if kind == "integer":
+            if isinstance(value, float) and value.is_integer():
+                value = int(value)
+            if isinstance(value, int) and not isinstance(value, bool):
+                return value
+            self.report.add("param-type", f"a whole number is wanted, not {_found(node)}", node.span)
+            return 1
+        if kind == "boolean":
+            if isinstance(value, bool):
+                return value
+            self.report.add(
+                "param-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
+            )
+            return False
+        if isinstance(value, str):
+            return value
+        self.report.add("param-type", f"text is wanted, not {_found(node)}", node.span)
+        return ""
+
+    def _module(self, node: Node, declared: Node) -> ModuleChoice | None:
+        params: dict[str, Node] = {}
+        name_node: Node | None = node
+        if isinstance(node.value, dict):
+            name_node = node.get("type")
+            given = node.get("params")
+            params = given.value if given is not None and isinstance(given.value, dict) else {}
+        if name_node is None:
+            self.report.add("param-type", "a module needs a `type`", node.span)
+            return None
+        value = self.evaluate(name_node)
+        if isinstance(value, ModuleChoice) or value is None or value == NONE:
+            return value if isinstance(value, ModuleChoice) else None
+        if not isinstance(value, str):
+            self.report.add(
+                "param-type", f"a module type is wanted, not {_found(node)}", name_node.span,
+                hint="write its name, as in `wheel/agri_200`, or `none`",
+            )
+            return None
+        module = self.library.load(value, name_node, self.report)
+        if module is None:
+            return None
+        wanted = _text(declared, "category")
+        if wanted and module.category != wanted:
+            self.report.add(
+                "module-category",
+                f"`{value}` is a {module.category}; a {wanted} is wanted",
+                name_node.span,
+            )
+            return None
+        return ModuleChoice(module, params, self)
+
+    def _check_range(
+        self, name: str, declared: Node, node: Node, value: Any, scope: Scope
+    ) -> None:
+        choices = declared.get("choices")
+        if choices is not None and isinstance(choices.value, tuple):
+            known = [self.evaluate(c) for c in choices.value]
+            if value not in known:
+                self.report.add(
+                    "param-range",
+                    f"`{name}` is {value!r}; it may be one of "
+                    + ", ".join(str(k) for k in known),
+                    node.span,
+                    hint=nearest(str(value), [str(k) for k in known]),
+                )
+            return
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            return
+        for key, word, outside in (
+            ("minimum", "at least", lambda limit: value < limit),
+            ("maximum", "at most", lambda limit: value > limit),
+        ):
+            limit_node = declared.get(key)
+            if limit_node is None:
+                continue
+            limit = self._typed(limit_node, declared)
+            if outside(limit):
+                shown = limit_node.value if isinstance(limit_node.value, str) else f"{limit:g}"
+                if isinstance(shown, str) and shown.startswith("${"):
+                    shown = f"{limit:g}"
+                self.report.add(
+                    "param-range",
+                    f"`{name}` is {_found(node)}; it must be {word} {shown}",
+                    node.span,
+                    labels=[Label(limit_node.span, "the limit is stated here")],
+                )
+
+    # -- scalars --------------------------------------------------------------------
+
+    def evaluate(self, node: Node) -> Any:
+        """The node's own value, or that of the expression in it (``None`` on a fault)."""
+        value = node.value
+        if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
+            return value
+        try:
+            return evaluate(value[2:-1], self)
+        except ExpressionError as fault:
+            self.report.add("expression", str(fault), node.span, hint=getattr(fault, "hint", None))
+        except _Cycle as fault:
+            self.report.add("expression-cycle", f"the value needs itself: {fault}", node.span)
+        return None
+
+    def quantity(self, node: Node | None, quantity: str, default: float = 0.0) -> float:
+        """The SI value of a quantity; ``default`` where it is left out or at fault."""
+        if node is None:
+            return default
+        raw = node.value
+        if type(raw) is float or type(raw) is int:
+            return float(raw)
+        value = self.evaluate(node)
+        if isinstance(value, bool):
+            pass
+        elif isinstance(value, int | float):
+            if math.isfinite(value):
+                return float(value)
+        elif isinstance(value, str):
+            try:
+                return parse_quantity(value, quantity)
+            except UnitError as fault:
+                self.report.add("unit", str(fault), node.span, hint=getattr(fault, "hint", None))
+                return default
+        elif value is None and isinstance(raw, str):
+            return default  # the expression's fault is reported
+        self.report.add(
+            "value-type", f"a {quantity.replace('_', ' ')} is wanted, not {_found(node)}", node.span
+        )
+        return default
+
+    def boolean(self, node: Node | None, default: bool) -> bool:
+        if node is None:
+            return default
+        value = self.evaluate(node)
+        if isinstance(value, bool):
+            return value
+        if not (value is None and isinstance(node.value, str)):
+            self.report.add(
+                "value-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
+            )
+        return default
+
+    def text(self, node: Node | None, default: str = "") -> str:
+        if node is None:
+            return default
+        value = self.evaluate(node)
+        if isinstance(value, str):
+            return value
+        if not (value is None and isinstance(node.value, str)):
+            self.report.add("value-type", f"text is wanted, not {_found(node)}", node.span)
+        return default
+
+    def vector(self, node: Node | None, quantity: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
+        """Three quantities."""
+        if node is None:
+            return default
+        items = node.value
+        if isinstance(items, str):
+            value = self.evaluate(node)
+            if isinstance(value, tuple | list) and len(value) == 3:
+                return (float(value[0]), float(value[1]), float(value[2]))
+        if not isinstance(items, tuple) or len(items) != 3:
+            self.report.add("value-type", "three numbers are wanted, x, y and z", node.span)
+            return default
+        return (
+            self.quantity(items[0], quantity),
+            self.quantity(items[1], quantity),
+            self.quantity(items[2], quantity),
+        )
+
+    def pose(self, node: Node) -> Pose:
+        """The pose that the keys `xyz` and `rpy` of a mapping say."""
+        return Pose.from_xyz_rpy(
+            self.vector(node.get("xyz"), "length"), self.vector(node.get("rpy"), "angle")
+        )
+
+
+def _text(node: Node, key: str) -> str:
+    found = node.get(key)
+    return str(found.value) if found is not None else ""
+
+
+def _found(node: Node) -> str:
+    if isinstance(node.value, dict):
+        return "a mapping"
+    if isinstance(node.value, tuple):
+        return "a list"
+    if node.value is None:
+        return "nothing"
+    if isinstance(node.value, bool):
+        return f"`{str(node.value).lower()}`"
+    return f"`{node.value}`"
+
+
+def _harmless(declared: Node) -> Any:
+    kind = _text(declared, "type") or "quantity"
+    return {"module": None, "list": (), "boolean": False, "text": ""}.get(kind, 1)
