@@ -44,8 +44,13 @@ class Instance:
 
     @property
     def is_mechanical(self) -> bool:
-        if self.is_leaf:
-            return self.type is not None and bool(self.type.section("links"))
+        """Whether it has a body; one whose mount is optional has none unless mounted."""
+        if self.type is not None and self.is_leaf:
+            mount = self.type.document.get("mount")
+            optional = mount is not None and mount.get("optional") is not None
+            if optional and self.entry.get("mount") is None:
+                return False
+            return bool(self.type.section("links"))
         return any(child.is_mechanical for child in self.children.values())
 
     def leaves(self) -> Iterator[Instance]:

@@ -1,0 +1,510 @@
+"""From module instances to the robot: one tree of links and joints, wheels, motors, bus."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.model.robot import (
+    Actuator,
+    Battery,
+    Bus,
+    CalculatorChoice,
+    Collision,
+    Cylinder,
+    DriverSettings,
+    Joint,
+    Link,
+    Mesh,
+    Robot,
+    Sensor,
+    Wheel,
+)
+from thorvaldc.model.spatial import Pose, Vec3, clean, cross, norm, scale
+from thorvaldc.passes.base import (
+    PlacedWheel,
+    Tree,
+    contact_point,
+    ground_height,
+    make_wheels,
+    spring_reference,
+    static_loads,
+)
+from thorvaldc.passes.bus import BusSpec, Device, Wire, build_buses, connect_actuators
+from thorvaldc.passes.extras import load_extras
+from thorvaldc.passes.hardware import Hardware, hardware_of
+from thorvaldc.passes.resolve import Instance, Resolver
+from thorvaldc.passes.scope import Scope
+from thorvaldc.source.node import Node
+
+DEFAULT_RATE = 50.0  # Hz, facts of the original: the base driver's `rate`
+DEFAULT_TIMEOUT = 0.5  # s, the original's command time-out
+DEFAULT_BITRATE = 500_000  # bit/s
+DEFAULT_BUS = "main"
+HEIGHT_TOLERANCE = 1e-3
+
+
+@dataclass
+class _Parts:
+    """What is gathered while the modules are walked through."""
+
+    links: list[Link] = field(default_factory=list)
+    joints: list[Joint] = field(default_factory=list)
+    actuators: list[Actuator] = field(default_factory=list)
+    wheels: list[PlacedWheel] = field(default_factory=list)
+    sensors: list[Sensor] = field(default_factory=list)
+    batteries: list[Battery] = field(default_factory=list)
+    meshes: dict[str, Mesh] = field(default_factory=dict)
+    mounts: dict[str, Instance] = field(default_factory=dict)
+
+
+class Elaborator:
+    """Makes the model of a resolved robot.
+
+    ``base_dir`` is the folder of the robot file, for what it refers to.
+    """
+
+    def __init__(self, document: Node, resolver: Resolver, base_dir: str, report: Report) -> None:
+        self.document = document
+        self.resolver = resolver
+        self.base_dir = base_dir
+        self.report = report
+        self.scope = Scope(None, {}, resolver.library, report, None)
+
+    def elaborate(self, robot: Instance) -> Robot | None:
+        """The robot, or ``None`` where its tree is not whole (reported)."""
+        parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
+        hardware: dict[str, Hardware] = {}
+        for leaf in robot.leaves():
+            if leaf.type is not None:
+                hardware[leaf.path] = hardware_of(leaf.type, leaf.scope, self.report)
+        if self.report.has_errors:
+            return None
+        for leaf in robot.leaves():
+            self._place(leaf, hardware, parts)
+        self._check_names(parts)
+        extensions = self._add_extras(robot, hardware, parts)
+        if self.report.has_errors:
+            return None
+        tree = Tree(parts.links, parts.joints)
+        lift = clean(ground_height(tree, parts.wheels, self.report))
+        self._lift(parts, lift, robot, hardware)
+        tree = Tree(parts.links, parts.joints)
+        self._wheel_collisions(parts, tree)
+        actuated = {a.joint: a for a in parts.actuators}
+        wheels = make_wheels(tree, parts.wheels, actuated, self.report)
+        body = tree.inertial()
+        loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
+        wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
+        joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
+        driver = self._driver(wheels, actuated)
+        buses = self._buses(robot, parts, joints, driver.rate)
+        return Robot(
+            name=self.scope.text(self.document.get("name")),
+            namespace=self.scope.text(self.document.get("namespace")),
+            description=self.scope.text(self.document.get("description")),
+            links=tuple(parts.links),
+            joints=joints,
+            wheels=tuple(wheels),
+            actuators=connect_actuators(parts.actuators, buses),
+            sensors=tuple(parts.sensors),
+            batteries=tuple(parts.batteries),
+            buses=buses,
+            meshes=tuple(parts.meshes.values()),
+            calculator=self._calculator(),
+            driver=driver,
+            inertial=body.clean(),
+            origin=self.document.span,
+            urdf_extensions=extensions,
+        )
+
+    # -- links, joints, motors ------------------------------------------------------------
+
+    def _place(self, leaf: Instance, hardware: dict[str, Hardware], parts: _Parts) -> None:
+        own = hardware[leaf.path]
+        if not leaf.is_mechanical:
+            return
+        prefix = flat(leaf.path)
+        for mesh in own.meshes:
+            parts.meshes[mesh.name] = mesh
+        for link in own.links:
+            parts.links.append(
+                Link(
+                    f"{prefix}_{link.name}",
+                    leaf.path,
+                    link.inertial,
+                    link.visuals,
+                    link.collisions,
+                    leaf.origin,
+                )
+            )
+        if own.links:
+            parts.joints.append(self._mount_joint(leaf, own, hardware, prefix))
+        armatures = {motor.joint: motor for motor in own.motors}
+        for joint in own.joints:
+            motor = armatures.get(joint.name)
+            effort, velocity = joint.effort, joint.velocity
+            if motor is not None:
+                effort = motor.max_torque if effort is None else min(effort, motor.max_torque)
+                velocity = motor.max_velocity if velocity is None else velocity
+            parts.joints.append(
+                Joint(
+                    name=f"{prefix}_{joint.name}",
+                    module=leaf.path,
+                    type=joint.type,
+                    parent=f"{prefix}_{joint.parent}",
+                    child=f"{prefix}_{joint.child}",
+                    pose=joint.pose,
+                    origin=leaf.origin,
+                    axis=joint.axis,
+                    lower=joint.lower,
+                    upper=joint.upper,
+                    effort=effort,
+                    velocity=velocity,
+                    damping=joint.damping,
+                    friction=joint.friction,
+                    stiffness=joint.stiffness,
+                    armature=clean(motor.armature) if motor is not None else 0.0,
+                    role=joint.role,
+                )
+            )
+        for motor in own.motors:
+            parts.actuators.append(
+                Actuator(
+                    name=f"{prefix}_{motor.name}",
+                    module=leaf.path,
+                    joint=f"{prefix}_{motor.joint}",
+                    role=motor.role,
+                    gear_ratio=motor.gear_ratio,
+                    motor_max_speed=motor.motor_max_speed,
+                    encoder_ppr=motor.encoder_ppr,
+                    max_velocity=clean(motor.max_velocity),
+                    max_acceleration=clean(motor.max_acceleration),
+                    max_torque=motor.max_torque,
+                    armature=clean(motor.armature),
+                    node=None,
+                    channel=None,
+                    origin=leaf.origin,
+                )
+            )
+        if own.wheel is not None:
+            parts.wheels.append(
+                PlacedWheel(prefix, leaf.path, f"{prefix}_{own.wheel.link}", own.wheel, leaf.origin)
+            )
+        if own.sensor is not None:
+            s = own.sensor
+            parts.sensors.append(
+                Sensor(prefix, leaf.path, s.type, f"{prefix}_{s.link}", s.properties, leaf.origin)
+            )
+        if own.battery is not None:
+            b = own.battery
+            node = prefix if b.present else None
+            parts.batteries.append(
+                Battery(prefix, leaf.path, f"{prefix}_{b.link}", node, b.properties, leaf.origin)
+            )
+
+    def _mount_joint(
+        self, leaf: Instance, own: Hardware, hardware: dict[str, Hardware], prefix: str
+    ) -> Joint:
+        child = f"{prefix}_{own.links[0].name}"
+        if leaf.mount is None:
+            parent, pose = "base_link", Pose()
+        else:
+            holder = hardware[leaf.mount.leaf.path]
+            link = leaf.mount.link or holder.links[0].name
+            parent = f"{flat(leaf.mount.leaf.path)}_{link}"
+            pose = leaf.mount.pose * own.mount_pose.inverse()
+        return Joint(f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.origin)
+
+    def _check_names(self, parts: _Parts) -> None:
+        for word, elements in (("link", parts.links), ("joint", parts.joints)):
+            first: dict[str, Link | Joint] = {}
+            for element in elements:
+                other = first.setdefault(element.name, element)
+                if other is not element:
+                    self.report.add(
+                        "name-twice",
+                        f"two {word}s come out as `{element.name}`: "
+                        f"of `{other.module or 'the base'}` and of `{element.module}`",
+                        element.origin,
+                        labels=[Label(other.origin, "the first one")],
+                        hint="rename one of the modules",
+                    )
+
+    # -- extras ---------------------------------------------------------------------------
+
+    def _add_extras(
+        self, robot: Instance, hardware: dict[str, Hardware], parts: _Parts
+    ) -> tuple[str, ...]:
+        extras = self.document.get("extras")
+        if extras is None or not isinstance(extras.value, tuple):
+            return ()
+        roots = {
+            flat(path): f"{flat(path)}_{own.links[0].name}"
+            for path, own in hardware.items()
+            if own.links
+        }
+        named = {leaf.path: roots[flat(leaf.path)] for leaf in robot.leaves() if flat(leaf.path) in roots}
+        links = {link.name: link.origin for link in parts.links}
+
+        def resolve(text: str) -> tuple[str, Pose] | None:
+            """A link and a pose in it for `module`, `module.port` or a link's own name."""
+            if text in links:
+                return text, Pose()
+            if text in named:
+                return named[text], Pose()
+            quiet = Resolver(self.resolver.library, Report())
+            asked = Node(text, self.document.span)
+            found = quiet.find_port(robot, text, asked)
+            if found is not None and found[0].type is not None:
+                leaf, port = found
+                socket = leaf.type.section("ports")[port] if leaf.type else None
+                if socket is not None and flat(leaf.path) in roots:
+                    link = leaf.scope.text(socket.get("link")) or hardware[leaf.path].links[0].name
+                    return f"{flat(leaf.path)}_{link}", leaf.scope.pose(socket)
+            part = quiet.find(robot, text, asked)
+            if part is not None and not part[1]:
+                for leaf in part[0].leaves():
+                    if leaf.path in named:
+                        return named[leaf.path], Pose()
+            return None
+
+        found = load_extras(
+            list(extras.value), self.base_dir, self.scope, links, resolve, list(robot.children), self.report
+        )
+        parts.links.extend(found.links)
+        parts.joints.extend(found.joints)
+        for mesh in found.meshes:
+            parts.meshes[mesh.name] = mesh
+        return found.urdf_extensions
+
+    # -- the base -------------------------------------------------------------------------
+
+    def _lift(
+        self, parts: _Parts, lift: float, robot: Instance, hardware: dict[str, Hardware]
+    ) -> None:
+        """Put the root at its height, and compare with what its module says of it."""
+        for i, joint in enumerate(parts.joints):
+            if joint.parent == "base_link" and joint.type == "fixed" and joint.module:
+                root = hardware.get(joint.module)
+                if root is None:
+                    continue
+                xyz = (joint.pose.xyz[0], joint.pose.xyz[1], joint.pose.xyz[2] + lift)
+                parts.joints[i] = replace(joint, pose=Pose(xyz, joint.pose.quat).clean())
+                stated = root.height_above_ground
+                if not parts.wheels and stated is not None:
+                    lifted = (xyz[0], xyz[1], stated)
+                    parts.joints[i] = replace(joint, pose=Pose(lifted, joint.pose.quat))
+                elif stated is not None and abs(stated - xyz[2]) > HEIGHT_TOLERANCE:
+                    self.report.add(
+                        "frame-height",
+                        f"`{joint.module}` says its height is {stated * 1000:.6g} mm; "
+                        f"on these wheels it is {xyz[2] * 1000:.6g} mm",
+                        joint.origin,
+                        hint=f"set `height: {xyz[2] * 1000:.6g} mm`, leave it out, "
+                        "or choose legs of another length",
+                    )
+
+    def _wheel_collisions(self, parts: _Parts, tree: Tree) -> None:
+        """A wheel's link gets its cylinder, along the axis that it spins about."""
+        index = {link.name: i for i, link in enumerate(parts.links)}
+        for wheel in parts.wheels:
+            spin = next((j for j in tree.joints_above(wheel.link) if j.type != "fixed"), None)
+            if spin is None:
+                continue
+            to_wheel = tree.pose[wheel.link].inverse()
+            axis = to_wheel.rotate(tree.pose[spin.child].rotate(spin.axis))
+            pose = Pose(quat=_turn_z_to(axis)).clean()
+            shape = Cylinder(wheel.part.radius, wheel.part.width)
+            i = index[wheel.link]
+            others = parts.links[i].collisions
+            parts.links[i] = replace(parts.links[i], collisions=(Collision(shape, pose), *others))
+
+    def _sprung(self, joint: Joint, tree: Tree, wheels: list[Wheel]) -> Joint:
+        if joint.stiffness <= 0.0:
+            return joint
+        return replace(
+            joint, spring_reference=spring_reference(joint, tree, wheels, [w.load for w in wheels])
+        )
+
+    def _driver(self, wheels: list[Wheel], actuated: dict[str, Actuator]) -> DriverSettings:
+        """The limits that the modules allow together, lowered by what the file says."""
+        speed = turn = math.inf
+        acceleration = turn_acceleration = math.inf
+        for wheel in wheels:
+            actuator = actuated.get(wheel.spin_joint)
+            if actuator is None:
+                continue
+            v = actuator.max_velocity * wheel.radius
+            a = actuator.max_acceleration * wheel.radius
+            arm = max(math.hypot(*contact_point(wheel)), 0.05)
+            speed, turn = min(speed, v), min(turn, v / arm)
+            acceleration, turn_acceleration = min(acceleration, a), min(turn_acceleration, a / arm)
+        driver = self.document.get("driver") or Node({}, self.document.span)
+        q = self.scope.quantity
+
+        def limit(key: str, quantity: str, allowed: float) -> float:
+            node = driver.get(key)
+            stated = q(node, quantity, allowed)
+            if node is not None and stated <= 0:
+                self.report.add(
+                    "size-not-positive", f"`{key}` is {stated:g}; it must be positive", node.span
+                )
+            if node is not None and stated > allowed * (1 + 1e-6):
+                self.report.add(
+                    "driver-limit-too-high",
+                    f"`{key}` is {stated:g}; the slowest module allows {allowed:.4g}",
+                    node.span,
+                    hint="lower it, or leave it out to have what the modules allow",
+                )
+            value = min(stated, allowed)
+            return clean(value) if math.isfinite(value) else 0.0
+
+        rate = q(driver.get("rate"), "frequency", DEFAULT_RATE)
+        timeout = q(driver.get("command_timeout"), "time", DEFAULT_TIMEOUT)
+        for key, value in (("rate", rate), ("command_timeout", timeout)):
+            if value <= 0:
+                node = driver.get(key)
+                self.report.add(
+                    "size-not-positive",
+                    f"`{key}` is {value:g}; it must be positive",
+                    node.span if node is not None else None,
+                )
+        return DriverSettings(
+            rate=rate if rate > 0 else DEFAULT_RATE,
+            command_timeout=timeout,
+            max_linear_velocity=limit("max_linear_velocity", "velocity", speed),
+            max_angular_velocity=limit("max_angular_velocity", "angular_velocity", turn),
+            max_linear_acceleration=limit("max_linear_acceleration", "acceleration", acceleration),
+            max_angular_acceleration=limit(
+                "max_angular_acceleration", "angular_acceleration", turn_acceleration
+            ),
+        )
+
+    def _calculator(self) -> CalculatorChoice:
+        node = self.document.get("base_calculator")
+        if node is None:
+            return CalculatorChoice("general")
+        if not isinstance(node.value, dict):
+            return CalculatorChoice(self.scope.text(node, "general"))
+        options = node.get("options")
+        entries = options.value if options is not None and isinstance(options.value, dict) else {}
+        return CalculatorChoice(
+            self.scope.text(node.get("name"), "general"),
+            tuple(
+                (key, n.value)
+                for key, n in entries.items()
+                if isinstance(n.value, bool | int | float | str)
+            ),
+        )
+
+    # -- the bus ----------------------------------------------------------------------------
+
+    def _buses(
+        self,
+        robot: Instance,
+        parts: _Parts,
+        joints: tuple[Joint, ...],
+        rate: float,
+    ) -> tuple[Bus, ...]:
+        motors = _Motors(
+            {a.name: a for a in parts.actuators}, {joint.name: joint for joint in joints}
+        )
+        devices: list[Device] = []
+        for leaf in robot.leaves():
+            can = leaf.type.document.get("can") if leaf.type is not None else None
+            if can is not None:
+                devices.append(self._device(leaf, can, motors))
+                continue
+            for key in ("can", "channels"):
+                node = leaf.can if key == "can" else leaf.entry.get(key)
+                if node is not None:
+                    self.report.add(
+                        "can-without-device",
+                        f"`{leaf.path}` is no device on a bus",
+                        node.where,
+                        hint=f"leave `{key}` out",
+                    )
+        return build_buses(devices, self._bus_specs(), parts.actuators, 1.0 / rate, self.report)
+
+    def _bus_specs(self) -> list[BusSpec]:
+        node = self.document.get("buses")
+        if node is None or not isinstance(node.value, dict) or not node.value:
+            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, self.document.span)]
+        return [
+            BusSpec(
+                name,
+                round(self.scope.quantity(entry.get("bitrate"), "bitrate", DEFAULT_BITRATE)),
+                entry.where,
+            )
+            for name, entry in node.value.items()
+        ]
+
+    def _device(self, leaf: Instance, can: Node, motors: _Motors) -> Device:
+        wires: list[Wire] = []
+        channels = leaf.entry.get("channels")
+        entries = channels.value if channels is not None and isinstance(channels.value, dict) else {}
+        for channel, node in entries.items():
+            wire = self._wire(leaf, channel, node, motors)
+            if wire is not None:
+                wires.append(wire)
+        document = leaf.type.document if leaf.type is not None else can
+        return Device(
+            path=leaf.path,
+            name=flat(leaf.path),
+            can=can,
+            channels=document.get("channels"),
+            wires=tuple(wires),
+            address=leaf.can,
+            scope=leaf.scope,
+            origin=leaf.origin,
+        )
+
+    def _wire(
+        self, leaf: Instance, channel: str, node: Node, motors: _Motors
+    ) -> Wire | None:
+        inside = leaf.parent if leaf.parent is not None else leaf
+        reference = inside.scope.text(node)
+        found = self.resolver.find_motor(inside, reference, node) if reference else None
+        if found is None:
+            return None
+        actuator = motors.actuators.get(f"{flat(found[0].path)}_{found[1]}")
+        if actuator is None:
+            return None
+        joint = motors.joints[actuator.joint]
+        return Wire(channel, actuator, joint.lower, joint.upper, node.where)
+
+
+@dataclass(frozen=True)
+class _Motors:
+    actuators: dict[str, Actuator]
+    joints: dict[str, Joint]
+
+
+def flat(path: str) -> str:
+    """The module's path as it begins the names of its links and joints."""
+    return path.replace(".", "_")
+
+
+def _turn_z_to(axis: Vec3) -> tuple[float, float, float, float]:
+    """The shortest rotation that takes z to a unit vector (a half turn about x for -z)."""
+    if axis[2] < -1 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    v = cross((0.0, 0.0, 1.0), axis)
+    w = 1.0 + axis[2]
+    n = math.sqrt(w * w + norm(v) ** 2)
+    x, y, z = scale(1.0 / n, v)
+    return (w / n, x, y, z)
+
+
+def elaborate(document: Node, resolver: Resolver, base_dir: str, report: Report) -> Robot | None:
+    """Resolve and elaborate a checked robot document; ``None`` with the faults reported."""
+    instance = resolver.resolve(document)
+    if instance is None or report.has_errors:
+        return None
+    robot = Elaborator(document, resolver, base_dir, report).elaborate(instance)
+    return robot if not report.has_errors else None
+
+
+__all__ = ["Span", "elaborate", "flat"]

@@ -1,0 +1,202 @@
+"""The stages, on one screen: source, schema, resolve, elaborate, checks; then backends."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from thorvaldc import backends
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.library import Library
+from thorvaldc.model import Fleet, Placement, Pose, Robot
+from thorvaldc.model.serialize import to_json
+from thorvaldc.passes.checks import Design, check_robot
+from thorvaldc.passes.elaborate import elaborate
+from thorvaldc.passes.resolve import Resolver
+from thorvaldc.passes.scope import Scope, nearest
+from thorvaldc.schema.checker import check
+from thorvaldc.source.node import Node
+from thorvaldc.source.reader import read_file
+
+MODEL_FILE = "model.json"
+DEFAULT_TARGETS = ("urdf", "mjcf", "ros2", "can")
+
+
+@dataclass
+class Compilation:
+    """What became of a file.  ``model`` is ``None`` where there were errors.
+
+    Spans in ``model`` are relative to the file's own folder, so that outputs do
+    not depend on where that lies; spans in ``report`` are paths as the user gave
+    them.  ``sources`` maps the latter to files, for excerpts.
+    """
+
+    model: Robot | Fleet | None = None
+    report: Report = field(default_factory=Report)
+    source_sha256: str = ""
+    sources: dict[str, Path] = field(default_factory=dict)
+
+
+def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilation:
+    """Compile a robot or a fleet file.  ``library`` are further module folders.
+
+    Every fault that the file holds is in the report; nothing is raised for bad input.
+    """
+    path = Path(path)
+    report = Report()
+    done = Compilation()
+    files = {path.name: path}
+    document = read_file(path, path.name, report)
+    if document is not None:
+        if isinstance(document.value, dict) and "robots" in document.value:
+            if check(document, "fleet", report):
+                done.model = _fleet(document, path, library, report, done)
+        elif check(document, "robot", report):
+            done.model = _robot(document, path, library, report, files)
+        done.source_sha256 = _sha256([path])
+    shown = _shown(path, files)
+    done.report.extend(_with_paths(report, shown))
+    done.sources.update({shown(name): file for name, file in files.items()})
+    if done.report.has_errors:
+        done.model = None
+    return done
+
+
+def emit(
+    model: Robot | Fleet, targets: Sequence[str], report: Report
+) -> dict[str, bytes]:
+    """The files of the targets by relative path, and ``model.json``.
+
+    Raises ``KeyError`` for an unknown target.  What a format cannot say of the
+    model is added to the report.
+    """
+    files = {MODEL_FILE: to_json(model).encode()}
+    robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
+    for target in dict.fromkeys(targets):
+        backend = backends.load(target)
+        for robot in robots:
+            for diagnostic in backend.unsupported(robot):
+                report.extend_with(diagnostic)
+        made = backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model)
+        files.update(made)
+    return files
+
+
+def _robot(
+    document: Node, path: Path, library: Sequence[Path], report: Report, files: dict[str, Path]
+) -> Robot | None:
+    base = path.parent
+    folders: list[tuple[Path, str]] = []
+    own = document.get("library")
+    for node in own.value if own is not None and isinstance(own.value, tuple) else ():
+        folder = base / str(node.value)
+        if folder.is_dir():
+            folders.append((folder, str(node.value)))
+        else:
+            report.add("library-missing", f"there is no folder `{node.value}`", node.span)
+    for folder in library:
+        folders.append((folder, folder.name))
+    modules = Library(folders)
+    robot = elaborate(document, Resolver(modules, report), base, report)
+    files.update(modules.files)
+    if robot is not None and not report.has_errors:
+        check_robot(robot, _design(document, modules, report), report)
+        _check_calculator(robot, document, report)
+    return robot
+
+
+def _design(document: Node, library: Library, report: Report) -> Design:
+    node = document.get("design")
+    if node is None:
+        return Design()
+    scope = Scope(None, {}, library, report, None)
+    slope, angle = node.get("slope"), node.get("minimum_tip_over_angle")
+    return Design(
+        scope.quantity(slope, "angle") if slope is not None else None,
+        scope.quantity(angle, "angle", Design.tip_over_angle),
+    )
+
+
+def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
+    from thorvaldc.runtime import calculators
+
+    known = calculators.names()
+    if robot.calculator.name not in known:
+        node = document.get("base_calculator")
+        named = node.get("name") if node is not None else None
+        report.add(
+            "calculator-unknown",
+            f"there is no base calculator `{robot.calculator.name}`",
+            (named or node or document).span,
+            hint=nearest(robot.calculator.name, known),
+        )
+
+
+def _fleet(
+    document: Node, path: Path, library: Sequence[Path], report: Report, done: Compilation
+) -> Fleet | None:
+    scope = Scope(None, {}, Library(), report, None)
+    placements: list[Placement] = []
+    robots = document.get("robots")
+    compiled: dict[Path, Compilation] = {}
+    for name, node in (robots.value if robots and isinstance(robots.value, dict) else {}).items():
+        file_node = node.get("robot")
+        if file_node is None:
+            continue
+        file = path.parent / str(file_node.value)
+        if not file.is_file():
+            report.add(
+                "fleet-robot-missing", f"there is no file `{file_node.value}`", file_node.span
+            )
+            continue
+        if file not in compiled:
+            compiled[file] = compile_file(file, library=library)
+            done.report.extend(compiled[file].report)
+            done.sources.update(compiled[file].sources)
+        robot = compiled[file].model
+        if isinstance(robot, Fleet):
+            report.add(
+                "fleet-in-fleet", f"`{file_node.value}` is a fleet; a robot is wanted", file_node.span
+            )
+        elif robot is not None:
+            x, y, z = scope.vector(node.get("xyz"), "length")
+            yaw = scope.quantity(node.get("yaw"), "angle")
+            pose = Pose.from_xyz_rpy((x, y, z), (0.0, 0.0, math.remainder(yaw, 2 * math.pi)))
+            placements.append(Placement(name, pose.clean(), replace(robot, namespace=name)))
+    return Fleet(
+        scope.text(document.get("name")), scope.text(document.get("description")), tuple(placements)
+    )
+
+
+def _sha256(paths: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class _shown:
+    """From a name in spans to the path as the user would write it."""
+
+    def __init__(self, path: Path, files: dict[str, Path]) -> None:
+        self.folder = os.path.dirname(str(path))
+
+    def __call__(self, name: str) -> str:
+        if name.startswith("modules/") or os.path.isabs(name):
+            return name
+        return os.path.normpath(os.path.join(self.folder, name))
+
+
+def _with_paths(report: Report, shown: _shown) -> Report:
+    def moved(span: Span | None) -> Span | None:
+        return replace(span, file=shown(span.file)) if span is not None else None
+
+    out = Report()
+    for d in report:
+        labels = tuple(Label(replace(x.span, file=shown(x.span.file)), x.text) for x in d.labels)
+        out.extend_with(replace(d, span=moved(d.span), labels=labels))
+    return out
