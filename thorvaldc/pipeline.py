@@ -80,7 +80,7 @@ def emit(
         backend = backends.load(target)
         for robot in robots:
             for diagnostic in backend.unsupported(robot):
-                report.extend_with(diagnostic)
+                report.put(diagnostic)
         made = backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model)
         files.update(made)
     return files
@@ -198,5 +198,5 @@ def _with_paths(report: Report, shown: _shown) -> Report:
     out = Report()
     for d in report:
         labels = tuple(Label(replace(x.span, file=shown(x.span.file)), x.text) for x in d.labels)
-        out.extend_with(replace(d, span=moved(d.span), labels=labels))
+        out.put(replace(d, span=moved(d.span), labels=labels))
     return out

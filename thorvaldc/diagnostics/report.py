@@ -76,14 +76,16 @@ class Report:
         An exact repetition is dropped: one mistake in a library module that is
         used nine times is one mistake.
         """
-        found = Diagnostic(CODES[code], message, span, hint, tuple(labels))
-        if found not in self._diagnostics:
-            self._diagnostics.append(found)
+        self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels)))
+
+    def put(self, diagnostic: Diagnostic) -> None:
+        """Record a fault that is there as a value."""
+        if diagnostic not in self._diagnostics:
+            self._diagnostics.append(diagnostic)
 
     def extend(self, other: Report) -> None:
         for diagnostic in other:
-            if diagnostic not in self._diagnostics:
-                self._diagnostics.append(diagnostic)
+            self.put(diagnostic)
 
     def __iter__(self) -> Iterator[Diagnostic]:
         return iter(self._diagnostics)

@@ -228,7 +228,7 @@ class _Builder:
         for name, node in loop.value.items():
             values = self.scope.evaluate(node) if isinstance(node.value, str) else node.value
             if not isinstance(values, tuple | list):
-                self.report.add("value-type", "a list is wanted", node.span)
+                self.report.add("wrong-type", "a list is wanted", node.span)
                 values = ()
             items = [self.scope.quantity(v, "number") if isinstance(v, Node) else v for v in values]
             scopes = [s.with_names({name: item}) for s in scopes for item in items]

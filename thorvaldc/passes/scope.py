@@ -175,7 +175,7 @@ class Scope(Mapping[str, Any]):
             if is_default:
                 return None
             self.report.add(
-                "param-type", f"`{node.value}` is no value here", node.span,
+                "wrong-type", f"`{node.value}` is no value here", node.span,
                 hint="leave the parameter out to have its default",
             )
             return _harmless(declared)
@@ -184,7 +184,7 @@ class Scope(Mapping[str, Any]):
         if kind == "list":
             value = self.evaluate(node) if isinstance(node.value, str) else node.value
             if not isinstance(value, tuple | list):
-                self.report.add("param-type", f"a list is wanted, not {_found(node)}", node.span)
+                self.report.add("wrong-type", f"a list is wanted, not {_found(node)}", node.span)
                 return ()
             return tuple(
                 self.quantity(v, quantity or "number") if isinstance(v, Node) else v for v in value
@@ -197,18 +197,18 @@ class Scope(Mapping[str, Any]):
                 value = int(value)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value
-            self.report.add("param-type", f"a whole number is wanted, not {_found(node)}", node.span)
+            self.report.add("wrong-type", f"a whole number is wanted, not {_found(node)}", node.span)
             return 1
         if kind == "boolean":
             if isinstance(value, bool):
                 return value
             self.report.add(
-                "param-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
+                "wrong-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
             )
             return False
         if isinstance(value, str):
             return value
-        self.report.add("param-type", f"text is wanted, not {_found(node)}", node.span)
+        self.report.add("wrong-type", f"text is wanted, not {_found(node)}", node.span)
         return ""
 
     def _module(self, node: Node, declared: Node) -> ModuleChoice | None:
@@ -219,14 +219,14 @@ class Scope(Mapping[str, Any]):
             given = node.get("params")
             params = given.value if given is not None and isinstance(given.value, dict) else {}
         if name_node is None:
-            self.report.add("param-type", "a module needs a `type`", node.span)
+            self.report.add("wrong-type", "a module needs a `type`", node.span)
             return None
         value = self.evaluate(name_node)
         if isinstance(value, ModuleChoice) or value is None or value == NONE:
             return value if isinstance(value, ModuleChoice) else None
         if not isinstance(value, str):
             self.report.add(
-                "param-type", f"a module type is wanted, not {_found(node)}", name_node.span,
+                "wrong-type", f"a module type is wanted, not {_found(node)}", name_node.span,
                 hint="write its name, as in `wheel/agri_200`, or `none`",
             )
             return None
@@ -289,7 +289,7 @@ class Scope(Mapping[str, Any]):
         try:
             return evaluate(value[2:-1], self)
         except ExpressionError as fault:
-            self.report.add("expression", str(fault), node.span, hint=getattr(fault, "hint", None))
+            self.report.add(fault.code, fault.message, node.span, hint=fault.hint)
         except _Cycle as fault:
             self.report.add("expression-cycle", f"the value needs itself: {fault}", node.span)
         return None
@@ -311,12 +311,12 @@ class Scope(Mapping[str, Any]):
             try:
                 return parse_quantity(value, quantity)
             except UnitError as fault:
-                self.report.add("unit", str(fault), node.span, hint=getattr(fault, "hint", None))
+                self.report.add(fault.code, fault.message, node.span, hint=fault.hint)
                 return default
         elif value is None and isinstance(raw, str):
             return default  # the expression's fault is reported
         self.report.add(
-            "value-type", f"a {quantity.replace('_', ' ')} is wanted, not {_found(node)}", node.span
+            "wrong-type", f"a {quantity.replace('_', ' ')} is wanted, not {_found(node)}", node.span
         )
         return default
 
@@ -328,7 +328,7 @@ class Scope(Mapping[str, Any]):
             return value
         if not (value is None and isinstance(node.value, str)):
             self.report.add(
-                "value-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
+                "wrong-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
             )
         return default
 
@@ -339,7 +339,7 @@ class Scope(Mapping[str, Any]):
         if isinstance(value, str):
             return value
         if not (value is None and isinstance(node.value, str)):
-            self.report.add("value-type", f"text is wanted, not {_found(node)}", node.span)
+            self.report.add("wrong-type", f"text is wanted, not {_found(node)}", node.span)
         return default
 
     def vector(self, node: Node | None, quantity: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
@@ -352,7 +352,7 @@ class Scope(Mapping[str, Any]):
             if isinstance(value, tuple | list) and len(value) == 3:
                 return (float(value[0]), float(value[1]), float(value[2]))
         if not isinstance(items, tuple) or len(items) != 3:
-            self.report.add("value-type", "three numbers are wanted, x, y and z", node.span)
+            self.report.add("wrong-type", "three numbers are wanted, x, y and z", node.span)
             return default
         return (
             self.quantity(items[0], quantity),
