@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from thorvaldc import backends
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.library import Library
+from thorvaldc.library import OWN, Library
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.checks import Design, check_robot
@@ -57,18 +56,16 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
                 done.model = _fleet(document, path, library, report, done)
         elif check(document, "robot", report):
             done.model = _robot(document, path, library, report, files)
-        done.source_sha256 = _sha256([path])
-    shown = _shown(path, files)
-    done.report.extend(_with_paths(report, shown))
-    done.sources.update({shown(name): file for name, file in files.items()})
+        done.source_sha256 = _sha256(files)
+    done.report.extend(_with_paths(report, path.parent, files))
+    for name, file in files.items():
+        done.sources[name if name.startswith(OWN) else str(file)] = file
     if done.report.has_errors:
         done.model = None
     return done
 
 
-def emit(
-    model: Robot | Fleet, targets: Sequence[str], report: Report
-) -> dict[str, bytes]:
+def emit(model: Robot | Fleet, targets: Sequence[str], report: Report) -> dict[str, bytes]:
     """The files of the targets by relative path, and ``model.json``.
 
     Raises ``KeyError`` for an unknown target.  What a format cannot say of the
@@ -160,7 +157,9 @@ def _fleet(
         robot = compiled[file].model
         if isinstance(robot, Fleet):
             report.add(
-                "fleet-in-fleet", f"`{file_node.value}` is a fleet; a robot is wanted", file_node.span
+                "fleet-in-fleet",
+                f"`{file_node.value}` is a fleet; a robot is wanted",
+                file_node.span,
             )
         elif robot is not None:
             x, y, z = scope.vector(node.get("xyz"), "length")
@@ -172,31 +171,24 @@ def _fleet(
     )
 
 
-def _sha256(paths: Sequence[Path]) -> str:
+def _sha256(files: dict[str, Path]) -> str:
+    """Of all documents that were read, by their names in spans."""
     digest = hashlib.sha256()
-    for path in paths:
-        digest.update(path.read_bytes())
+    for name in sorted(files):
+        digest.update(name.encode() + b"\0" + files[name].read_bytes() + b"\0")
     return digest.hexdigest()
 
 
-class _shown:
-    """From a name in spans to the path as the user would write it."""
+def _with_paths(report: Report, folder: Path, files: dict[str, Path]) -> Report:
+    """The report with paths as the user would write them in place of names relative to the file."""
 
-    def __init__(self, path: Path, files: dict[str, Path]) -> None:
-        self.folder = os.path.dirname(str(path))
-
-    def __call__(self, name: str) -> str:
-        if name.startswith("modules/") or os.path.isabs(name):
-            return name
-        return os.path.normpath(os.path.join(self.folder, name))
-
-
-def _with_paths(report: Report, shown: _shown) -> Report:
-    def moved(span: Span | None) -> Span | None:
-        return replace(span, file=shown(span.file)) if span is not None else None
+    def moved(span: Span) -> Span:
+        if span.file.startswith(OWN):
+            return span
+        return replace(span, file=str(files.get(span.file) or folder / span.file))
 
     out = Report()
     for d in report:
-        labels = tuple(Label(replace(x.span, file=shown(x.span.file)), x.text) for x in d.labels)
-        out.put(replace(d, span=moved(d.span), labels=labels))
+        labels = tuple(Label(moved(label.span), label.text) for label in d.labels)
+        out.put(replace(d, span=moved(d.span) if d.span is not None else None, labels=labels))
     return out

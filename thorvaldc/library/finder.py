@@ -22,6 +22,7 @@ from thorvaldc.source.reader import read_file
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
+OWN = "<library>"  # how spans show the project's own library, wherever it is installed
 
 
 @cache
@@ -97,7 +98,7 @@ class Library:
     """The library folders of one compilation, each with the name spans show for it."""
 
     def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
-        self.folders = [*folders, (data_folder("modules"), "modules")]
+        self.folders = [*folders, (data_folder("modules"), OWN)]
         self._found: dict[str, ModuleType | None] = {}
         self._files: dict[str, Path] = {}
 
@@ -129,7 +130,9 @@ class Library:
         else:
             near = difflib.get_close_matches(name, self.names(), n=1, cutoff=0.5)
             hint = f"did you mean `{near[0]}`?" if near else "`thorvaldc modules list` shows them"
-            report.add("module-type-unknown", f"there is no module type `{name}`", asked.span, hint=hint)
+            report.add(
+                "module-type-unknown", f"there is no module type `{name}`", asked.span, hint=hint
+            )
             return None
         self._found[name] = module
         return module

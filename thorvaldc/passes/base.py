@@ -89,7 +89,11 @@ def lowest_point(center: Vec3, axis: Vec3, radius: float, width: float) -> Vec3:
     ``S = r^2 (I - a a') + (w/2)^2 a a'``; for an upright wheel it is the rim.
     """
     along = (width / 2) ** 2 - radius**2
-    s: Vec3 = (along * axis[0] * axis[2], along * axis[1] * axis[2], radius**2 + along * axis[2] ** 2)
+    s: Vec3 = (
+        along * axis[0] * axis[2],
+        along * axis[1] * axis[2],
+        radius**2 + along * axis[2] ** 2,
+    )
     root = math.sqrt(s[2])
     return add(center, scale(-1.0 / root, s))
 
@@ -234,9 +238,7 @@ def static_loads(points: Sequence[tuple[float, float]], body: Inertial) -> list[
     weight = body.mass * GRAVITY
     loads = [0.0] * len(points)
     while active:
-        found = _plane(
-            [points[i] for i in active], (body.com[0], body.com[1]), weight
-        )
+        found = _plane([points[i] for i in active], (body.com[0], body.com[1]), weight)
         worst = min(range(len(active)), key=lambda k: found[k])
         if found[worst] >= -1e-9 * max(weight, 1.0) or len(active) == 1:
             for i, load in zip(active, found, strict=True):

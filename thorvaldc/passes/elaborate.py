@@ -215,7 +215,9 @@ class Elaborator:
             link = leaf.mount.link or holder.links[0].name
             parent = f"{flat(leaf.mount.leaf.path)}_{link}"
             pose = leaf.mount.pose * own.mount_pose.inverse()
-        return Joint(f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.origin)
+        return Joint(
+            f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.origin
+        )
 
     def _check_names(self, parts: _Parts) -> None:
         for word, elements in (("link", parts.links), ("joint", parts.joints)):
@@ -245,7 +247,9 @@ class Elaborator:
             for path, own in hardware.items()
             if own.links
         }
-        named = {leaf.path: roots[flat(leaf.path)] for leaf in robot.leaves() if flat(leaf.path) in roots}
+        named = {
+            leaf.path: roots[flat(leaf.path)] for leaf in robot.leaves() if flat(leaf.path) in roots
+        }
         links = {link.name: link.origin for link in parts.links}
 
         def resolve(text: str) -> tuple[str, Pose] | None:
@@ -271,7 +275,13 @@ class Elaborator:
             return None
 
         found = load_extras(
-            list(extras.value), self.base_dir, self.scope, links, resolve, list(robot.children), self.report
+            list(extras.value),
+            self.base_dir,
+            self.scope,
+            links,
+            resolve,
+            list(robot.children),
+            self.report,
         )
         parts.links.extend(found.links)
         parts.joints.extend(found.joints)
@@ -444,7 +454,9 @@ class Elaborator:
     def _device(self, leaf: Instance, can: Node, motors: _Motors) -> Device:
         wires: list[Wire] = []
         channels = leaf.entry.get("channels")
-        entries = channels.value if channels is not None and isinstance(channels.value, dict) else {}
+        entries = (
+            channels.value if channels is not None and isinstance(channels.value, dict) else {}
+        )
         for channel, node in entries.items():
             wire = self._wire(leaf, channel, node, motors)
             if wire is not None:
@@ -461,9 +473,7 @@ class Elaborator:
             origin=leaf.origin,
         )
 
-    def _wire(
-        self, leaf: Instance, channel: str, node: Node, motors: _Motors
-    ) -> Wire | None:
+    def _wire(self, leaf: Instance, channel: str, node: Node, motors: _Motors) -> Wire | None:
         inside = leaf.parent if leaf.parent is not None else leaf
         reference = inside.scope.text(node)
         found = self.resolver.find_motor(inside, reference, node) if reference else None

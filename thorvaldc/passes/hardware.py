@@ -151,11 +151,11 @@ class _Builder:
 
     def build(self) -> Hardware:
         section = self.module.section
-        links = tuple(
-            self._link(name, section("links")[name]) for name in self.link_names
-        )
+        links = tuple(self._link(name, section("links")[name]) for name in self.link_names)
         joints = tuple(
-            self._joint(name, node) for name, node in section("joints").items() if self._present(node)
+            self._joint(name, node)
+            for name, node in section("joints").items()
+            if self._present(node)
         )
         self._check_tree(joints)
         motors = tuple(
@@ -169,7 +169,11 @@ class _Builder:
         free = document.get("free_mount")
         if free is not None:
             self._link_name(free.get("link"))
-        wheel, sensor, battery = document.get("wheel"), document.get("sensor"), document.get("battery")
+        wheel, sensor, battery = (
+            document.get("wheel"),
+            document.get("sensor"),
+            document.get("battery"),
+        )
         mount = document.get("mount")
         height = document.get("height_above_ground")
         stated = self.scope.evaluate(height) if height is not None else None
@@ -180,7 +184,9 @@ class _Builder:
             self._wheel(wheel) if wheel is not None and self._present(wheel) else None,
             self._sensor(sensor) if sensor is not None and self._present(sensor) else None,
             self._battery(battery) if battery is not None and self._present(battery) else None,
-            self._link_name(mount.get("link")) if mount is not None else (self.link_names or [""])[0],
+            self._link_name(mount.get("link"))
+            if mount is not None
+            else (self.link_names or [""])[0],
             self.scope.pose(mount) if mount is not None else Pose(),
             tuple(self.meshes.values()),
             self.scope.quantity(height, "length") if stated is not None else None,
@@ -283,7 +289,9 @@ class _Builder:
         values = [scope.quantity(item, "inertia") for item in items]
         values += [0.0] * (6 - len(values))
         com = scope.vector(part.get("com"), "length")
-        return Inertial(mass, com, (values[0], values[1], values[2], values[3], values[4], values[5]))
+        return Inertial(
+            mass, com, (values[0], values[1], values[2], values[3], values[4], values[5])
+        )
 
     def _shape(self, node: Node, scope: Scope) -> Shape | None:
         box, cylinder = node.get("box"), node.get("cylinder")
@@ -308,7 +316,9 @@ class _Builder:
     def _positive(self, sizes: tuple[float, ...], node: Node) -> None:
         if min(sizes) <= 0.0 and not self.report.has_errors:
             shown = ", ".join(f"{s:g}" for s in sizes)
-            self.report.add("size-not-positive", f"sizes must be positive, not {shown} m", node.span)
+            self.report.add(
+                "size-not-positive", f"sizes must be positive, not {shown} m", node.span
+            )
 
     def _mesh(self, node: Node, scope: Scope) -> MeshShape | None:
         file = node.get("file")
@@ -359,7 +369,8 @@ class _Builder:
         length = norm(axis)
         if length < 1e-9:
             self.report.add(
-                "axis-zero", f"the axis of joint `{name}` has no direction",
+                "axis-zero",
+                f"the axis of joint `{name}` has no direction",
                 axis_node.span if axis_node is not None else node.where,
             )
             axis, length = (0.0, 0.0, 1.0), 1.0
@@ -377,7 +388,8 @@ class _Builder:
                         f"joint `{name}` is {kind} and has no `{key}`",
                         node.where,
                         hint="state it, or make the joint `continuous`"
-                        if kind == "revolute" else "state it",
+                        if kind == "revolute"
+                        else "state it",
                     )
         if lower is not None and upper is not None and lower >= upper:
             self.report.add(

@@ -198,7 +198,9 @@ class Resolver:
 
     # -- references -----------------------------------------------------------------
 
-    def find(self, inside: Instance, reference: str, node: Node) -> tuple[Instance, list[str]] | None:
+    def find(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, list[str]] | None:
         """The part that a dotted reference leads to, and what of it is left over.
 
         ``None`` where there is no such part (reported), or where it was left out.
@@ -219,7 +221,9 @@ class Resolver:
             return None
         return current, parts
 
-    def find_port(self, inside: Instance, reference: str, node: Node) -> tuple[Instance, str] | None:
+    def find_port(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, str] | None:
         """The leaf and the name of its port."""
         return self._find_offered(inside, reference, node, "ports", "port")
 
@@ -245,7 +249,9 @@ class Resolver:
                 hint = nearest(rest[0], [*part.children, *offered])
             self.report.add(
                 f"{word}-unknown",
-                f"`{reference}` is not a {word}" if not rest else f"`{part.path}` has no part `{rest[0]}`",
+                f"`{reference}` is not a {word}"
+                if not rest
+                else f"`{part.path}` has no part `{rest[0]}`",
                 node.span,
                 hint=hint,
             )
@@ -274,7 +280,9 @@ class Resolver:
 
     def _root_part(self, assembly: Instance, where: Node) -> Instance | None:
         """The part of an assembly that is mounted on nothing within it."""
-        roots = [c for c in assembly.children.values() if c.is_mechanical and not c.entry.get("mount")]
+        roots = [
+            c for c in assembly.children.values() if c.is_mechanical and not c.entry.get("mount")
+        ]
         if len(roots) == 1:
             root = roots[0]
             return root if root.is_leaf else self._root_part(root, root.entry)
@@ -375,7 +383,9 @@ class Resolver:
             )
             return None
         self._check_kind(plug, leaf.scope.text(free.get("kind")), reference, parent, free)
-        return Mount(leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span)
+        return Mount(
+            leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span
+        )
 
     def _check_kind(
         self, plug: Instance, kind: str, reference: str, node: Node, socket: Node

@@ -67,6 +67,10 @@ class ModuleChoice(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self.scope)
 
+    def __bool__(self) -> bool:
+        """A choice is true in an expression, also where the module has no parameters."""
+        return True
+
 
 class Scope(Mapping[str, Any]):
     """The names that an expression of a module may use, evaluated when asked for.
@@ -175,7 +179,9 @@ class Scope(Mapping[str, Any]):
             if is_default:
                 return None
             self.report.add(
-                "wrong-type", f"`{node.value}` is no value here", node.span,
+                "wrong-type",
+                f"`{node.value}` is no value here",
+                node.span,
                 hint="leave the parameter out to have its default",
             )
             return _harmless(declared)
@@ -197,7 +203,9 @@ class Scope(Mapping[str, Any]):
                 value = int(value)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value
-            self.report.add("wrong-type", f"a whole number is wanted, not {_found(node)}", node.span)
+            self.report.add(
+                "wrong-type", f"a whole number is wanted, not {_found(node)}", node.span
+            )
             return 1
         if kind == "boolean":
             if isinstance(value, bool):
@@ -226,7 +234,9 @@ class Scope(Mapping[str, Any]):
             return value if isinstance(value, ModuleChoice) else None
         if not isinstance(value, str):
             self.report.add(
-                "wrong-type", f"a module type is wanted, not {_found(node)}", name_node.span,
+                "wrong-type",
+                f"a module type is wanted, not {_found(node)}",
+                name_node.span,
                 hint="write its name, as in `wheel/agri_200`, or `none`",
             )
             return None
@@ -243,17 +253,14 @@ class Scope(Mapping[str, Any]):
             return None
         return ModuleChoice(module, params, self)
 
-    def _check_range(
-        self, name: str, declared: Node, node: Node, value: Any, scope: Scope
-    ) -> None:
+    def _check_range(self, name: str, declared: Node, node: Node, value: Any, scope: Scope) -> None:
         choices = declared.get("choices")
         if choices is not None and isinstance(choices.value, tuple):
             known = [self.evaluate(c) for c in choices.value]
             if value not in known:
                 self.report.add(
                     "param-range",
-                    f"`{name}` is {value!r}; it may be one of "
-                    + ", ".join(str(k) for k in known),
+                    f"`{name}` is {value!r}; it may be one of " + ", ".join(str(k) for k in known),
                     node.span,
                     hint=nearest(str(value), [str(k) for k in known]),
                 )
