@@ -95,8 +95,7 @@ def _robot(
             folders.append((folder, str(node.value)))
         else:
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
-    for folder in library:
-        folders.append((folder, folder.name))
+    folders.extend((folder, folder.name) for folder in library)
     modules = Library(folders)
     robot = elaborate(document, Resolver(modules, report), base, report)
     files.update(modules.files)

@@ -175,10 +175,10 @@ def make_wheels(
             frame = tree.pose[turning.child]
             direction = frame.rotate(turning.axis)
             if abs(direction[2]) < 0.5:
+                tilt = math.degrees(math.acos(min(1.0, abs(direction[2]))))
                 report.add(
                     "steering-axis-tilted",
-                    f"the steering axis of `{item.module}` is "
-                    f"{math.degrees(math.acos(min(1.0, abs(direction[2])))):.0f} deg off the vertical",
+                    f"the steering axis of `{item.module}` is {tilt:.0f} deg off the vertical",
                     item.origin,
                     hint="the base calculators need a nearly vertical axis",
                 )

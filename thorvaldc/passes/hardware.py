@@ -6,6 +6,7 @@ are worked out once.  Names are still the module's own.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 
@@ -443,7 +444,8 @@ class _Builder:
             if current != self.link_names[0] and not self.report.has_errors:
                 self.report.add(
                     "link-unconnected",
-                    f"link `{name}` of `{self.module.name}` is not connected to `{self.link_names[0]}`",
+                    f"link `{name}` of `{self.module.name}` is not connected "
+                    f"to `{self.link_names[0]}`",
                     self.module.section("links")[name].where,
                     hint="add a joint whose child it is",
                 )
@@ -527,10 +529,8 @@ class _Builder:
         for key, item in entries.items():
             value = self.scope.evaluate(item)
             if isinstance(value, str) and not item.quoted:
-                try:
+                with contextlib.suppress(UnitError):
                     value = parse_any(value)
-                except UnitError:
-                    pass
             if isinstance(value, bool | int | float | str):
                 found.append((key, value))
         return tuple(found)

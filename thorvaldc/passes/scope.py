@@ -175,7 +175,7 @@ class Scope(Mapping[str, Any]):
         kind = _text(declared, "type") or "quantity"
         quantity = _text(declared, "quantity")
         if node.value is None or (node.value == NONE and kind != "module"):
-            # Only a default may say that there is no value; the module's expressions then ask for it.
+            # Only a default may say that there is no value; expressions then ask for it.
             if is_default:
                 return None
             self.report.add(
