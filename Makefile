@@ -1,0 +1,67 @@
+# Every target sets itself up: a virtual environment in .venv, made anew when
+# pyproject.toml changes.  With an environment of your own: make test BIN=/path/to/bin READY=
+
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN    ?= .venv/bin
+READY  ?= .venv/.ready
+JOBS   ?= auto
+
+.DELETE_ON_ERROR:
+.PHONY: help setup demo test lint types bench golden pictures clean distclean
+
+help:
+	@echo "make demo      compile every example and drive it in simulation"
+	@echo "make test      lint, types, layer rules and tests"
+	@echo "make bench     measure; prints a table and writes bench.json"
+	@echo "make golden    rewrite the golden files of the tests (review the diff)"
+	@echo "make pictures  render the examples' pictures"
+	@echo "make lint, make types, make clean, make distclean"
+
+setup: $(READY)
+
+.venv/.ready: pyproject.toml
+	@if [ -z "$(PYTHON)" ] || ! $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	  echo "error: Python 3.11 or newer is needed, and none was found as '$(or $(PYTHON),python3)'." >&2; \
+	  echo "       Say where it is: make PYTHON=/path/to/python3.11" >&2; exit 1; fi
+	@if ! $(PYTHON) -c 'import venv, ensurepip' 2>/dev/null; then \
+	  echo "error: $(PYTHON) comes without venv or ensurepip." >&2; \
+	  echo "       On Debian and Ubuntu: apt install python3-venv" >&2; exit 1; fi
+	@echo "Setting up .venv (once, and when pyproject.toml changes)" >&2
+	@$(PYTHON) -m venv --clear .venv
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' || { \
+	  echo "error: the packages could not be installed; see above." >&2; exit 1; }
+	@touch $@
+
+# The examples, and the original system's own configuration file where it lies beside the checkout.
+ORIGINAL ?= $(wildcard ../*/data/thorvald_ii_standard.yaml)
+demo: $(READY)
+	@$(BIN)/python -m thorvaldc demo $(sort $(wildcard examples/*/robot.yaml examples/*/fleet.yaml)) \
+	  $(addprefix --original ,$(ORIGINAL))
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	PYTHONPATH=. $(BIN)/lint-imports
+
+types: $(READY)
+	$(BIN)/mypy
+
+test: lint types
+	$(BIN)/python -m pytest -n $(JOBS) $(TESTS)
+
+bench: $(READY)
+	$(BIN)/python -m bench
+
+golden: $(READY)
+	$(BIN)/python -m tests.golden.rewrite
+
+pictures: $(READY)
+	$(BIN)/python -m examples.pictures
+
+clean:
+	rm -rf build dist bench.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -path ./.venv -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
+
+distclean: clean
+	rm -rf .venv

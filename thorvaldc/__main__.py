@@ -1,0 +1,5 @@
+"""``python -m thorvaldc``."""
+
+from thorvaldc.cli.main import run
+
+run()

@@ -1,0 +1,232 @@
+"""The command line: what can be said.  Each command's work is imported when it is called.
+
+All parameters are text, lists of text, or flags (see ``LightCommand``).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.command import LightCommand, guarded
+
+app = typer.Typer(
+    help="A compiler for modular robots: robot.yaml in; URDF, MJCF, ROS 2 parameters and a CAN"
+    " map out.",
+    no_args_is_help=True,
+    # Plain help: rich costs more time than all the rest of --help.
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+modules = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(modules, name="modules", help="The hardware modules of the library.")
+
+Files = Annotated[list[str], typer.Argument(metavar="FILE...", help="A robot.yaml or fleet.yaml.")]
+File = Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
+Format = Annotated[
+    str, typer.Option("--format", metavar="text|json|github|sarif", help="How faults are shown.")
+]
+Library = Annotated[
+    list[str],
+    typer.Option("--library", metavar="DIR", help="A folder of modules of yours; may be repeated."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        from thorvaldc import __version__
+
+        typer.echo(f"thorvaldc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(cls=LightCommand)
+@guarded
+def check(
+    files: Files,
+    format: Format = "text",
+    strict: Annotated[bool, typer.Option("--strict", help="Warnings count as errors.")] = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Report every fault of robot and fleet files at once."""
+    from thorvaldc.cli.compiling import check_files
+
+    return check_files(files, format, strict, library)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def build(
+    files: Files,
+    target: Annotated[
+        str, typer.Option("--target", "-t", metavar="NAMES", help="Targets, with commas between.")
+    ] = "urdf,mjcf,ros2,can",
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            show_default="build/<name>",
+            help="The folder to write; with several FILEs, the one to hold a folder for each.",
+        ),
+    ] = "",
+    format: Format = "text",
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Compile and write the targets' files."""
+    from thorvaldc.cli.compiling import build_files
+
+    return build_files(files, target, output, format, library)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def sim(
+    file: File,
+    duration: Annotated[
+        str, typer.Option("--duration", metavar="TIME", help="Simulated time, 5 or '5 s'.")
+    ] = "5",
+    twist: Annotated[
+        str,
+        typer.Option(
+            "--twist", metavar="VX,VY,WZ", help="Commanded velocity in m/s, m/s and rad/s."
+        ),
+    ] = "0.5,0,0",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Drive a robot in simulation, without a display."""
+    from thorvaldc.cli.simulating import simulate
+
+    return simulate(file, duration, twist, json, library)
+
+
+@app.command("import", cls=LightCommand)
+@guarded
+def import_(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE", help="A configuration file of the original Thorvald system."
+        ),
+    ],
+    output: Annotated[
+        str,
+        typer.Option("--output", "-o", metavar="OUT", help="File to write.", show_default="stdout"),
+    ] = "",
+    format: Format = "text",
+) -> int:
+    """Make a robot.yaml of an original Thorvald configuration."""
+    from thorvaldc.cli.importing import import_file
+
+    return import_file(file, output, format)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the robot and its folder.")],
+    preset: Annotated[
+        str, typer.Option("--preset", metavar="PRESET", help="4wd4ws, 2wd0ws or 1wd1ws.")
+    ] = "4wd4ws",
+) -> int:
+    """Start a robot of your own: a folder with a robot.yaml."""
+    from thorvaldc.cli.scaffold import new_robot
+
+    return new_robot(name, preset)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def targets(json: Json = False) -> int:
+    """List what a robot can be built to."""
+    from thorvaldc.cli.listing import list_targets
+
+    return list_targets(json)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def schema(
+    kind: Annotated[str, typer.Argument(metavar="robot|module|fleet", help="Kind of document.")],
+) -> int:
+    """Print the JSON Schema of a kind of document, for editors."""
+    from thorvaldc.cli.listing import show_schema
+
+    return show_schema(kind)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def explain(
+    code: Annotated[str, typer.Argument(metavar="CODE", help="TV501 or can-id-duplicate.")],
+) -> int:
+    """Explain a fault: what it means and how to mend it."""
+    from thorvaldc.cli.listing import explain as show
+
+    return show(code)
+
+
+@modules.command("list", cls=LightCommand)
+@guarded
+def modules_list(json: Json = False, library: Library = []) -> int:  # noqa: B006
+    """List the module types."""
+    from thorvaldc.cli.listing import list_modules
+
+    return list_modules(library, json)
+
+
+@modules.command("show", cls=LightCommand)
+@guarded
+def modules_show(
+    type: Annotated[str, typer.Argument(metavar="TYPE", help="drive/standard, for instance.")],
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Show a module type: its parameters, ports and where its numbers come from."""
+    from thorvaldc.cli.listing import show_module
+
+    return show_module(type, library, json)
+
+
+@modules.command("check", cls=LightCommand)
+@guarded
+def modules_check(
+    folders: Annotated[
+        list[str],
+        typer.Argument(metavar="[DIR]...", help="Library folders.", show_default="the project's"),
+    ] = [],  # noqa: B006
+    format: Format = "text",
+    strict: Annotated[bool, typer.Option("--strict", help="Warnings count as errors.")] = False,
+) -> int:
+    """Report every fault of the modules in library folders."""
+    from thorvaldc.cli.compiling import check_modules
+
+    return check_modules(folders, format, strict)
+
+
+@app.command(cls=LightCommand, hidden=True)
+@guarded
+def demo(
+    files: Annotated[list[str], typer.Argument(metavar="FILE...")] = [],  # noqa: B006
+    original: Annotated[list[str], typer.Option("--original", metavar="FILE")] = [],  # noqa: B006
+    output: Annotated[str, typer.Option("--output", "-o", metavar="DIR")] = "build",
+) -> int:
+    """Build robots, drive each in simulation, print a table."""
+    from thorvaldc.cli.demo import run_demo
+
+    return run_demo(files, original, output)

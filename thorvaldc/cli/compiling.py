@@ -1,0 +1,142 @@
+"""``check``, ``build`` and ``modules check``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from thorvaldc.cli.faults import Faults, check_format, count
+from thorvaldc.cli.main import DONE, INPUT, OutsideError
+
+if TYPE_CHECKING:
+    from thorvaldc.model import Fleet, Robot
+    from thorvaldc.pipeline import Compilation
+
+
+def check_files(files: Sequence[str], format: str, strict: bool, library: Sequence[str]) -> int:
+    check_format(format)
+    faults = Faults(format, sys.stdout)
+    for file, done in zip(files, _compile_all(files, library), strict=True):
+        faults.add(done.report, done.sources)
+        if done.model is not None:
+            faults.result(f"{file}: {done.model.name}, {summary(done.model)}")
+    return faults.finish(strict)
+
+
+def build_files(
+    files: Sequence[str], targets: str, output: str, format: str, library: Sequence[str]
+) -> int:
+    check_format(format)
+    wanted = check_targets(targets)
+    from thorvaldc import __version__
+    from thorvaldc.pipeline import emit
+    from thorvaldc.writer import WriteError, write_build
+
+    faults = Faults(format, sys.stderr)
+    builds: list[dict[str, Any]] = []
+    taken: dict[str, str] = {}
+    for file, done in zip(files, _compile_all(files, library), strict=True):
+        made = emit(done.model, wanted, done.report) if done.model is not None else {}
+        faults.add(done.report, done.sources)
+        if done.model is None or done.report.has_errors:
+            continue
+        folder = _folder(output, done.model.name, len(files))
+        if str(folder) in taken:
+            raise typer.BadParameter(
+                f"{taken[str(folder)]} and {file} both go to {folder}; build them one by one with -o",
+                param_hint="FILE",
+            )
+        taken[str(folder)] = file
+        try:
+            write_build(
+                made,
+                folder,
+                name=done.model.name,
+                source_sha256=done.source_sha256,
+                version=__version__,
+            )
+        except WriteError as fault:
+            faults.finish(builds=builds)
+            raise OutsideError(str(fault)) from fault
+        faults.result(f"{folder}: {count(len(made), 'file')} ({', '.join(wanted)})")
+        builds.append({"file": file, "folder": str(folder), "files": sorted(made)})
+    return faults.finish(builds=builds)
+
+
+def check_modules(folders: Sequence[str], format: str, strict: bool) -> int:
+    check_format(format)
+    from thorvaldc.pipeline import check_library
+
+    faults = Faults(format, sys.stdout)
+    for folder in library_folders(folders, "DIR") or [None]:
+        done = check_library(folder)
+        faults.add(done.report, done.sources)
+        faults.result(f"{folder or 'modules'}: {count(len(done.names), 'module')}")
+    return faults.finish(strict)
+
+
+def compile_one(file: str, library: Sequence[str]) -> Compilation:
+    """Compile; what is to be said of it goes to stderr."""
+    (done,) = _compile_all([file], library)
+    faults = Faults("text", sys.stderr)
+    faults.add(done.report, done.sources)
+    faults.finish()
+    return done
+
+
+def _compile_all(files: Sequence[str], library: Sequence[str]) -> Iterable[Compilation]:
+    from thorvaldc.pipeline import compile_file
+
+    folders = library_folders(library)
+    for file in files:
+        yield compile_file(file, library=folders)
+
+
+def library_folders(named: Sequence[str], option: str = "'--library'") -> list[Path]:
+    """Raises ``typer.BadParameter`` for what is no folder."""
+    for name in named:
+        if not Path(name).is_dir():
+            raise typer.BadParameter(f"there is no folder {name!r}", param_hint=option)
+    return [Path(name) for name in named]
+
+
+def check_targets(text: str) -> list[str]:
+    """Names of targets from ``urdf,mjcf``; raises ``typer.BadParameter`` for an unknown one."""
+    from thorvaldc import backends
+
+    wanted = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not wanted:
+        raise typer.BadParameter("names no target", param_hint="'--target'")
+    if all(name in backends.BUILTIN for name in wanted):  # do not look for others' in vain
+        return wanted
+    known = backends.names()
+    for name in wanted:
+        if name not in known:
+            raise typer.BadParameter(
+                f"there is no target {name!r}; there are {', '.join(known)}",
+                param_hint="'--target'",
+            )
+    return wanted
+
+
+def _folder(output: str, name: str, files: int) -> Path:
+    if not output:
+        return Path("build") / name
+    return Path(output) if files == 1 else Path(output) / name
+
+
+def summary(model: Robot | Fleet) -> str:
+    """What was understood, in a line: ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
+    from thorvaldc.model import Fleet
+
+    if isinstance(model, Fleet):
+        return count(len(model.placements), "robot")
+    driven = sum(wheel.driven for wheel in model.wheels)
+    steered = sum(wheel.steered for wheel in model.wheels)
+    wheels = count(len(model.wheels), "wheel")
+    return f"{wheels} ({driven} driven, {steered} steered), {model.inertial.mass:.1f} kg"
