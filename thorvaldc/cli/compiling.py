@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from thorvaldc.cli.faults import Faults, check_format, count
-from thorvaldc.cli.main import DONE, INPUT, OutsideError
+from thorvaldc.cli.main import OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
@@ -48,7 +47,7 @@ def build_files(
         folder = _folder(output, done.model.name, len(files))
         if str(folder) in taken:
             raise typer.BadParameter(
-                f"{taken[str(folder)]} and {file} both go to {folder}; build them one by one with -o",
+                f"{taken[str(folder)]} and {file} both go to {folder}; use -o, one by one",
                 param_hint="FILE",
             )
         taken[str(folder)] = file
