@@ -1,0 +1,435 @@
+"""MJCF: the robot for MuJoCo, and a scene in which it stands at rest.
+
+``robot.xml`` holds the robot alone and can be included or attached; ``scene.xml``
+adds the ground, light and the key frame ``home``.  Settings of the contact and of
+the servos are those under which a wheeled robot of 100..400 kg slides, rolls and
+stands on slopes as it should at steps of 1 to 5 ms: elliptic cones, a first
+``solimp`` value near zero, and drives that hold their position at zero speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TypeGuard
+
+from thorvaldc.backends import Backend
+from thorvaldc.backends.appearance import Palette, mesh_files
+from thorvaldc.backends.contact import SOLIMP, SOLREF, Rest, WheelContact, rest, spin_axis
+from thorvaldc.backends.tree import Tree
+from thorvaldc.backends.xml_writer import Element, to_bytes
+from thorvaldc.model import (
+    Actuator,
+    Box,
+    Cylinder,
+    Fleet,
+    Joint,
+    Link,
+    MeshShape,
+    Pose,
+    Robot,
+    Sensor,
+    Shape,
+    Vec3,
+    Wheel,
+)
+from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
+
+TIMESTEP = 0.005
+ROLLING_FRICTION = 0.0005  # MuJoCo's third coefficient; condim 4 does not use it
+DRIVE_FREQUENCY = 20.0  # rad/s, of the propulsion servo, critically damped
+DRIVE_DAMPING = 1.0
+STEERING_STIFFNESS = 4000.0  # N m/rad
+
+# Robots must meet the world and each other but not themselves (their parts
+# overlap where they are joined).  Robot i has contype i and the complement of i
+# as conaffinity: i & ~i is 0, but of two different numbers one always has a bit
+# that the other lacks.  Bit 0 of either is set, so the default 1/1 of other
+# objects meets every robot.
+_ALL_BITS = 0x7FFFFFFF
+
+
+class Mjcf(Backend):
+    name = "mjcf"
+    summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        settled = rest(robot)
+        writer = _Writer(robot.name, [robot], ["../meshes"])
+        writer.add_robot(robot, 0, settled, None)
+        scene = Element("mujoco", model=f"{robot.name} scene")
+        scene.add("include", file="robot.xml")
+        _add_surroundings(scene, [robot], [Pose()])
+        _add_home(scene, [robot], [settled], [Pose()])
+        return {
+            "mjcf/robot.xml": to_bytes(writer.root()),
+            "mjcf/scene.xml": to_bytes(scene),
+            **mesh_files(robot),
+        }
+
+    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
+        files = super().emit_fleet(fleet)
+        robots = [placement.robot for placement in fleet.placements]
+        poses = [placement.pose for placement in fleet.placements]
+        folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
+        writer = _Writer(fleet.name, robots, folders)
+        settled = []
+        for i, placement in enumerate(fleet.placements):
+            settled.append(rest(placement.robot))
+            writer.add_robot(placement.robot, i, settled[i], placement.pose)
+        scene = writer.root()
+        _add_surroundings(scene, robots, poses)
+        _add_home(scene, robots, settled, poses)
+        files["mjcf/scene.xml"] = to_bytes(scene)
+        return files
+
+
+def _prefix(robot: Robot) -> str:
+    return f"{robot.namespace}/" if robot.namespace else ""
+
+
+class _Writer:
+    """The sections of a model with one robot or several in it."""
+
+    def __init__(self, name: str, robots: list[Robot], mesh_folders: list[str]) -> None:
+        self.model = name
+        self.palette = Palette(*robots)
+        self.folders = mesh_folders
+        self.robots = robots
+        self.worldbody = Element("worldbody")
+        self.equality = Element("equality")
+        self.actuators = Element("actuator")
+        self.sensors = Element("sensor")
+        self.asset = Element("asset")
+        for material, color in self.palette.entries():
+            self.asset.add("material", name=material, rgba=color)
+        self.meshes: dict[tuple[str, Vec3], str] = {}
+
+    def root(self) -> Element:
+        root = Element("mujoco", model=self.model)
+        root.add(
+            "compiler",
+            angle="radian",
+            autolimits=True,
+            inertiafromgeom="false",
+            balanceinertia=False,
+        )
+        root.add(
+            "option", timestep=TIMESTEP, integrator="implicitfast", cone="elliptic", impratio=100
+        )
+        default = root.add("default")
+        default.add("default", class_="visual").add(
+            "geom", group=2, contype=0, conaffinity=0, mass=0
+        )
+        default.add("default", class_="collision").add("geom", group=3, mass=0)
+        default.add("default", class_="wheel").add(
+            "geom",
+            type="ellipsoid",
+            group=3,
+            mass=0,
+            condim=4,
+            priority=1,
+            solref=SOLREF,
+            solimp=SOLIMP,
+        )
+        sections = (self.asset, self.worldbody, self.equality, self.actuators, self.sensors)
+        root.children += [section for section in sections if section.children]
+        return root
+
+    def add_robot(self, robot: Robot, number: int, settled: Rest, pose: Pose | None) -> None:
+        _RobotWriter(self, robot, number, settled).write(pose)
+
+    def mesh(self, robot: Robot, number: int, shape: MeshShape) -> str:
+        """Name of the asset for a mesh at a scale; equal files are one asset."""
+        mesh = next(m for m in robot.meshes if m.name == shape.mesh)
+        key = (mesh.sha256, shape.scale)
+        if key not in self.meshes:
+            same = sum(1 for sha256, _ in self.meshes if sha256 == mesh.sha256)
+            stem = mesh.name.rsplit(".", 1)[0]
+            name = _prefix(robot) + (stem if same == 0 else f"{stem}_{same + 1}")
+            self.meshes[key] = name
+            self.asset.add(
+                "mesh",
+                name=name,
+                file=f"{self.folders[number]}/{mesh.name}",
+                scale=None if shape.scale == (1.0, 1.0, 1.0) else shape.scale,
+                # Masses are explicit; the default fails on an open or a flat mesh.
+                inertia="shell",
+            )
+        return self.meshes[key]
+
+
+class _RobotWriter:
+    def __init__(self, writer: _Writer, robot: Robot, number: int, settled: Rest) -> None:
+        self.writer = writer
+        self.robot = robot
+        self.number = number
+        self.settled = settled
+        self.prefix = _prefix(robot)
+        self.tree = Tree(robot)
+        self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
+        self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
+        self.actuated = {actuator.joint for actuator in robot.actuators}
+        contype = (number + 1) & _ALL_BITS
+        self.bits = {"contype": contype, "conaffinity": _ALL_BITS & ~contype}
+
+    def write(self, pose: Pose | None) -> None:
+        robot, prefix = self.robot, self.prefix
+        bodies: dict[str, Element] = {}
+        for index in self.tree.order:
+            link = robot.links[index]
+            joint = self.tree.above[index]
+            if joint is None:
+                body = self.writer.worldbody.add("body", name=prefix + link.name)
+                if pose is not None:
+                    _place(body, pose)
+                body.add("freejoint", name=f"{prefix}floating_base")
+            else:
+                body = bodies[joint.parent].add("body", name=prefix + link.name)
+                _place(body, joint.pose)
+                if joint.type != "fixed":
+                    self._add_joint(body, joint)
+            bodies[link.name] = body
+            self._add_link(body, link)
+        for sensor in robot.sensors:
+            self._add_sensor(bodies[sensor.link], sensor)
+        driven = sum(1 for wheel in robot.wheels if wheel.driven)
+        for actuator in robot.actuators:
+            self._add_actuator(actuator, driven)
+        for joint in self.tree.moving:
+            if joint.name in self.actuated or joint.role == "suspension":
+                name = prefix + joint.name
+                self.writer.sensors.add("jointpos", name=f"{name}_position", joint=name)
+                self.writer.sensors.add("jointvel", name=f"{name}_velocity", joint=name)
+
+    # -- bodies -----------------------------------------------------------------
+
+    def _add_joint(self, body: Element, joint: Joint) -> None:
+        friction = joint.friction
+        wheel = self.wheel_of_joint.get(joint.name)
+        if wheel is not None:
+            force = self.settled.wheels[wheel.name].force
+            friction = clean(friction + wheel.rolling_resistance * force * wheel.radius)
+        limits = None
+        if joint.lower is not None and joint.upper is not None:
+            limits = (joint.lower, joint.upper)
+        body.add(
+            "joint",
+            name=self.prefix + joint.name,
+            type="slide" if joint.type == "prismatic" else "hinge",
+            axis=joint.axis,
+            range=limits,
+            damping=joint.damping or None,
+            frictionloss=friction or None,
+            armature=joint.armature or None,
+            stiffness=joint.stiffness or None,
+            springref=joint.spring_reference if joint.stiffness else None,
+        )
+        if joint.mimic is not None:
+            self.writer.equality.add(
+                "joint",
+                joint1=self.prefix + joint.name,
+                joint2=self.prefix + joint.mimic.joint,
+                polycoef=(joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0),
+            )
+
+    def _add_link(self, body: Element, link: Link) -> None:
+        if link.inertial is not None:
+            body.add(
+                "inertial",
+                pos=link.inertial.com,
+                mass=link.inertial.mass,
+                fullinertia=link.inertial.inertia,
+            )
+        for visual in link.visuals:
+            geom = body.add("geom", class_="visual")
+            self._shape(geom, visual.shape, visual.pose)
+            geom.set(material=self.writer.palette.name(visual.color))
+        wheel = self.wheel_of_link.get(link.name)
+        if wheel is not None:
+            self._add_tread(body, wheel, self.settled.wheels[wheel.name])
+            return
+        for i, collision in enumerate(link.collisions):
+            name = f"{self.prefix}{link.name}_collision_{i}"
+            geom = body.add("geom", name=name, class_="collision", **self.bits)
+            self._shape(geom, collision.shape, collision.pose)
+
+    def _shape(self, geom: Element, shape: Shape, pose: Pose) -> None:
+        match shape:
+            case Box((x, y, z)):
+                geom.set(type="box", size=(x / 2, y / 2, z / 2))
+            case Cylinder(radius, length):
+                geom.set(type="cylinder", size=(radius, length / 2))
+            case MeshShape():
+                geom.set(type="mesh", mesh=self.writer.mesh(self.robot, self.number, shape))
+            case _:
+                geom.set(type="sphere", size=shape.radius)
+        _place(geom, pose)
+
+    def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
+        """The ellipsoid that rolls like the wheel, in place of the link's collision shapes."""
+        axis = spin_axis(self.tree, wheel)
+        x, y, z = axis
+        shift = contact.offset
+        geom = body.add("geom", name=f"{self.prefix}{wheel.link}_tread", class_="wheel")
+        geom.set(**self.bits)
+        geom.set(size=(contact.radius, contact.radius, contact.half_width))
+        center = Pose((shift * x, shift * y, shift * z), _z_to(axis)).clean()
+        _place(geom, center)
+        mu = wheel.friction
+        # A contact patch as wide as the tyre resists turning on the spot with mu N w/4.
+        geom.set(friction=(mu, clean(mu * wheel.width / 4), ROLLING_FRICTION))
+
+    # -- what is in and on the bodies -----------------------------------------------
+
+    def _add_sensor(self, body: Element, sensor: Sensor) -> None:
+        name = self.prefix + sensor.name
+        body.add("site", name=name, group=4, size=0.01)
+        if sensor.type == "imu":
+            self.writer.sensors.add("gyro", name=f"{name}_gyro", site=name)
+            self.writer.sensors.add("accelerometer", name=f"{name}_accelerometer", site=name)
+        elif sensor.type == "camera":
+            # Optical frames look along z with y down, MuJoCo's cameras along -z with y up.
+            camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
+            values = dict(sensor.properties)
+            width, height = values.get("image_width"), values.get("image_height")
+            angle = values.get("horizontal_field_of_view")
+            if _positive(width) and _positive(height) and _positive(angle):
+                across = math.tan(angle / 2) * height / width
+                camera.set(fovy=clean(math.degrees(2 * math.atan(across))))
+                camera.set(resolution=(int(width), int(height)))
+
+    def _add_actuator(self, actuator: Actuator, driven: int) -> None:
+        joint = self.tree.joint[actuator.joint]
+        torque, speed = actuator.max_torque, actuator.max_velocity
+        names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
+        if actuator.role == "steering":
+            limits = None
+            if joint.lower is not None and joint.upper is not None:
+                limits = (joint.lower, joint.upper)
+            self.writer.actuators.add(
+                "position",
+                **names,
+                kp=STEERING_STIFFNESS,
+                dampratio=1,
+                ctrlrange=limits,
+                forcerange=(-torque, torque),
+            )
+            return
+        inertia = self.settled.carried[actuator.joint] + joint.armature
+        wheel = self.wheel_of_joint.get(actuator.joint)
+        if wheel is not None and driven:
+            inertia += self.robot.inertial.mass * wheel.radius**2 / driven
+        # The set point is integrated to an angle that the servo holds, so that
+        # it stands still on a slope; the angle is unbounded, as a wheel is.
+        self.writer.actuators.add(
+            "intvelocity",
+            **names,
+            kp=clean(inertia * DRIVE_FREQUENCY**2),
+            kv=clean(2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY),
+            ctrlrange=(-speed, speed),
+            forcerange=(-torque, torque),
+            actlimited=False,
+        )
+
+
+def _positive(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and value > 0
+
+
+def _place(element: Element, pose: Pose) -> None:
+    if pose.xyz != (0.0, 0.0, 0.0):
+        element.set(pos=pose.xyz)
+    if pose.quat != (1.0, 0.0, 0.0, 0.0):
+        element.set(quat=pose.quat)
+
+
+def _z_to(axis: Vec3) -> Quat:
+    """Rotation that takes z to the unit vector ``axis`` on the shortest way."""
+    c = dot((0.0, 0.0, 1.0), axis)
+    if c < -1.0 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    x, y, z = cross((0.0, 0.0, 1.0), axis)
+    return quat_normalize((1.0 + c, x, y, z))
+
+
+# -- the scene --------------------------------------------------------------------
+
+
+def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
+    """Middle of the robots (m) and the radius about it that holds their wheels."""
+    points = []
+    for robot, pose in zip(robots, poses, strict=True):
+        points.append(pose.apply(robot.inertial.com))
+        points += [pose.apply((wheel.x, wheel.y, 0.0)) for wheel in robot.wheels]
+    low = [min(p[i] for p in points) for i in range(3)]
+    high = [max(p[i] for p in points) for i in range(3)]
+    x, y, z = (clean((a + b) / 2) for a, b in zip(low, high, strict=True))
+    return (x, y, z), max(1.0, round(math.dist(low, high) / 2, 3))
+
+
+def _add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) -> None:
+    middle, reach = _reach(robots, poses)
+    scene.add("statistic", center=middle, extent=reach)
+    visual = scene.add("visual")
+    visual.add(
+        "headlight", ambient=(0.3, 0.3, 0.3), diffuse=(0.5, 0.5, 0.5), specular=(0.1, 0.1, 0.1)
+    )
+    # "global" is how MuJoCo calls it; the offscreen buffer is what renderings need.
+    visual.add("global", azimuth=140, elevation=-20, offwidth=1920, offheight=1080)
+    visual.add("rgba", haze=(0.62, 0.72, 0.82, 1))
+    asset = scene.add("asset")
+    asset.add(
+        "texture",
+        name="sky",
+        type="skybox",
+        builtin="gradient",
+        rgb1=(0.45, 0.6, 0.8),
+        rgb2=(0.9, 0.94, 0.97),
+        width=256,
+        height=1536,
+    )
+    asset.add(
+        "texture",
+        name="ground",
+        type="2d",
+        builtin="checker",
+        mark="edge",
+        rgb1=(0.42, 0.44, 0.38),
+        rgb2=(0.38, 0.4, 0.34),
+        markrgb=(0.5, 0.52, 0.46),
+        width=512,
+        height=512,
+    )
+    asset.add("material", name="ground", texture="ground", texuniform=True, texrepeat=(1, 1))
+    world = scene.add("worldbody")
+    world.add(
+        "light",
+        name="sun",
+        type="directional",
+        pos=(middle[0], middle[1], 10),
+        dir=(-0.3, 0.25, -1),
+        diffuse=(0.6, 0.6, 0.6),
+    )
+    # Level: the robots are settled on it.  A plane, not a box, which rolls best.
+    world.add("geom", name="ground", type="plane", size=(0, 0, 1), material="ground")
+
+
+def _add_home(scene: Element, robots: list[Robot], settled: list[Rest], poses: list[Pose]) -> None:
+    """The key frame in which every robot stands still, with its servos at their targets."""
+    qpos: list[float] = []
+    ctrl: list[float] = []
+    act: list[float] = []
+    for robot, stance, pose in zip(robots, settled, poses, strict=True):
+        base = (pose * stance.base).clean()
+        qpos += [*base.xyz, *base.quat]
+        qpos += [stance.positions[joint.name] for joint in Tree(robot).moving]
+        for actuator in robot.actuators:
+            position = stance.positions[actuator.joint]
+            if actuator.role == "steering":
+                ctrl.append(position)
+            else:
+                ctrl.append(0.0)
+                act.append(position)
+    key = scene.add("keyframe").add("key", name="home", qpos=tuple(qpos))
+    key.set(ctrl=tuple(ctrl) if ctrl else None, act=tuple(act) if act else None)

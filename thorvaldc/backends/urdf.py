@@ -1,0 +1,141 @@
+"""URDF: the robot as ROS reads it, and as MuJoCo's importer reads it without loss."""
+
+from __future__ import annotations
+
+from thorvaldc.backends import Backend
+from thorvaldc.backends.appearance import Palette, mesh_files
+from thorvaldc.backends.xml_writer import Element, number, parse, to_bytes
+from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
+from thorvaldc.model.spatial import clean
+
+# URDF has no word for "no limit" on revolute and prismatic joints.
+UNLIMITED = 1e9
+
+
+class Urdf(Backend):
+    name = "urdf"
+    summary = "robot description for ROS 2 (urdf/robot.urdf) with its meshes"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        files = {"urdf/robot.urdf": to_bytes(_robot(robot))}
+        files.update(mesh_files(robot))
+        return files
+
+
+def _robot(robot: Robot) -> Element:
+    prefix = f"{robot.namespace}/" if robot.namespace else ""
+    root = Element("robot", name=robot.name)
+    # Else MuJoCo merges base_link into the world and drops the mass of all that
+    # is fixed to it, drops visuals, and guesses masses from shapes.
+    root.add("mujoco").add(
+        "compiler",
+        meshdir="../meshes",
+        strippath=True,
+        fusestatic=False,
+        discardvisual=False,
+        balanceinertia=False,
+        inertiafromgeom="false",
+    )
+    palette = Palette(robot)
+    for name, color in palette.entries():
+        root.add("material", name=name).add("color", rgba=color)
+    for link in robot.links:
+        _add_link(root, link, prefix, palette)
+    for joint in robot.joints:
+        _add_joint(root, joint, prefix)
+    _add_gazebo(root, robot, prefix)
+    for text in robot.urdf_extensions:
+        root.append(parse(text))
+    return root
+
+
+def _add_origin(parent: Element, pose: Pose) -> None:
+    x, y, z = pose.rpy()
+    rpy = (clean(x), clean(y), clean(z))
+    if pose.xyz != (0.0, 0.0, 0.0) or rpy != (0.0, 0.0, 0.0):
+        parent.add("origin", xyz=pose.xyz, rpy=rpy)
+
+
+def _add_geometry(parent: Element, shape: Shape) -> None:
+    geometry = parent.add("geometry")
+    match shape:
+        case Box(size):
+            geometry.add("box", size=size)
+        case Cylinder(radius, length):
+            geometry.add("cylinder", radius=radius, length=length)
+        case MeshShape(mesh, scale):
+            geometry.add(
+                "mesh",
+                filename=f"../meshes/{mesh}",
+                scale=None if scale == (1.0, 1.0, 1.0) else scale,
+            )
+        case _:
+            geometry.add("sphere", radius=shape.radius)
+
+
+def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
+    element = root.add("link", name=prefix + link.name)
+    if link.inertial is not None:
+        xx, yy, zz, xy, xz, yz = link.inertial.inertia
+        inertial = element.add("inertial")
+        if link.inertial.com != (0.0, 0.0, 0.0):
+            inertial.add("origin", xyz=link.inertial.com, rpy=(0.0, 0.0, 0.0))
+        inertial.add("mass", value=link.inertial.mass)
+        inertial.add("inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
+    for visual in link.visuals:
+        part = element.add("visual")
+        _add_origin(part, visual.pose)
+        _add_geometry(part, visual.shape)
+        part.add("material", name=palette.name(visual.color))
+    for collision in link.collisions:
+        part = element.add("collision")
+        _add_origin(part, collision.pose)
+        _add_geometry(part, collision.shape)
+
+
+def _add_joint(root: Element, joint: Joint, prefix: str) -> None:
+    element = root.add("joint", name=prefix + joint.name, type=joint.type)
+    _add_origin(element, joint.pose)
+    element.add("parent", link=prefix + joint.parent)
+    element.add("child", link=prefix + joint.child)
+    if joint.type == "fixed":
+        return
+    element.add("axis", xyz=joint.axis)
+    effort = UNLIMITED if joint.effort is None else joint.effort
+    velocity = UNLIMITED if joint.velocity is None else joint.velocity
+    if joint.type != "continuous":
+        element.add(
+            "limit",
+            lower=-UNLIMITED if joint.lower is None else joint.lower,
+            upper=UNLIMITED if joint.upper is None else joint.upper,
+            effort=effort,
+            velocity=velocity,
+        )
+    elif joint.effort is not None or joint.velocity is not None:
+        element.add("limit", effort=effort, velocity=velocity)
+    if joint.damping != 0.0 or joint.friction != 0.0:
+        element.add("dynamics", damping=joint.damping, friction=joint.friction)
+    if joint.mimic is not None:
+        element.add(
+            "mimic",
+            joint=prefix + joint.mimic.joint,
+            multiplier=joint.mimic.multiplier,
+            offset=joint.mimic.offset,
+        )
+
+
+def _add_gazebo(root: Element, robot: Robot, prefix: str) -> None:
+    """Springs and tyre friction, which URDF itself has no elements for."""
+    for joint in robot.joints:
+        if joint.stiffness != 0.0:
+            element = root.add("gazebo", reference=prefix + joint.name)
+            element.add("springStiffness").text = number(joint.stiffness)
+            element.add("springReference").text = number(joint.spring_reference)
+    for wheel in robot.wheels:
+        _add_friction(root, wheel, prefix)
+
+
+def _add_friction(root: Element, wheel: Wheel, prefix: str) -> None:
+    element = root.add("gazebo", reference=prefix + wheel.link)
+    element.add("mu1").text = number(wheel.friction)
+    element.add("mu2").text = number(wheel.friction)
