@@ -22,7 +22,80 @@ class Code:
 
 _TABLE: tuple[Code, ...] = (
     # -- 1xx: YAML -----------------------------------------------------------
+    Code("TV101", "yaml-syntax", "error", "the text is not YAML"),
+    Code("TV102", "yaml-encoding", "error", "the file is not UTF-8 text"),
+    Code("TV103", "yaml-character", "error", "the text has a character that YAML does not allow"),
+    Code("TV104", "yaml-empty", "error", "the document says nothing"),
+    Code("TV105", "yaml-several-documents", "error", "the file holds more than one document"),
+    Code("TV106", "yaml-duplicate-key", "error", "a key occurs twice in one mapping"),
+    Code("TV107", "yaml-key-not-text", "error", "a key of a mapping is not text"),
+    Code("TV108", "yaml-merge-key", "error", "a merge key (<<) is used; YAML 1.2 has none"),
+    Code("TV109", "yaml-tag", "error", "a value carries a YAML tag"),
+    Code(
+        "TV110",
+        "yaml-ambiguous-word",
+        "error",
+        "an unquoted on, off, yes or no: a truth value to some readers, text to others",
+    ),
+    Code(
+        "TV111",
+        "yaml-leading-zero",
+        "error",
+        "a number starts with 0: octal to some readers, decimal to others",
+    ),
+    Code("TV112", "yaml-not-finite", "error", "a number is infinite or not a number"),
+    Code("TV113", "yaml-number-range", "error", "a number is too large to be represented"),
+    Code("TV114", "yaml-too-deep", "error", "the document is nested too deeply"),
+    Code(
+        "TV115",
+        "yaml-too-many-values",
+        "error",
+        "the document has too many values, aliases expanded",
+    ),
+    Code("TV116", "yaml-recursive-alias", "error", "an alias refers to a value that contains it"),
+    Code("TV117", "yaml-tab", "error", "a tab stands where only spaces may indent"),
+    Code("TV118", "yaml-file-too-large", "error", "the file is larger than a document may be"),
     # -- 2xx: schema and units -----------------------------------------------
+    Code("TV201", "unknown-key", "error", "a key that the document's schema does not have"),
+    Code("TV202", "missing-key", "error", "a required key is missing"),
+    Code(
+        "TV203",
+        "wrong-type",
+        "error",
+        "a value of the wrong kind, such as a list in place of a mapping",
+    ),
+    Code("TV204", "bad-id", "error", "a name that is not a lower-case id"),
+    Code("TV205", "unknown-value", "error", "a value that is not one of those allowed"),
+    Code("TV206", "out-of-range", "error", "a number outside the range that is allowed"),
+    Code("TV207", "wrong-length", "error", "a list with the wrong number of elements"),
+    Code(
+        "TV208",
+        "conflicting-keys",
+        "error",
+        "keys that exclude each other, or none where one is needed",
+    ),
+    Code(
+        "TV209",
+        "language-version",
+        "error",
+        "a version of the language that this compiler does not know",
+    ),
+    Code("TV210", "bad-quantity", "error", "text that is not a number with a unit"),
+    Code("TV211", "wrong-dimension", "error", "a quantity of the wrong dimension"),
+    Code(
+        "TV212",
+        "expression-not-allowed",
+        "error",
+        "an expression where the document must give a value",
+    ),
+    Code("TV213", "expression-syntax", "error", "an expression that cannot be read"),
+    Code("TV214", "expression-name", "error", "an expression uses a name that is not known"),
+    Code(
+        "TV215",
+        "expression-value",
+        "error",
+        "an expression has no usable value, such as a division by zero",
+    ),
     Code("TV216", "expression-cycle", "error", "a value needs itself"),
     # -- 3xx: references -----------------------------------------------------
     Code("TV301", "module-type-unknown", "error", "a module has a type that no library has"),
@@ -138,6 +211,9 @@ _TABLE: tuple[Code, ...] = (
     Code("TV734", "mesh-large", "error", "a mesh has more triangles or bytes than are read"),
     # -- 8xx: runtime --------------------------------------------------------
     # -- 9xx: files and import -----------------------------------------------
+    Code("TV901", "file-not-found", "error", "a file does not exist"),
+    Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),
+    Code("TV903", "file-unreadable", "error", "a file cannot be read"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

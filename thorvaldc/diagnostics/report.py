@@ -60,7 +60,7 @@ class Report:
     """All faults of a run, in the order of discovery; ``sorted()`` orders by place."""
 
     def __init__(self) -> None:
-        self._diagnostics: list[Diagnostic] = []
+        self._diagnostics: dict[Diagnostic, None] = {}  # in order, each once
 
     def add(
         self,
@@ -80,12 +80,10 @@ class Report:
 
     def put(self, diagnostic: Diagnostic) -> None:
         """Record a fault that is there as a value."""
-        if diagnostic not in self._diagnostics:
-            self._diagnostics.append(diagnostic)
+        self._diagnostics[diagnostic] = None
 
     def extend(self, other: Report) -> None:
-        for diagnostic in other:
-            self.put(diagnostic)
+        self._diagnostics.update(other._diagnostics)
 
     def __iter__(self) -> Iterator[Diagnostic]:
         return iter(self._diagnostics)

@@ -1,0 +1,194 @@
+"""The units and kinds of quantities that the language knows.
+
+A unit is an exact fraction times a power of pi.  The radian counts as a
+dimension of its own: it tells ``rad/s`` from ``Hz``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Dimension = tuple[int, ...]
+"""Exponents of m, kg, s, A, K, rad, bit."""
+
+BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A kind of quantity: its dimensions, SI unit and an example in the language."""
+
+    name: str
+    article: str
+    unit: str
+    example: str
+    dimensions: tuple[Dimension, ...]
+
+    def __str__(self) -> str:
+        return f"{self.article} {self.name.replace('_', ' ')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One in SI is ``numerator / denominator * pi**pi_power`` (plus ``offset`` hundredths)."""
+
+    dimension: Dimension
+    numerator: int = 1
+    denominator: int = 1
+    pi_power: int = 0
+    offset: int = 0
+
+
+PREFIXES = {
+    "T": 12,
+    "G": 9,
+    "M": 6,
+    "k": 3,
+    "h": 2,
+    "d": -1,
+    "c": -2,
+    "m": -3,
+    "u": -6,
+    "µ": -6,  # micro sign
+    "μ": -6,  # Greek mu
+    "n": -9,
+    "p": -12,
+}
+LONG_PREFIXES = {"milli": -3, "centi": -2, "deci": -1, "kilo": 3, "mega": 6, "micro": -6}
+
+_LENGTH: Dimension = (1, 0, 0, 0, 0, 0, 0)
+_MASS: Dimension = (0, 1, 0, 0, 0, 0, 0)
+_TIME: Dimension = (0, 0, 1, 0, 0, 0, 0)
+_ANGLE: Dimension = (0, 0, 0, 0, 0, 1, 0)
+_SPEED: Dimension = (1, 0, -1, 0, 0, 0, 0)
+_TURNING: Dimension = (0, 0, -1, 0, 0, 1, 0)
+_PER_TIME: Dimension = (0, 0, -1, 0, 0, 0, 0)
+_FORCE: Dimension = (1, 1, -2, 0, 0, 0, 0)
+_TORQUE: Dimension = (2, 1, -2, 0, 0, 0, 0)
+_POWER: Dimension = (2, 1, -3, 0, 0, 0, 0)
+_PRESSURE: Dimension = (-1, 1, -2, 0, 0, 0, 0)
+_CHARGE: Dimension = (0, 0, 1, 1, 0, 0, 0)
+_VOLTAGE: Dimension = (2, 1, -3, -1, 0, 0, 0)
+_RESISTANCE: Dimension = (2, 1, -3, -2, 0, 0, 0)
+_BIT: Dimension = (0, 0, 0, 0, 0, 0, 1)
+_BITRATE: Dimension = (0, 0, -1, 0, 0, 0, 1)
+_KELVIN: Dimension = (0, 0, 0, 0, 1, 0, 0)
+_NONE: Dimension = (0, 0, 0, 0, 0, 0, 0)
+PLAIN = Unit(_NONE)
+
+
+def _aliases(*rows: tuple[str, Unit]) -> dict[str, Unit]:
+    return {name: unit for names, unit in rows for name in names.split()}
+
+
+UNITS: dict[str, Unit] = _aliases(
+    ("m meter meters metre metres", Unit(_LENGTH)),
+    ('in inch inches " ″', Unit(_LENGTH, 254, 10000)),
+    ("ft foot feet ' ′", Unit(_LENGTH, 3048, 10000)),
+    ("g gram grams", Unit(_MASS, 1, 1000)),
+    ("t tonne tonnes", Unit(_MASS, 1000)),
+    ("lb lbs", Unit(_MASS, 45359237, 100000000)),
+    ("s sec second seconds", Unit(_TIME)),
+    ("min minute minutes", Unit(_TIME, 60)),
+    ("h hr hour hours", Unit(_TIME, 3600)),
+    ("rad radian radians", Unit(_ANGLE)),
+    ("deg degree degrees °", Unit(_ANGLE, 1, 180, 1)),
+    ("rev turn turns", Unit(_ANGLE, 2, 1, 1)),
+    ("rpm RPM", Unit(_TURNING, 1, 30, 1)),
+    ("kph kmh", Unit(_SPEED, 5, 18)),
+    ("mph", Unit(_SPEED, 44704, 100000)),
+    ("Hz hertz", Unit(_PER_TIME)),
+    ("N newton newtons", Unit(_FORCE)),
+    ("lbf", Unit(_FORCE, 44482216152605, 10**13)),
+    ("Nm", Unit(_TORQUE)),
+    ("Ncm", Unit(_TORQUE, 1, 100)),
+    ("Nmm", Unit(_TORQUE, 1, 1000)),
+    ("J joule joules", Unit(_TORQUE)),
+    ("Wh", Unit(_TORQUE, 3600)),
+    ("W watt watts", Unit(_POWER)),
+    ("Pa pascal", Unit(_PRESSURE)),
+    ("bar", Unit(_PRESSURE, 100000)),
+    ("A amp amps ampere", Unit((0, 0, 0, 1, 0, 0, 0))),
+    ("C coulomb", Unit(_CHARGE)),
+    ("Ah", Unit(_CHARGE, 3600)),
+    ("V volt volts", Unit(_VOLTAGE)),
+    ("Ω Ω ohm ohms", Unit(_RESISTANCE)),
+    ("K kelvin", Unit(_KELVIN)),
+    ("°C degC", Unit(_KELVIN, offset=27315)),
+    ("bit bits", Unit(_BIT)),
+    ("B byte bytes", Unit(_BIT, 8)),
+    ("bps bd baud", Unit(_BITRATE)),
+    ("% percent", Unit(_NONE, 1, 100)),
+)
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+PREFIXABLE = _words("m g s rad Hz N Nm J W Wh Pa bar A C Ah V Ω ohm K bit B bps bd baud")
+LONG_PREFIXABLE = _words(
+    "meter meters metre metres gram grams second seconds newton newtons volt volts "
+    "watt watts joule joules hertz pascal amp amps ampere"
+)
+
+# Prefixed units that a misspelt one may have meant.
+_PREFIXED = (
+    "kg mg mm cm km ms us kN kNm mNm kW mW mV kV mA kHz MHz kbit Mbit kB kPa kWh mAh mrad "
+    "millimeter millimetre centimeter centimetre kilometer kilometre kilogram milligram"
+)
+COMMON: tuple[str, ...] = (*UNITS, *_PREFIXED.split())
+
+
+# -- kinds of quantities ------------------------------------------------------------
+
+
+def _quantities(*rows: tuple[str, str, str, tuple[Dimension, ...]]) -> dict[str, Quantity]:
+    return {
+        name: Quantity(name, "an" if name[0] in "aeiou" else "a", unit, example, dimensions)
+        for name, unit, example, dimensions in rows
+    }
+
+
+QUANTITIES: dict[str, Quantity] = _quantities(
+    ("length", "m", "650 mm", (_LENGTH,)),
+    ("area", "m^2", "0.5 m^2", ((2, 0, 0, 0, 0, 0, 0),)),
+    ("volume", "m^3", "0.02 m^3", ((3, 0, 0, 0, 0, 0, 0),)),
+    ("mass", "kg", "5 kg", (_MASS,)),
+    ("time", "s", "0.5 s", (_TIME,)),
+    ("angle", "rad", "15 deg", (_ANGLE,)),
+    ("velocity", "m/s", "1.5 m/s", (_SPEED,)),
+    ("acceleration", "m/s^2", "1.5 m/s^2", ((1, 0, -2, 0, 0, 0, 0),)),
+    ("angular_velocity", "rad/s", "3000 rpm", (_TURNING,)),
+    ("angular_acceleration", "rad/s^2", "40 rad/s^2", ((0, 0, -2, 0, 0, 1, 0),)),
+    ("force", "N", "120 N", (_FORCE,)),
+    ("torque", "N m", "90 N m", (_TORQUE,)),
+    ("inertia", "kg m^2", "1e-4 kg m^2", ((2, 1, 0, 0, 0, 0, 0),)),
+    ("stiffness", "N/m", "20 kN/m", ((0, 1, -2, 0, 0, 0, 0),)),
+    ("damping", "N s/m", "900 N s/m", ((0, 1, -1, 0, 0, 0, 0),)),
+    (
+        "rotational_stiffness",
+        "N m/rad",
+        "300 N m/rad",
+        ((2, 1, -2, 0, 0, -1, 0), _TORQUE),
+    ),
+    (
+        "rotational_damping",
+        "N m s/rad",
+        "0.5 N m s/rad",
+        ((2, 1, -1, 0, 0, -1, 0), (2, 1, -1, 0, 0, 0, 0)),
+    ),
+    ("ratio", "1", "42:1", (_NONE,)),
+    ("frequency", "Hz", "50 Hz", (_PER_TIME,)),
+    ("voltage", "V", "48 V", (_VOLTAGE,)),
+    ("current", "A", "30 A", ((0, 0, 0, 1, 0, 0, 0),)),
+    ("resistance", "ohm", "0.2 ohm", (_RESISTANCE,)),
+    ("charge", "A s", "70 Ah", (_CHARGE,)),
+    ("energy", "J", "3.3 kWh", (_TORQUE,)),
+    ("power", "W", "500 W", (_POWER,)),
+    ("density", "kg/m^3", "2700 kg/m^3", ((-3, 1, 0, 0, 0, 0, 0),)),
+    ("pressure", "Pa", "2 bar", (_PRESSURE,)),
+    ("bitrate", "bit/s", "500 kbit/s", (_BITRATE,)),
+    ("data", "bit", "8 byte", (_BIT,)),
+    ("temperature", "K", "20 degC", (_KELVIN,)),
+)
