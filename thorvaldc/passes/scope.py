@@ -167,8 +167,10 @@ class Scope(Mapping[str, Any]):
                     hint=f"add `params: {{{name}: ...}}`: {_text(declared, 'description')}",
                 )
             return _harmless(declared)
+        faults = len(scope.report)
         value = scope._typed(node, declared, is_default=given is None)
-        self._check_range(name, declared, node, value, scope)
+        if len(scope.report) == faults:
+            self._check_range(name, declared, node, value)
         return value
 
     def _typed(self, node: Node, declared: Node, *, is_default: bool = False) -> Any:
@@ -253,7 +255,7 @@ class Scope(Mapping[str, Any]):
             return None
         return ModuleChoice(module, params, self)
 
-    def _check_range(self, name: str, declared: Node, node: Node, value: Any, scope: Scope) -> None:
+    def _check_range(self, name: str, declared: Node, node: Node, value: Any) -> None:
         choices = declared.get("choices")
         if choices is not None and isinstance(choices.value, tuple):
             known = [self.evaluate(c) for c in choices.value]
