@@ -37,7 +37,8 @@ _NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
 _UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{UNIT_NAME})(?:{UNIT_POWER})?"
 _TOKENS = re.compile(
     rf"""\s*(?:
-        (?P<number>(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?
+        (?P<hexadecimal>0x[0-9A-Fa-f]{{1,15}}\b)
+        | (?P<number>(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?
             (?P<unit>\s*{_UNIT}(?:(?:\s*/\s*|\s*[·⋅]\s*|[ ]+){_UNIT}(?![A-Za-z_]|\s*[(.\[]))*)?)
         | (?P<word>{_WORD})
         | (?P<text>'[^']*'|"[^"]*")
@@ -83,6 +84,9 @@ def tokenize(text: str) -> list[Token]:
         kind = found.lastgroup or ""
         if found["number"] is not None:
             position = _number(found, stripped, tokens)
+        elif kind == "hexadecimal":
+            digits, offset = found["hexadecimal"], found.start("hexadecimal")
+            tokens.append(Token("number", digits, offset, int(digits, 16)))
         elif kind == "word":
             word, offset = found["word"], found.start("word")
             tokens.append(Token("keyword" if word in _KEYWORDS else "name", word, offset))

@@ -63,6 +63,8 @@ def _number_or_refuse(value: Any, offset: int, what: str) -> Number:
 
 
 def _truth(value: Any, offset: int, what: str) -> bool:
+    if value is None or isinstance(value, Mapping):
+        return value is not None  # a module that was chosen, or `none`
     if not isinstance(value, bool):
         raise ExpressionError(
             f"{what} wants true or false, not {shown(value)}",
