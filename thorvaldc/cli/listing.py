@@ -1,0 +1,160 @@
+"""``targets``, ``schema``, ``explain``, ``modules list`` and ``modules show``."""
+
+from __future__ import annotations
+
+import difflib
+import json as json_format
+import sys
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from thorvaldc.cli.compiling import library_folders
+from thorvaldc.cli.faults import Faults, width_of
+from thorvaldc.cli.main import DONE
+
+if TYPE_CHECKING:
+    from thorvaldc.library import ModuleType
+
+KINDS = ("robot", "module", "fleet")
+
+
+def list_targets(json: bool) -> int:
+    from thorvaldc import backends
+
+    found = {name: backends.load(name).summary for name in backends.names()}
+    if json:
+        print(json_format.dumps(found, indent=1, ensure_ascii=False))
+    else:
+        print_table(found.items())
+    return DONE
+
+
+def show_schema(kind: str) -> int:
+    if kind not in KINDS:
+        raise typer.BadParameter(f"{kind!r} is none of {', '.join(KINDS)}", param_hint="KIND")
+    from thorvaldc.schema import schema_text
+
+    print(schema_text(kind), end="")
+    return DONE
+
+
+def explain(code: str) -> int:
+    from thorvaldc.diagnostics import CODES
+    from thorvaldc.library.finder import data_folder
+
+    numbers = {c.number.lower(): c for c in CODES.values()} | {c.name: c for c in CODES.values()}
+    found = numbers.get(code.lower())
+    if found is None:
+        raise typer.BadParameter(
+            f"there is no code {code!r}{_near(code.lower(), numbers)}", param_hint="CODE"
+        )
+    page = data_folder("diagnostics") / f"{found.number}.md"
+    print(page.read_text(encoding="utf-8"), end="")
+    return DONE
+
+
+def list_modules(library: Sequence[str], json: bool) -> int:
+    types, status = _module_types(library, None)
+    if json:
+        found = [
+            {"type": t.name, "category": t.category} | _about(t.document.plain()) for t in types
+        ]
+        print(json_format.dumps(found, indent=1, ensure_ascii=False))
+    else:
+        print_table((t.name, t.document.plain().get("description", "")) for t in types)
+    return status
+
+
+def show_module(name: str, library: Sequence[str], json: bool) -> int:
+    types, status = _module_types(library, name)
+    for module in types:
+        document = module.document.plain()
+        if json:
+            print(json_format.dumps({"type": name} | document, indent=1, ensure_ascii=False))
+        else:
+            _print_module(name, document)
+    return status
+
+
+def _module_types(library: Sequence[str], name: str | None) -> tuple[list[ModuleType], int]:
+    """That type, or all; faults in the documents go to stderr and into the exit status."""
+    from thorvaldc.diagnostics import Report, Span
+    from thorvaldc.library import Library
+    from thorvaldc.source.node import Node
+
+    folders = library_folders(library)
+    modules = Library([(folder, str(folder)) for folder in folders])
+    names = modules.names()
+    if name is not None and name not in names:
+        raise typer.BadParameter(
+            f"there is no module type {name!r}{_near(name, names)}", param_hint="TYPE"
+        )
+    report = Report()
+    wanted = names if name is None else [name]
+    types = [modules.load(n, Node(n, Span("command line")), report) for n in wanted]
+    faults = Faults("text", sys.stderr)
+    faults.add(report, modules.files)
+    return [t for t in types if t is not None], faults.finish()
+
+
+def _about(document: dict[str, Any]) -> dict[str, Any]:
+    """What a user of the module needs to know of its document."""
+    return {
+        "description": document.get("description", ""),
+        "params": document.get("params", {}),
+        "ports": document.get("ports", {}),
+        "fits": (document.get("mount") or {}).get("kinds", []),
+    }
+
+
+def _print_module(name: str, document: dict[str, Any]) -> None:
+    print(f"{name}: {document.get('description', '')}")
+    facts = []
+    kinds = (document.get("mount") or {}).get("kinds", [])
+    if kinds:
+        facts.append(("mounts on", ", ".join(kinds)))
+    ports = document.get("ports", {})
+    shown = [
+        f"{p} ({v['kind']})" if isinstance(v, dict) else f"{p} = {v}" for p, v in ports.items()
+    ]
+    if shown:
+        facts.append(("ports", ", ".join(shown)))
+    rest = ("links", "joints", "motors", "channels", "modules")
+    facts += [(key, ", ".join(document[key])) for key in rest if document.get(key)]
+    print_table(facts)
+    params = document.get("params", {})
+    if params:
+        print("\nparams:")
+        print_table((f"  {key}", _param(value)) for key, value in params.items())
+
+
+def _param(declared: dict[str, Any]) -> str:
+    kind = declared.get("quantity") or declared.get("type") or "number"
+    words = [str(kind)]
+    words.append(f"default {declared['default']}" if "default" in declared else "required")
+    words += [
+        f"{key} {declared[key]}" for key in ("minimum", "maximum", "choices") if key in declared
+    ]
+    text = f"{', '.join(words)}. {declared.get('description', '')}"
+    return text + (f" [{declared['source']}]" if "source" in declared else "")
+
+
+def _near(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def print_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Names and what they are, wrapped to the terminal with the second column aligned."""
+    import textwrap
+
+    rows = list(rows)
+    indent = max((len(name) for name, _ in rows), default=0) + 2
+    width = max(width_of(sys.stdout), indent + 30)
+    for name, text in rows:
+        lines = textwrap.wrap(text, width - indent) or [""]
+        print(f"{name:<{indent}}{lines[0]}".rstrip())
+        for line in lines[1:]:
+            print(" " * indent + line)
