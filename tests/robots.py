@@ -69,7 +69,10 @@ def make_robot(
     leg = Inertial(18.0, (0.0, 0.01, -0.1), (0.5, 0.5, 0.1, 0.0, 0.0, 0.01))
     iw = 6.0 * radius**2 / 2
     tyre = Inertial(6.0, (0.0, 0.0, 0.0), (iw / 2 + 0.01, iw, iw / 2 + 0.01, 0.0, 0.0, 0.0))
+    carriage = Inertial(1.0, (0.0, 0.0, 0.0), (0.01, 0.01, 0.01, 0.0, 0.0, 0.0))
     for x, y, _ in wheels:
+        if suspended:
+            placed.append(carriage.transformed(Pose((x, y, body_height))))
         placed.append(leg.transformed(Pose((x, y, body_height))))
         placed.append(tyre.transformed(Pose((x, y, radius))))
     total = combine(placed)
@@ -82,7 +85,6 @@ def make_robot(
         load = total.mass * G / n
         if suspended:
             suspension = f"{m}_suspension_travel"
-            carriage = Inertial(1.0, (0.0, 0.0, 0.0), (0.01, 0.01, 0.01, 0.0, 0.0, 0.0))
             links.append(
                 Link(f"{m}_suspension_carriage", f"{m}.suspension", carriage, (), (), SPAN)
             )

@@ -82,20 +82,14 @@ class Tree:
         return combine(parts)
 
 
-def lowest_point(center: Vec3, axis: Vec3, radius: float, width: float) -> Vec3:
-    """The lowest point of a wheel: of the ellipsoid with those semi-axes.
+def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
+    """The lowest point of a wheel: of the circle in its middle plane, also under camber.
 
-    ``S z / sqrt(z' S z)`` is the support point of the ellipsoid with shape matrix
-    ``S = r^2 (I - a a') + (w/2)^2 a a'``; for an upright wheel it is the rim.
+    Where the wheel leans on the ground it rolls on ``radius``, as in every output.
     """
-    along = (width / 2) ** 2 - radius**2
-    s: Vec3 = (
-        along * axis[0] * axis[2],
-        along * axis[1] * axis[2],
-        radius**2 + along * axis[2] ** 2,
-    )
-    root = math.sqrt(s[2])
-    return add(center, scale(-1.0 / root, s))
+    level = math.sqrt(max(1.0 - axis[2] * axis[2], 1e-12))
+    down: Vec3 = (axis[0] * axis[2], axis[1] * axis[2], axis[2] * axis[2] - 1.0)
+    return add(center, scale(radius / level, down))
 
 
 @dataclass(frozen=True)
@@ -137,9 +131,7 @@ def ground_height(tree: Tree, wheels: Sequence[PlacedWheel], report: Report) -> 
     for wheel in wheels:
         chain = _chain(tree, wheel, report)
         if chain is not None:
-            point = lowest_point(
-                tree.pose[wheel.link].xyz, chain.axis, wheel.part.radius, wheel.part.width
-            )
+            point = lowest_point(tree.pose[wheel.link].xyz, chain.axis, wheel.part.radius)
             heights.append(point[2])
     return -min(heights) if heights else 0.0
 
@@ -167,7 +159,7 @@ def make_wheels(
             )
             continue
         heading = math.atan2(forward[1], forward[0])
-        point = lowest_point(tree.pose[item.link].xyz, chain.axis, part.radius, part.width)
+        point = lowest_point(tree.pose[item.link].xyz, chain.axis, part.radius)
         x, y, sign = point[0], point[1], 1.0
         turning = chain.steering or chain.swivel
         trail = lateral = 0.0
