@@ -291,6 +291,7 @@ class Frame:
     deadline: float | None
     signals: tuple[Signal, ...]
     origin: Span
+    description: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +321,10 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Bus:
-    """A CAN bus: ``bitrate`` bit/s, ``sync_period`` s (the control cycle)."""
+    """A CAN bus: ``bitrate`` bit/s, ``sync_period`` s (the control cycle).
+
+    ``master_id`` is the CANopen node id of the master.
+    """
 
     name: str
     bitrate: int
@@ -328,6 +332,7 @@ class Bus:
     nodes: tuple[Node, ...]
     frames: tuple[Frame, ...]
     origin: Span
+    master_id: int = 127
 
 
 # -- the whole ----------------------------------------------------------------------

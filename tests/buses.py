@@ -1,0 +1,181 @@
+"""A robot with a bus, built directly as a model: two drives, a battery."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from tests.robots import SPAN, make_robot
+from thorvaldc.model.robot import Battery, Bus, Channel, Frame, Node, Robot, Signal
+
+GEAR, STEERING_GEAR, PPR, MAX_SPEED, LIMIT = 42.0, 42.857, 1024, 314.159, 3.078027759
+CYCLE = 0.02
+
+
+def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Frame, ...]:
+    """Four frames of a propulsion and steering controller, with its scalings by formula."""
+    return (
+        Frame(
+            f"{name}_rpdo1",
+            0x200 + n,
+            "pdo",
+            "master",
+            (name,),
+            8,
+            CYCLE,
+            CYCLE,
+            (
+                Signal("sequence", 0, 32, signed=True),
+                Signal(
+                    "speed",
+                    32,
+                    32,
+                    signed=True,
+                    scale=MAX_SPEED / 1000 / GEAR,
+                    unit="rad/s",
+                    joint=propulsion,
+                    description='Wheel speed, "raw" a thousandth.',
+                ),
+            ),
+            SPAN,
+            "Propulsion command.",
+        ),
+        Frame(
+            f"{name}_rpdo4",
+            0x500 + n,
+            "pdo",
+            "master",
+            (name,),
+            8,
+            CYCLE,
+            CYCLE,
+            (
+                Signal(
+                    "position", 32, 32, signed=True, scale=LIMIT / 1000, unit="rad", joint=steering
+                ),
+            ),
+            SPAN,
+        ),
+        Frame(
+            f"{name}_tpdo1",
+            0x180 + n,
+            "pdo",
+            name,
+            ("master",),
+            8,
+            CYCLE,
+            CYCLE,
+            (
+                Signal(
+                    "propulsion_velocity",
+                    0,
+                    16,
+                    signed=True,
+                    scale=math.pi / 30 / GEAR,
+                    unit="rad/s",
+                    joint=propulsion,
+                ),
+                Signal(
+                    "steering_position",
+                    32,
+                    32,
+                    signed=True,
+                    scale=2 * math.pi / (4 * PPR * STEERING_GEAR),
+                    unit="rad",
+                    joint=steering,
+                ),
+            ),
+            SPAN,
+        ),
+        Frame(
+            f"{name}_tpdo4",
+            0x480 + n,
+            "pdo",
+            name,
+            ("master",),
+            8,
+            1.0,
+            1.0,
+            (
+                Signal(
+                    "content",
+                    24,
+                    8,
+                    multiplexer=True,
+                    choices=((1, "configuration"), (2, "version"), (3, "encoder")),
+                ),
+                Signal("configuration", 32, 32, selected_by=(1,)),
+                Signal("controller_type", 32, 8, selected_by=(2,)),
+                Signal("version_major", 56, 8, selected_by=(2,)),
+                Signal("propulsion_encoder_ppr", 32, 16, selected_by=(3,)),
+            ),
+            SPAN,
+        ),
+        Frame(
+            f"{name}_heartbeat",
+            0x700 + n,
+            "heartbeat",
+            name,
+            ("master",),
+            1,
+            0.1,
+            0.1,
+            (Signal("state", 0, 7, choices=((0, "boot_up"), (5, "operational"))),),
+            SPAN,
+        ),
+    )
+
+
+def drive_node(name: str, n: int, wheel: str) -> Node:
+    return Node(
+        name,
+        name.replace("_", "."),
+        "thorvald_roboteq",
+        n,
+        "canopen",
+        0x469,
+        None,
+        (
+            Channel("propulsion", "propulsion", f"{wheel}_propulsion"),
+            Channel("steering", "steering", f"{wheel}_steering"),
+        ),
+        (("heartbeat_timeout", 2.0),),
+        SPAN,
+    )
+
+
+def robot_with_bus() -> Robot:
+    """Two steered drives on one bus, with a battery on the same."""
+    robot = make_robot([(0.5, 0.4, "steered"), (0.5, -0.4, "steered"), (-0.5, 0.0, "swivel")])
+    battery = Node("battery", "battery", "kc", 1, "kc_battery", None, "0x12", (), (), SPAN)
+    frames = (
+        Frame("sync", 0x080, "sync", "master", ("w0_controller", "w1_controller"), 0,
+              CYCLE, CYCLE, (), SPAN),
+        *drive_frames("w0_controller", 3, "w0_axle", "w0_steering_axis"),
+        *drive_frames("w1_controller", 2, "w1_axle", "w1_steering_axis"),
+        Frame(
+            "battery_status", 0x3C1, "broadcast", "battery", ("master",), 8, 0.1, 0.1,
+            (
+                Signal("voltage", 16, 16, scale=0.01, unit="V"),
+                Signal("temperature", 48, 8, signed=True, unit="°C", offset=-40.0),
+            ),
+            SPAN,
+        ),
+    )  # fmt: skip
+    bus = Bus(
+        "main",
+        500_000,
+        CYCLE,
+        (drive_node("w0_controller", 3, "w0"), drive_node("w1_controller", 2, "w1"), battery),
+        frames,
+        SPAN,
+    )
+    return dataclasses.replace(
+        robot,
+        buses=(bus,),
+        batteries=(Battery("battery", "battery", "frame_body", "battery", (), SPAN),),
+        actuators=tuple(
+            dataclasses.replace(a, node=f"{a.module}_controller", channel=a.role)
+            for a in robot.actuators
+        ),
+    )

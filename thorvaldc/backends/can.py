@@ -1,0 +1,296 @@
+"""The CAN map: `can/canmap.json`, which is normative, and a DBC for tools.
+
+docs/canmap.md describes the JSON.  Everything in it was computed before: ids,
+COB-IDs and scalings are those of the model.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import sys
+import types
+from collections.abc import Iterable
+from typing import Any
+
+from thorvaldc.backends import Backend
+from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.model import Robot
+from thorvaldc.model.robot import Bus, Channel, Frame, Node, Signal
+
+FORMAT = "thorvaldc-canmap"
+VERSION = 1
+DBC_ENCODING = "cp1252"  # what readers of DBC files take for granted
+JOINT_UNITS = ("rad", "rad/s")
+
+
+class Can(Backend):
+    name = "can"
+    summary = "CAN map (JSON) and DBC of each bus"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        files = {"can/canmap.json": canmap_text(robot).encode()}
+        for bus in robot.buses:
+            path = "can/robot.dbc" if len(robot.buses) == 1 else f"can/{bus.name}.dbc"
+            files[path] = dbc_text(bus).encode(DBC_ENCODING, "replace")
+        return files
+
+    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
+        for bus in robot.buses:
+            for frame in bus.frames:
+                texts = [frame.description]
+                for signal in frame.signals:
+                    texts += (signal.description, signal.unit)
+                lost = [c for c in dict.fromkeys("".join(texts)) if not _in_dbc(c)]
+                if lost:
+                    yield Diagnostic(
+                        CODES["dbc-text"],
+                        f"the texts of `{frame.name}` have characters that a DBC file cannot "
+                        f"hold: {' '.join(lost[:8])}",
+                        frame.origin,
+                        "they are `?` there; the CAN map has them all",
+                    )
+
+
+def _in_dbc(character: str) -> bool:
+    try:
+        character.encode(DBC_ENCODING)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+# -- canmap.json --------------------------------------------------------------------
+
+
+def canmap_text(robot: Robot) -> str:
+    """The CAN map as JSON text; what is flat stands on one line, so that a diff reads well."""
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": robot.name,
+        "namespace": robot.namespace,
+        "buses": [_bus(robot, bus) for bus in robot.buses],
+    }
+    return _layout(head, 0) + "\n"
+
+
+def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
+    return {
+        "name": bus.name,
+        "bitrate": bus.bitrate,
+        "sync_period": bus.sync_period,
+        "master": {"name": "master", "id": bus.master_id},
+        "nodes": [_node(robot, bus, node) for node in bus.nodes],
+        "frames": [_frame(frame) for frame in bus.frames],
+    }
+
+
+def _node(robot: Robot, bus: Bus, node: Node) -> dict[str, Any]:
+    return {
+        "name": node.name,
+        "module": node.module,
+        "protocol": node.protocol,
+        "id": node.id,
+        "id_space": node.id_space,
+        "vendor_id": node.vendor_id,
+        "serial": node.serial,
+        "properties": dict(node.properties),
+        "channels": [_channel(robot, bus, node, channel) for channel in node.channels],
+    }
+
+
+def _channel(robot: Robot, bus: Bus, node: Node, channel: Channel) -> dict[str, Any]:
+    plain: dict[str, Any] = {"name": channel.name, "role": channel.role, "actuator": None}
+    actuator = next((a for a in robot.actuators if a.name == channel.actuator), None)
+    if actuator is None:
+        return plain
+    joint = robot.joint(actuator.joint)
+    return {
+        **plain,
+        "actuator": actuator.name,
+        "joint": joint.name,
+        "gear_ratio": actuator.gear_ratio,
+        "encoder_ppr": actuator.encoder_ppr,
+        "motor_max_speed": actuator.motor_max_speed,
+        "max_velocity": actuator.max_velocity,
+        "max_acceleration": actuator.max_acceleration,
+        "lower": joint.lower,
+        "upper": joint.upper,
+        "signals": [
+            {
+                "frame": frame.name,
+                "signal": signal.name,
+                "direction": "report" if frame.producer == node.name else "command",
+                "unit": signal.unit,
+                "scale": signal.scale,
+                "offset": signal.offset,
+            }
+            for frame in bus.frames
+            if node.name in (frame.producer, *frame.consumers)
+            for signal in frame.signals
+            if signal.joint == actuator.joint and signal.unit in JOINT_UNITS
+        ],
+    }
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    return {
+        "name": frame.name,
+        "cob_id": frame.cob_id,
+        "kind": frame.kind,
+        "producer": frame.producer,
+        "consumers": list(frame.consumers),
+        "length": frame.length,
+        "period": frame.period,
+        "deadline": frame.deadline,
+        "description": frame.description,
+        "signals": [_signal(signal) for signal in frame.signals],
+    }
+
+
+def _signal(signal: Signal) -> dict[str, Any]:
+    return {
+        "name": signal.name,
+        "start": signal.start,
+        "length": signal.length,
+        "signed": signal.signed,
+        "scale": signal.scale,
+        "offset": signal.offset,
+        "unit": signal.unit,
+        "minimum": signal.minimum,
+        "maximum": signal.maximum,
+        "joint": signal.joint,
+        "multiplexer": signal.multiplexer,
+        "selected_by": list(signal.selected_by),
+        "choices": {name: raw for raw, name in signal.choices},
+        "description": signal.description,
+    }
+
+
+def _layout(value: Any, depth: int) -> str:
+    pad, inner = "  " * depth, "  " * (depth + 1)
+    if isinstance(value, dict) and not all(_is_flat(v) for v in value.values()):
+        rows = [f"{inner}{_dump(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(rows) + f"\n{pad}}}"
+    if isinstance(value, list) and not _is_flat(value):
+        rows = [inner + _layout(v, depth + 1) for v in value]
+        return "[\n" + ",\n".join(rows) + f"\n{pad}]"
+    return _dump(value)
+
+
+def _is_flat(value: Any) -> bool:
+    """Whether the value has no containers in it."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    return not isinstance(value, list) or not any(isinstance(v, dict | list) for v in value)
+
+
+def _dump(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+# -- DBC ----------------------------------------------------------------------------
+
+
+def dbc_text(bus: Bus) -> str:
+    """The bus as a DBC file, written by cantools."""
+    db = _cantools_database()
+    can = db.can
+
+    class Message(can.Message):  # type: ignore[misc,name-defined]
+        """Not copied before it is written, as it is made for that alone: half of the time."""
+
+        def __deepcopy__(self, memo: dict[int, Any]) -> Message:
+            return self
+
+    nodes = [can.Node("master", "Master of the bus: the base driver.")] + [
+        can.Node(
+            node.name,
+            _plain(f"{node.module}: {node.protocol}, id {node.id} of {node.id_space}"),
+        )
+        for node in bus.nodes
+    ]
+    messages = [
+        Message(
+            frame.cob_id,
+            frame.name,
+            frame.length,
+            [_dbc_signal(db, frame, signal) for signal in frame.signals],
+            comment=_plain(frame.description) or None,
+            senders=[frame.producer],
+            # The attribute counts whole milliseconds; the CAN map has the exact period.
+            cycle_time=max(1, min(round(frame.period * 1000), 0xFFFF)) if frame.period else None,
+            strict=True,
+            sort_signals=None,
+        )
+        for frame in bus.frames
+    ]
+    specifics = importlib.import_module(f"{can.__name__}.formats.dbc.dbc_specifics")
+    database = can.Database(
+        messages=messages,
+        nodes=nodes,
+        buses=[can.Bus(bus.name, None, bus.bitrate)],
+        version="",
+        dbc_specifics=specifics.DbcSpecifics(),
+        sort_signals=None,
+    )
+    text: str = database.as_dbc_string(sort_signals=None)
+    return text
+
+
+def _dbc_signal(db: Any, frame: Frame, signal: Signal) -> Any:
+    selector = next((s.name for s in frame.signals if s.multiplexer), None)
+    conversion = importlib.import_module(f"{db.__name__}.conversion").BaseConversion
+    comment = signal.description
+    if signal.joint is not None:
+        comment = f"{comment} Joint {signal.joint}.".strip()
+    return db.can.Signal(
+        signal.name,
+        signal.start,
+        signal.length,
+        is_signed=signal.signed,
+        conversion=conversion.factory(
+            _number(signal.scale), _number(signal.offset), dict(signal.choices) or None
+        ),
+        minimum=signal.minimum,
+        maximum=signal.maximum,
+        unit=_plain(signal.unit) or None,
+        comment=_plain(comment) or None,
+        receivers=list(frame.consumers),
+        is_multiplexer=signal.multiplexer,
+        multiplexer_ids=list(signal.selected_by) or None,
+        multiplexer_signal=selector if signal.selected_by else None,
+    )
+
+
+def _number(value: float) -> float | int:
+    return int(value) if value.is_integer() else value
+
+
+def _plain(text: str) -> str:
+    """Text on one line without what ends or escapes a string in a DBC file."""
+    return " ".join(text.replace("\\", "/").replace('"', "'").split())
+
+
+def _cantools_database() -> Any:
+    """The package ``cantools.database``, without what ``import cantools`` brings along.
+
+    The top package also imports its bus tester and with it python-can, asyncio
+    and ssl: two thirds of the time, and a bus library in a compiler.  The part
+    that is wanted here does not need them, so it is imported under an empty
+    parent, which is taken away again.
+    """
+    if "cantools" in sys.modules or "cantools.database" in sys.modules:
+        return importlib.import_module("cantools.database")
+    found = importlib.util.find_spec("cantools")
+    if found is None or found.submodule_search_locations is None:
+        return importlib.import_module("cantools.database")  # says what is missing
+    parent = types.ModuleType("cantools")
+    parent.__path__ = list(found.submodule_search_locations)
+    sys.modules["cantools"] = parent
+    try:
+        return importlib.import_module("cantools.database")
+    finally:
+        del sys.modules["cantools"]
