@@ -8,25 +8,33 @@ result are in `bus_checks`.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Bus, Channel, Frame, Node, Scalar, Signal
-from thorvaldc.passes import bus_checks
-from thorvaldc.passes.bus_checks import Placed
-from thorvaldc.passes.scope import Scope, nearest
+from thorvaldc.passes.bus_checks import Placed, check_bus, check_wiring
+from thorvaldc.passes.bus_device import (
+    CANOPEN,
+    MASTER,
+    BusSpec,
+    Device,
+    Wire,
+    entries,
+    integer,
+    items,
+    listed,
+)
+from thorvaldc.passes.bus_frames import channel_names, frames_of, heartbeat
+from thorvaldc.passes.scope import Scope
 from thorvaldc.source import node as source
 from thorvaldc.source.units import UnitError, parse_any
 
-MASTER = "master"
-CANOPEN = "canopen"
+__all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
+
 MASTER_ID = 127
-MASTER_HEARTBEAT_PERIOD = 0.1
-HEARTBEAT_PERIOD = 0.1
-NMT_STATES = ((0, "boot_up"), (4, "stopped"), (5, "operational"), (127, "pre_operational"))
+MASTER_HEARTBEAT_PERIOD = 0.1  # s
 NMT_COMMANDS = (
     (1, "start"),
     (2, "stop"),
@@ -34,48 +42,6 @@ NMT_COMMANDS = (
     (129, "reset_node"),
     (130, "reset_communication"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Wire:
-    """A motor on a channel.  ``lower`` and ``upper`` (rad) limit its joint, if anything does.
-
-    ``span`` is the place that connects the two.
-    """
-
-    channel: str
-    actuator: Actuator
-    lower: float | None
-    upper: float | None
-    span: Span
-
-
-@dataclass(frozen=True, slots=True)
-class Device:
-    """A module with a `can` section in its place, as the elaboration found it.
-
-    ``can`` and ``channels`` are those sections of the module; ``address`` is what
-    the robot says under `can` of the module (an id, ``auto``, a mapping, or
-    ``None``); ``origin`` the module's place in the robot's file.
-    """
-
-    path: str
-    name: str
-    can: source.Node
-    channels: source.Node | None
-    wires: tuple[Wire, ...]
-    address: source.Node | None
-    scope: Scope
-    origin: Span
-
-
-@dataclass(frozen=True, slots=True)
-class BusSpec:
-    """A bus as the robot declares it: ``bitrate`` in bit/s."""
-
-    name: str
-    bitrate: int
-    span: Span
 
 
 def build_buses(
@@ -93,7 +59,7 @@ def build_buses(
     if not specs:
         return ()
     present = [device for device in devices if _is_present(device, report)]
-    bus_checks.check_wiring(present, actuators, report)
+    check_wiring(present, actuators, report)
     placed = _place(present, specs, sync_period, report)
     if not placed:
         return ()
@@ -179,7 +145,7 @@ def _place(
                 request.span,
             )
             continue
-        named = scope.with_names({"id": node_id, **_channel_names(device)})
+        named = scope.with_names({"id": node_id, **channel_names(device)})
         device_with_names = dataclasses.replace(device, scope=named)
         placed.append(
             Placed(
@@ -187,7 +153,7 @@ def _place(
                 request.bus,
                 request.span,
                 _node(device_with_names, node_id, request),
-                tuple(_frames(device_with_names, node_id, sync_period, report)),
+                tuple(frames_of(device_with_names, node_id, sync_period, report)),
                 _bitrates(device),
                 device.can.where,
             )
@@ -211,7 +177,7 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
             "can-bus-unknown",
             f"there is no bus `{name}`",
             bus.span,
-            hint=nearest(name, known),
+            hint=did_you_mean(name, known, listed(known)),
         )
         name = default
     return _Request(
@@ -227,35 +193,13 @@ def _id_space(device: Device) -> str:
 
 
 def _id_range(device: Device, key: str, default: tuple[int, int]) -> tuple[int, int]:
-    found = device.can.get(key)
-    if found is None or not isinstance(found.value, tuple) or len(found.value) != 2:
-        return default
-    low, high = (device.scope.quantity(n, "number") for n in found.value)
-    return int(low), int(high)
+    ends = [integer(device.scope, node, 0) for node in items(device.can.get(key))]
+    return (ends[0], ends[1]) if len(ends) == 2 else default
 
 
 def _bitrates(device: Device) -> tuple[int, ...]:
-    found = device.can.get("bitrates")
-    if found is None or not isinstance(found.value, tuple):
-        return ()
-    return tuple(round(device.scope.quantity(n, "bitrate")) for n in found.value)
-
-
-def _channel_names(device: Device) -> dict[str, dict[str, float | int]]:
-    return {
-        wire.channel: {
-            "gear_ratio": wire.actuator.gear_ratio,
-            "encoder_ppr": wire.actuator.encoder_ppr,
-            "motor_max_speed": wire.actuator.motor_max_speed,
-            "max_velocity": wire.actuator.max_velocity,
-            "lower": -math.pi if wire.lower is None else wire.lower,
-            "upper": math.pi if wire.upper is None else wire.upper,
-        }
-        for wire in device.wires
-    }
-
-
-# -- nodes and frames -----------------------------------------------------------------
+    found = items(device.can.get("bitrates"))
+    return tuple(round(device.scope.quantity(node, "bitrate")) for node in found)
 
 
 def _node(device: Device, node_id: int, request: _Request) -> Node:
@@ -268,15 +212,15 @@ def _node(device: Device, node_id: int, request: _Request) -> Node:
         scope.text(can.get("protocol")),
         node_id,
         _id_space(device),
-        int(scope.quantity(vendor, "number")) if vendor is not None else None,
+        integer(scope, vendor, 0) if vendor is not None else None,
         request.serial,
         tuple(
             Channel(name, scope.text(node.get("role")), wired.get(name))
-            for name, node in _entries(device.channels)
+            for name, node in entries(device.channels)
         ),
         tuple(
             (name, value)
-            for name, node in _entries(can.get("properties"))
+            for name, node in entries(can.get("properties"))
             if (value := _scalar(scope, node)) is not None
         ),
         device.origin,
@@ -294,181 +238,6 @@ def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
     return value if isinstance(value, bool | int | float | str) else None
 
 
-def _frames(device: Device, node_id: int, sync_period: float, report: Report) -> Iterator[Frame]:
-    scope, name = device.scope, device.name
-    for key, node in _entries(device.can.get("frames")):
-        cob_id = _integer(scope, node.get("cob_id"), -1)
-        if not 0 <= cob_id <= 0x7FF:
-            place = node.get("cob_id") or node
-            report.add(
-                "can-cob-id-range",
-                f"the frame `{key}` of `{device.path}` has the identifier {cob_id:#x}; "
-                "a standard frame has 0x0 to 0x7ff",
-                place.span,
-                labels=[Label(device.origin, "this device has it")],
-            )
-            continue
-        length = _integer(scope, node.get("length"), 8)
-        period = _period(scope, node.get("period"), sync_period)
-        signals = tuple(_signals(device, node))
-        fits = bus_checks.check_layout(node, length, signals, report)
-        kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
-        sends = scope.text(node.get("direction"), "report") == "command"
-        if sends and signals and not kept:
-            period = None  # nothing to say: the motors that it is for are not there
-        deadline = node.get("deadline")
-        if fits:
-            yield Frame(
-                f"{name}_{key}",
-                cob_id,
-                scope.text(node.get("kind"), "pdo"),
-                MASTER if sends else name,
-                (name,) if sends else (MASTER,),
-                length,
-                period,
-                scope.quantity(deadline, "time") if deadline is not None else period,
-                kept,
-                node.where,
-                scope.text(node.get("description")),
-            )
-    yield from _standard_frames(device, node_id)
-
-
-def _standard_frames(device: Device, node_id: int) -> Iterator[Frame]:
-    """The CANopen objects that the device says it has (CiA 301, predefined connection set)."""
-    found = device.can.get("canopen")
-    if found is None or not isinstance(found.value, tuple):
-        return
-    name, here = device.name, found.where
-    for item in found.value:
-        if item.value == "emcy":
-            yield Frame(
-                f"{name}_emcy",
-                0x080 + node_id,
-                "emcy",
-                name,
-                (MASTER,),
-                8,
-                None,
-                None,
-                (
-                    Signal("error_code", 0, 16),
-                    Signal("error_register", 16, 8),
-                    Signal("manufacturer_error", 24, 40),
-                ),
-                here,
-                "Emergency: a fault has come or gone.",
-            )
-        elif item.value == "sdo":
-            for way, base, producer, consumer in (
-                ("request", 0x600, MASTER, name),
-                ("response", 0x580, name, MASTER),
-            ):
-                yield Frame(
-                    f"{name}_sdo_{way}",
-                    base + node_id,
-                    "sdo",
-                    producer,
-                    (consumer,),
-                    8,
-                    None,
-                    None,
-                    (
-                        Signal("command", 0, 8),
-                        Signal("index", 8, 16),
-                        Signal("subindex", 24, 8),
-                        Signal("data", 32, 32),
-                    ),
-                    here,
-                    f"Access to the object dictionary, {way}.",
-                )
-        elif item.value == "heartbeat":
-            period = device.can.get("heartbeat_period")
-            every = (
-                device.scope.quantity(period, "time") if period is not None else HEARTBEAT_PERIOD
-            )
-            yield _heartbeat(name, 0x700 + node_id, name, (MASTER,), every, here)
-
-
-def _heartbeat(
-    prefix: str, cob_id: int, producer: str, consumers: tuple[str, ...], period: float, here: Span
-) -> Frame:
-    return Frame(
-        f"{prefix}_heartbeat",
-        cob_id,
-        "heartbeat",
-        producer,
-        consumers,
-        1,
-        period,
-        period,
-        (Signal("state", 0, 7, choices=NMT_STATES),),
-        here,
-        "Sign of life with the state of the network management.",
-    )
-
-
-def _signals(device: Device, frame: source.Node) -> Iterator[tuple[Signal, str | None]]:
-    """The signals of a frame, each with its channel."""
-    scope = device.scope
-    joints = {wire.channel: wire.actuator.joint for wire in device.wires}
-    for name, node in _entries(frame.get("signals")):
-        channel_node = node.get("channel")
-        channel = scope.text(channel_node) if channel_node is not None else None
-        wired = _is_wired(device, channel)
-
-        def value(key: str, otherwise: float, node: source.Node = node, wired: bool = wired) -> Any:
-            # The numbers of a channel without a motor have no meaning and are not evaluated.
-            found = node.get(key) if wired else None
-            return otherwise if found is None else scope.quantity(found, "number", otherwise)
-
-        signal = Signal(
-            name,
-            _integer(scope, node.get("start"), 0),
-            _integer(scope, node.get("length"), 1),
-            scope.boolean(node.get("signed"), False),
-            value("scale", 1.0),
-            value("offset", 0.0),
-            scope.text(node.get("unit")),
-            value("minimum", 0.0) if node.get("minimum") is not None else None,
-            value("maximum", 0.0) if node.get("maximum") is not None else None,
-            joints.get(channel) if channel is not None else None,
-            scope.boolean(node.get("multiplexer"), False),
-            tuple(_integer(scope, item, 0) for item in _items(node.get("selected_by"))),
-            tuple(
-                (_integer(scope, raw, 0), choice) for choice, raw in _entries(node.get("choices"))
-            ),
-            scope.text(node.get("description")),
-        )
-        yield signal, channel
-
-
-def _is_wired(device: Device, channel: str | None) -> bool:
-    return channel is None or any(wire.channel == channel for wire in device.wires)
-
-
-def _period(scope: Scope, node: source.Node | None, sync_period: float) -> float | None:
-    if node is None or node.value == "on_demand":
-        return None
-    return sync_period if node.value == "cycle" else scope.quantity(node, "time")
-
-
-def _integer(scope: Scope, node: source.Node | None, default: int) -> int:
-    if node is None:
-        return default
-    if type(node.value) is int:
-        return node.value
-    return round(scope.quantity(node, "number", default))
-
-
-def _entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
-
-
-def _items(node: source.Node | None) -> tuple[source.Node, ...]:
-    return node.value if node is not None and isinstance(node.value, tuple) else ()
-
-
 # -- the bus ------------------------------------------------------------------------
 
 
@@ -484,7 +253,7 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
         tuple(frames),
         spec.span,
     )
-    bus_checks.check_bus(bus, placed, report)
+    check_bus(bus, placed, report)
     return bus
 
 
@@ -519,4 +288,4 @@ def _master_frames(spec: BusSpec, placed: Sequence[Placed], sync_period: float) 
         spec.span,
         "The control cycle's beat, after its commands.",
     )
-    yield _heartbeat(MASTER, 0x700 + MASTER_ID, MASTER, nodes, MASTER_HEARTBEAT_PERIOD, spec.span)
+    yield heartbeat(MASTER, 0x700 + MASTER_ID, MASTER, nodes, MASTER_HEARTBEAT_PERIOD, spec.span)

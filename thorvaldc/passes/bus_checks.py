@@ -5,18 +5,13 @@ Every fault between two parties names both places.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.robot import Actuator, Bus, Frame, Node, Signal
-from thorvaldc.passes.scope import nearest
-from thorvaldc.source import node as source
-
-if TYPE_CHECKING:
-    from thorvaldc.passes.bus import Device, Wire
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.robot import Actuator, Bus, Frame, Node
+from thorvaldc.passes.bus_device import MASTER, Device, Wire, entries, listed
 
 # Identifiers that CiA 301 (table "restricted CAN-IDs") keeps for its own services.
 RESTRICTED = (
@@ -30,7 +25,6 @@ RESTRICTED = (
 # Services of CANopen that no device needs to declare to have them spoil its frames.
 STANDARD = ((0x100, "TIME"), (0x7E4, "LSS response"), (0x7E5, "LSS request"))
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +59,7 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                     "channel-unknown",
                     f"`{device.path}` has no channel `{wire.channel}`",
                     wire.span,
-                    hint=nearest(wire.channel, list(roles)),
+                    hint=did_you_mean(wire.channel, roles, listed(roles)),
                 )
                 continue
             if wire.channel in used:
@@ -127,165 +121,7 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
 
 
 def _roles(device: Device) -> dict[str, str]:
-    channels = device.channels
-    if channels is None or not isinstance(channels.value, dict):
-        return {}
-    return {name: device.scope.text(n.get("role")) for name, n in channels.value.items()}
-
-
-# -- one frame ------------------------------------------------------------------------
-
-
-def check_layout(
-    frame: source.Node,
-    length: int,
-    signals: Sequence[tuple[Signal, str | None]],
-    report: Report,
-) -> bool:
-    """Whether the signals lie in the frame, apart from each other, and are selected rightly."""
-    before = len(report)
-    if not 0 <= length <= 8:
-        place = frame.get("length") or frame
-        report.add(
-            "can-frame-length",
-            f"the frame has {length} bytes; a CAN frame has 0 to 8 (64 bits)",
-            place.span,
-        )
-        return False
-    nodes = frame.get("signals")
-    span_of = {
-        name: node.where
-        for name, node in (
-            nodes.value.items() if nodes is not None and isinstance(nodes.value, dict) else ()
-        )
-    }
-    selector: Signal | None = None
-    for signal, _ in signals:
-        here = span_of[signal.name]
-        if signal.length < 1 or signal.start < 0 or signal.start + signal.length > 8 * length:
-            report.add(
-                "can-signal-bounds",
-                f"the signal `{signal.name}` has the bits {signal.start} to "
-                f"{signal.start + signal.length - 1}; the frame has 0 to {8 * length - 1}",
-                here,
-            )
-        low, high = raw_range(signal)
-        for raw, choice in signal.choices:
-            if not low <= raw <= high:
-                report.add(
-                    "can-choice-range",
-                    f"`{choice}` is {raw}; the {signal.length} bits of `{signal.name}` "
-                    f"can say {low} to {high}",
-                    here,
-                )
-        if signal.multiplexer and selector is not None:
-            report.add(
-                "can-multiplexer",
-                f"the frame has two multiplexers, `{selector.name}` and `{signal.name}`",
-                here,
-                labels=[Label(span_of[selector.name], "the first")],
-            )
-        elif signal.multiplexer:
-            selector = signal
-    for signal, _ in signals:
-        if signal.selected_by and (selector is None or selector is signal):
-            report.add(
-                "can-multiplexer",
-                f"`{signal.name}` is selected by a multiplexer, but the frame has none",
-                span_of[signal.name],
-                hint="mark the signal that selects with `multiplexer: true`",
-            )
-        elif selector is not None:
-            low, high = raw_range(selector)
-            for value in signal.selected_by:
-                if not low <= value <= high:
-                    report.add(
-                        "can-multiplexer",
-                        f"`{signal.name}` is selected by {value}; `{selector.name}` "
-                        f"can say {low} to {high}",
-                        span_of[signal.name],
-                    )
-    for (first, _), (second, _) in itertools.combinations(signals, 2):
-        if _overlap(first, second):
-            report.add(
-                "can-signal-overlap",
-                f"the signals `{first.name}` (bits {first.start} to "
-                f"{first.start + first.length - 1}) and `{second.name}` (bits {second.start} to "
-                f"{second.start + second.length - 1}) share bits",
-                span_of[second.name],
-                labels=[Label(span_of[first.name], "first used here")],
-            )
-    return len(report) == before
-
-
-def _overlap(a: Signal, b: Signal) -> bool:
-    if a.start + a.length <= b.start or b.start + b.length <= a.start:
-        return False
-    if not a.selected_by or not b.selected_by:
-        return True
-    return any(value in b.selected_by for value in a.selected_by)
-
-
-def raw_range(signal: Signal) -> tuple[int, int]:
-    """Smallest and largest raw value of the field."""
-    if signal.signed:
-        return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
-    return 0, (1 << signal.length) - 1
-
-
-def check_scales(
-    device: Device, frame: source.Node, signals: Sequence[tuple[Signal, str | None]], report: Report
-) -> None:
-    """The full speed and the full angle of each joint must fit into its field."""
-    wires = {wire.channel: wire for wire in device.wires}
-    nodes = frame.get("signals")
-    for signal, channel in signals:
-        node = nodes.get(signal.name) if nodes is not None else None
-        if node is None or (channel is not None and channel not in wires):
-            continue
-        if signal.scale == 0.0:
-            report.add(
-                "can-scale",
-                f"the scale of `{signal.name}` is 0: every value would be the same",
-                (node.get("scale") or node).span,
-            )
-            continue
-        if channel is None:
-            continue
-        wanted = _joint_range(wires[channel], signal.unit)
-        if wanted is None:
-            continue
-        low, high = _physical_range(signal)
-        slack = ROUNDING * max(abs(wanted[0]), abs(wanted[1]))
-        if low <= wanted[0] + slack and wanted[1] - slack <= high:
-            continue
-        field = f"{signal.length} {'signed' if signal.signed else 'unsigned'} bits"
-        report.add(
-            "can-scale",
-            f"`{signal.name}` can say {low:.4g} to {high:.4g} {signal.unit}; the joint "
-            f"`{signal.joint}` has {wanted[0]:.4g} to {wanted[1]:.4g} {signal.unit}",
-            device.origin,
-            labels=[
-                Label(node.where, f"{field}, {signal.scale:.4g} {signal.unit} a step"),
-                Label(wires[channel].actuator.origin, "the motor"),
-            ],
-            hint="a wider field, a coarser scale, or lower limits of the motor or joint",
-        )
-
-
-def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
-    if unit == "rad/s":
-        return -wire.actuator.max_velocity, wire.actuator.max_velocity
-    if unit == "rad" and wire.lower is not None and wire.upper is not None:
-        return wire.lower, wire.upper
-    return None
-
-
-def _physical_range(signal: Signal) -> tuple[float, float]:
-    ends = sorted(raw * signal.scale + signal.offset for raw in raw_range(signal))
-    low = ends[0] if signal.minimum is None else max(ends[0], signal.minimum)
-    high = ends[1] if signal.maximum is None else min(ends[1], signal.maximum)
-    return low, high
+    return {n: device.scope.text(node.get("role")) for n, node in entries(device.channels)}
 
 
 # -- one bus --------------------------------------------------------------------------
@@ -418,10 +254,10 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
         if frame.name not in own:
             canopen = True
             what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
-            yield _Claim(frame.cob_id, what, "master", bus.origin, None)
+            yield _Claim(frame.cob_id, what, MASTER, bus.origin, None)
     if canopen:
         for cob_id, service in STANDARD:
-            yield _Claim(cob_id, service, "master", bus.origin, None)
+            yield _Claim(cob_id, service, MASTER, bus.origin, None)
     for device in placed:
         if device.node.name in skipped:
             continue
@@ -436,10 +272,10 @@ def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     spans = {frame.name: device.span for device in placed for frame in device.frames}
     seen: dict[str, Frame] = {}
     for device in placed:
-        if device.node.name == "master":
+        if device.node.name == MASTER:
             report.add(
                 "can-name-conflict",
-                "a device named `master` cannot be told from the bus's master",
+                f"a device named `{MASTER}` cannot be told from the bus's master",
                 device.span,
                 hint="give the module another name",
             )

@@ -1,0 +1,81 @@
+"""Devices of a robot as the elaboration hands them over, and readers of their sections."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from thorvaldc.diagnostics import Span
+from thorvaldc.model.robot import Actuator
+from thorvaldc.passes.scope import Scope
+from thorvaldc.source.node import Node
+
+MASTER = "master"
+CANOPEN = "canopen"
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """A motor on a channel.  ``lower`` and ``upper`` (rad) limit its joint, if anything does.
+
+    ``span`` is the place that connects the two.
+    """
+
+    channel: str
+    actuator: Actuator
+    lower: float | None
+    upper: float | None
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A module with a `can` section in its place, as the elaboration found it.
+
+    ``can`` and ``channels`` are those sections of the module; ``address`` is what
+    the robot says under `can` of the module (an id, ``auto``, a mapping, or
+    ``None``); ``origin`` the module's place in the robot's file.
+    """
+
+    path: str
+    name: str
+    can: Node
+    channels: Node | None
+    wires: tuple[Wire, ...]
+    address: Node | None
+    scope: Scope
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class BusSpec:
+    """A bus as the robot declares it: ``bitrate`` in bit/s."""
+
+    name: str
+    bitrate: int
+    span: Span
+
+
+def entries(node: Node | None) -> list[tuple[str, Node]]:
+    """The entries of a mapping, none where there is no mapping."""
+    return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
+
+
+def items(node: Node | None) -> tuple[Node, ...]:
+    """The items of a list, none where there is no list."""
+    return node.value if node is not None and isinstance(node.value, tuple) else ()
+
+
+def integer(scope: Scope, node: Node | None, default: int) -> int:
+    """A whole number, or ``default`` where it is left out or at fault."""
+    if node is None:
+        return default
+    if type(node.value) is int:
+        return node.value
+    return round(scope.quantity(node, "ratio", default))
+
+
+def listed(known: Iterable[str]) -> str:
+    """A hint with all that could have been meant."""
+    names = ", ".join(f"`{name}`" for name in known)
+    return f"there are {names}" if names else "there are none"

@@ -1,0 +1,190 @@
+"""The frames of a device: its module's, and the CANopen objects that it has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.model.robot import Frame, Signal
+from thorvaldc.passes.bus_device import MASTER, Device, entries, integer, items
+from thorvaldc.passes.frame_checks import check_channels, check_layout, check_scales
+from thorvaldc.passes.scope import Scope
+from thorvaldc.source.node import Node
+
+HEARTBEAT_PERIOD = 0.1  # s, where the module does not say
+NMT_STATES = ((0, "boot_up"), (4, "stopped"), (5, "operational"), (127, "pre_operational"))
+
+
+def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
+    return {
+        wire.channel: {
+            "gear_ratio": wire.actuator.gear_ratio,
+            "encoder_ppr": wire.actuator.encoder_ppr,
+            "motor_max_speed": wire.actuator.motor_max_speed,
+            "max_velocity": wire.actuator.max_velocity,
+            "lower": -math.pi if wire.lower is None else wire.lower,
+            "upper": math.pi if wire.upper is None else wire.upper,
+        }
+        for wire in device.wires
+    }
+
+
+def frames_of(device: Device, node_id: int, sync_period: float, report: Report) -> Iterator[Frame]:
+    scope, name = device.scope, device.name
+    for key, node in entries(device.can.get("frames")):
+        cob_id = integer(scope, node.get("cob_id"), -1)
+        if not 0 <= cob_id <= 0x7FF:
+            place = node.get("cob_id") or node
+            report.add(
+                "can-cob-id-range",
+                f"the frame `{key}` of `{device.path}` has the identifier {cob_id:#x}; "
+                "a standard frame has 0x0 to 0x7ff",
+                place.span,
+                labels=[Label(device.origin, "this device has it")],
+            )
+            continue
+        length = integer(scope, node.get("length"), 8)
+        period = _period(scope, node.get("period"), sync_period)
+        signals = tuple(_signals(device, node))
+        check_channels(device, node, report)
+        fits = check_layout(node, length, signals, report)
+        kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
+        sends = scope.text(node.get("direction"), "report") == "command"
+        if sends and signals and not kept:
+            period = None  # nothing to say: the motors that it is for are not there
+        deadline = node.get("deadline")
+        if fits:
+            check_scales(device, node, signals, report)
+            yield Frame(
+                f"{name}_{key}",
+                cob_id,
+                scope.text(node.get("kind"), "pdo"),
+                MASTER if sends else name,
+                (name,) if sends else (MASTER,),
+                length,
+                period,
+                scope.quantity(deadline, "time") if deadline is not None else period,
+                kept,
+                node.where,
+                scope.text(node.get("description")),
+            )
+    yield from _standard_frames(device, node_id)
+
+
+def _standard_frames(device: Device, node_id: int) -> Iterator[Frame]:
+    """The CANopen objects that the device says it has (CiA 301, predefined connection set)."""
+    found = device.can.get("canopen")
+    if found is None or not isinstance(found.value, tuple):
+        return
+    name, here = device.name, found.where
+    for item in found.value:
+        if item.value == "emcy":
+            yield Frame(
+                f"{name}_emcy",
+                0x080 + node_id,
+                "emcy",
+                name,
+                (MASTER,),
+                8,
+                None,
+                None,
+                (
+                    Signal("error_code", 0, 16),
+                    Signal("error_register", 16, 8),
+                    Signal("manufacturer_error", 24, 40),
+                ),
+                here,
+                "Emergency: a fault has come or gone.",
+            )
+        elif item.value == "sdo":
+            for way, base, producer, consumer in (
+                ("request", 0x600, MASTER, name),
+                ("response", 0x580, name, MASTER),
+            ):
+                yield Frame(
+                    f"{name}_sdo_{way}",
+                    base + node_id,
+                    "sdo",
+                    producer,
+                    (consumer,),
+                    8,
+                    None,
+                    None,
+                    (
+                        Signal("command", 0, 8),
+                        Signal("index", 8, 16),
+                        Signal("subindex", 24, 8),
+                        Signal("data", 32, 32),
+                    ),
+                    here,
+                    f"Access to the object dictionary, {way}.",
+                )
+        elif item.value == "heartbeat":
+            period = device.can.get("heartbeat_period")
+            every = (
+                device.scope.quantity(period, "time") if period is not None else HEARTBEAT_PERIOD
+            )
+            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), every, here)
+
+
+def heartbeat(
+    prefix: str, cob_id: int, producer: str, consumers: tuple[str, ...], period: float, here: Span
+) -> Frame:
+    return Frame(
+        f"{prefix}_heartbeat",
+        cob_id,
+        "heartbeat",
+        producer,
+        consumers,
+        1,
+        period,
+        period,
+        (Signal("state", 0, 7, choices=NMT_STATES),),
+        here,
+        "Sign of life with the state of the network management.",
+    )
+
+
+def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
+    """The signals of a frame, each with its channel."""
+    scope = device.scope
+    joints = {wire.channel: wire.actuator.joint for wire in device.wires}
+    for name, node in entries(frame.get("signals")):
+        channel_node = node.get("channel")
+        channel = scope.text(channel_node) if channel_node is not None else None
+        wired = _is_wired(device, channel)
+
+        def value(key: str, otherwise: float, node: Node = node, wired: bool = wired) -> Any:
+            # The numbers of a channel without a motor have no meaning and are not evaluated.
+            found = node.get(key) if wired else None
+            return otherwise if found is None else scope.quantity(found, "ratio", otherwise)
+
+        signal = Signal(
+            name,
+            integer(scope, node.get("start"), 0),
+            integer(scope, node.get("length"), 1),
+            scope.boolean(node.get("signed"), False),
+            value("scale", 1.0),
+            value("offset", 0.0),
+            scope.text(node.get("unit")),
+            value("minimum", 0.0) if node.get("minimum") is not None else None,
+            value("maximum", 0.0) if node.get("maximum") is not None else None,
+            joints.get(channel) if channel is not None else None,
+            scope.boolean(node.get("multiplexer"), False),
+            tuple(integer(scope, item, 0) for item in items(node.get("selected_by"))),
+            tuple((integer(scope, raw, 0), choice) for choice, raw in entries(node.get("choices"))),
+            scope.text(node.get("description")),
+        )
+        yield signal, channel
+
+
+def _is_wired(device: Device, channel: str | None) -> bool:
+    return channel is None or any(wire.channel == channel for wire in device.wires)
+
+
+def _period(scope: Scope, node: Node | None, sync_period: float) -> float | None:
+    if node is None or node.value == "on_demand":
+        return None
+    return sync_period if node.value == "cycle" else scope.quantity(node, "time")
