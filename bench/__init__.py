@@ -1,0 +1,5 @@
+"""``make bench``: figures that are held to a bound.
+
+A module in this package that has ``figures() -> Iterable[Figure]`` is found and
+run, in alphabetical order; nothing else is to be edited to add one.
+"""

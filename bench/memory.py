@@ -1,0 +1,32 @@
+"""Peak memory of a build."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Iterator
+
+from bench.figure import EXAMPLE, ROOT, Figure, python
+
+# A process of its own, small, so that its memory is not counted for the build's.
+MEASURE = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def figures() -> Iterator[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        build = python("-m", "thorvaldc", "build", str(EXAMPLE), "-o", f"{folder}/out")
+        done = subprocess.run(
+            python("-c", MEASURE, *build), cwd=ROOT, check=True, capture_output=True, text=True
+        )
+    yield Figure(
+        "peak memory of a build",
+        int(done.stdout) / 1024,
+        "MB",
+        150,
+        "lower",
+        "largest resident set of the process that builds 4WD4WS to all four targets",
+    )
