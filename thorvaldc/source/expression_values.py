@@ -63,15 +63,16 @@ def _number_or_refuse(value: Any, offset: int, what: str) -> Number:
 
 
 def _truth(value: Any, offset: int, what: str) -> bool:
+    """A module that was chosen counts as true, one that is `none` as false."""
+    if isinstance(value, bool):
+        return value
     if value is None or isinstance(value, Mapping):
-        return value is not None  # a module that was chosen, or `none`
-    if not isinstance(value, bool):
-        raise ExpressionError(
-            f"{what} wants true or false, not {shown(value)}",
-            offset,
-            hint="compare it, as in `count > 0`",
-        )
-    return value
+        return value is not None
+    raise ExpressionError(
+        f"{what} wants true or false, not {shown(value)}",
+        offset,
+        hint="compare it, as in `count > 0`",
+    )
 
 
 def constant(token: Token) -> Evaluate:

@@ -179,6 +179,7 @@ QUANTITIES: dict[str, Quantity] = _quantities(
         ((2, 1, -1, 0, 0, -1, 0), (2, 1, -1, 0, 0, 0, 0)),
     ),
     ("ratio", "1", "42:1", (_NONE,)),
+    ("number", "1", "0.8", (_NONE,)),
     ("frequency", "Hz", "50 Hz", (_PER_TIME,)),
     ("voltage", "V", "48 V", (_VOLTAGE,)),
     ("current", "A", "30 A", ((0, 0, 0, 1, 0, 0, 0),)),
