@@ -86,7 +86,7 @@ def to_json(model: Robot | Fleet) -> str:
     """The model as JSON text, without mesh bytes; ``from_json`` reads it back equal."""
     kind = type(model).__name__
     head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": _encode(model)}
-    return json.dumps(head, ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+    return json.dumps(head, ensure_ascii=False, separators=(",", ":"), allow_nan=False) + "\n"
 
 
 def from_json(text: str) -> Robot | Fleet:

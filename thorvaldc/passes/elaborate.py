@@ -32,7 +32,6 @@ from thorvaldc.passes.base import (
     static_loads,
 )
 from thorvaldc.passes.bus import BusSpec, Device, Wire, build_buses, connect_actuators
-from thorvaldc.passes.extras import load_extras
 from thorvaldc.passes.hardware import Hardware, hardware_of
 from thorvaldc.passes.resolve import Instance, Resolver
 from thorvaldc.passes.scope import Scope
@@ -242,6 +241,8 @@ class Elaborator:
         extras = self.document.get("extras")
         if extras is None or not isinstance(extras.value, tuple):
             return ()
+        from thorvaldc.passes.extras import load_extras
+
         roots = {
             flat(path): f"{flat(path)}_{own.links[0].name}"
             for path, own in hardware.items()
