@@ -237,9 +237,17 @@ class _Builder:
             if not isinstance(values, tuple | list):
                 self.report.add("wrong-type", "a list is wanted", node.span)
                 values = ()
-            items = [self.scope.quantity(v, "number") if isinstance(v, Node) else v for v in values]
+            items = [self._any(v) if isinstance(v, Node) else v for v in values]
             scopes = [s.with_names({name: item}) for s in scopes for item in items]
         return scopes
+
+    def _any(self, node: Node) -> Scalar:
+        """A value of any kind; text with a unit in SI."""
+        value = self.scope.evaluate(node)
+        if isinstance(value, str) and not node.quoted:
+            with contextlib.suppress(UnitError):
+                return parse_any(value)
+        return value if isinstance(value, bool | int | float | str) else 0.0
 
     def _part(
         self,
@@ -366,7 +374,7 @@ class _Builder:
         linear = kind == "prismatic"
         position, speed = ("length", "velocity") if linear else ("angle", "angular_velocity")
         axis_node = node.get("axis")
-        axis = scope.vector(axis_node, "number", (0.0, 0.0, 1.0))
+        axis = scope.vector(axis_node, "ratio", (0.0, 0.0, 1.0))
         length = norm(axis)
         if length < 1e-9:
             self.report.add(
@@ -525,15 +533,7 @@ class _Builder:
     def _properties(self, node: Node | None) -> tuple[tuple[str, Scalar], ...]:
         """Named values; text that is a quantity becomes its SI value."""
         entries = node.value if node is not None and isinstance(node.value, dict) else {}
-        found: list[tuple[str, Scalar]] = []
-        for key, item in entries.items():
-            value = self.scope.evaluate(item)
-            if isinstance(value, str) and not item.quoted:
-                with contextlib.suppress(UnitError):
-                    value = parse_any(value)
-            if isinstance(value, bool | int | float | str):
-                found.append((key, value))
-        return tuple(found)
+        return tuple((key, self._any(item)) for key, item in entries.items())
 
 
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:

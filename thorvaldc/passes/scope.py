@@ -195,7 +195,7 @@ class Scope(Mapping[str, Any]):
                 self.report.add("wrong-type", f"a list is wanted, not {_found(node)}", node.span)
                 return ()
             return tuple(
-                self.quantity(v, quantity or "number") if isinstance(v, Node) else v for v in value
+                self.quantity(v, quantity or "ratio") if isinstance(v, Node) else v for v in value
             )
         if kind == "quantity":
             return self.quantity(node, quantity)
