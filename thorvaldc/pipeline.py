@@ -15,6 +15,7 @@ from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.checks import Design, check_robot
 from thorvaldc.passes.elaborate import elaborate
+from thorvaldc.passes.library_check import check_module
 from thorvaldc.passes.resolve import Resolver
 from thorvaldc.passes.scope import Scope, nearest
 from thorvaldc.schema.checker import check

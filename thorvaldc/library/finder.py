@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -139,14 +139,12 @@ class Library:
 
     def names(self) -> list[str]:
         """All type names, sorted."""
-        return sorted(set(self._walk()))
+        return sorted({name for folder, _ in self.folders for name in self.names_in(folder)})
 
-    def _walk(self) -> Iterator[str]:
-        for folder, _ in self.folders:
-            for root, folders, files in os.walk(folder):
-                folders.sort()
-                if FILE in files:
-                    yield Path(root).relative_to(folder).as_posix()
+    def names_in(self, folder: Path) -> list[str]:
+        """The types of one folder, sorted."""
+        found = (Path(root) for root, _, files in os.walk(folder) if FILE in files)
+        return sorted(root.relative_to(folder).as_posix() for root in found)
 
     def palette(self) -> dict[str, str]:
         """Colour names of all library folders; the user's come before ours."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model.robot import (
@@ -64,7 +65,7 @@ class Elaborator:
     ``base_dir`` is the folder of the robot file, for what it refers to.
     """
 
-    def __init__(self, document: Node, resolver: Resolver, base_dir: str, report: Report) -> None:
+    def __init__(self, document: Node, resolver: Resolver, base_dir: Path, report: Report) -> None:
         self.document = document
         self.resolver = resolver
         self.base_dir = base_dir
@@ -509,7 +510,7 @@ def _turn_z_to(axis: Vec3) -> tuple[float, float, float, float]:
     return (w / n, x, y, z)
 
 
-def elaborate(document: Node, resolver: Resolver, base_dir: str, report: Report) -> Robot | None:
+def elaborate(document: Node, resolver: Resolver, base_dir: Path, report: Report) -> Robot | None:
     """Resolve and elaborate a checked robot document; ``None`` with the faults reported."""
     instance = resolver.resolve(document)
     if instance is None or report.has_errors:

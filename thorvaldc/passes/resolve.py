@@ -99,6 +99,14 @@ class Resolver:
 
     # -- expansion ------------------------------------------------------------------
 
+    def expand(self, parent: Instance, name: str, entry: Node) -> None:
+        """Make a part of ``parent`` out of its entry, with all that it is made of."""
+        self._expand(parent, name, entry, entry.where, ())
+        part = parent.children.get(name)
+        if part is not None and not part.is_leaf:
+            self._root_part(part, entry)
+            self._mount_parts(part)
+
     def _expand(
         self, parent: Instance, name: str, entry: Node, origin: Span, chain: tuple[str, ...]
     ) -> None:

@@ -269,15 +269,12 @@ class Scope(Mapping[str, Any]):
             return
         if not isinstance(value, int | float) or isinstance(value, bool):
             return
-        for key, word, outside in (
-            ("minimum", "at least", lambda limit: value < limit),
-            ("maximum", "at most", lambda limit: value > limit),
-        ):
+        for key, word, sign in (("minimum", "at least", 1.0), ("maximum", "at most", -1.0)):
             limit_node = declared.get(key)
             if limit_node is None:
                 continue
             limit = self._typed(limit_node, declared)
-            if outside(limit):
+            if sign * value < sign * limit:
                 shown = limit_node.value if isinstance(limit_node.value, str) else f"{limit:g}"
                 if isinstance(shown, str) and shown.startswith("${"):
                     shown = f"{limit:g}"
