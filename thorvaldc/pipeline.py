@@ -66,6 +66,25 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
     return done
 
 
+@dataclass
+class LibraryCheck:
+    """What was found in a library folder: the types' names and their faults."""
+
+    names: list[str] = field(default_factory=list)
+    report: Report = field(default_factory=Report)
+    sources: dict[str, Path] = field(default_factory=dict)
+
+
+def check_library(folder: Path | None) -> LibraryCheck:
+    """Check every module type of a folder, of the project's own library for ``None``."""
+    library = Library([(folder, str(folder))] if folder is not None else [])
+    done = LibraryCheck(library.names_in(folder) if folder is not None else library.names())
+    for name in done.names:
+        check_module(name, library, done.report)
+    done.sources = library.files
+    return done
+
+
 def emit(model: Robot | Fleet, targets: Sequence[str], report: Report) -> dict[str, bytes]:
     """The files of the targets by relative path, and ``model.json``.
 
