@@ -168,7 +168,7 @@ def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
             try:
                 values.append(parse_quantity(item.value, quantity))
             except UnitError as fault:
-                report.add("extra-number", str(fault), item.span)
+                report.add(fault.code, fault.message, item.span, hint=fault.hint)
                 values.append(0.0)
         elif isinstance(item.value, (int, float)):
             values.append(float(item.value))

@@ -350,18 +350,18 @@ class _Reader:
         if geometry is None or not geometry.children:
             self.fault("extra-element", f"<{owner.tag}> has no geometry", geometry or owner)
             return None
-        self.check_content(geometry)
-        known = [c for c in geometry.children if c.tag in _CONTENT["geometry"][0]]
-        if len(known) != 1:
-            count = "no" if not known else str(len(known))
+        shape = geometry.children[0]
+        if len(geometry.children) > 1 or shape.tag not in _CONTENT["geometry"][0]:
+            count = len(geometry.children)
             self.fault(
                 "extra-element",
-                f"<geometry> has {count} shape that is known; it needs exactly one",
-                geometry,
+                f"<geometry> holds {count} shapes; it takes one"
+                if count > 1
+                else f"the shape <{shape.tag}> is not known",
+                geometry if count > 1 else shape,
                 "shapes are box, cylinder, sphere and mesh",
             )
             return None
-        shape = known[0]
         self.check_content(shape)
         if shape.tag == "mesh":
             return self.mesh(shape)
