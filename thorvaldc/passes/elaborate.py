@@ -242,7 +242,7 @@ class Elaborator:
         extras = self.document.get("extras")
         if extras is None or not isinstance(extras.value, tuple):
             return ()
-        from thorvaldc.passes.extras import load_extras
+        from thorvaldc.passes.extras import Attachment, load_extras
 
         roots = {
             flat(path): f"{flat(path)}_{own.links[0].name}"
@@ -276,14 +276,17 @@ class Elaborator:
                         return named[leaf.path], Pose()
             return None
 
+        def attach(text: str | None) -> Attachment | None:
+            place = (parts.links[1].name, Pose()) if text is None else resolve(text)
+            return Attachment(*place) if place is not None else None
+
         found = load_extras(
-            list(extras.value),
-            self.base_dir,
-            self.scope,
-            links,
-            resolve,
-            list(robot.children),
-            self.report,
+            extras.value,
+            Path(self.base_dir),
+            links=links,
+            joints={joint.name: joint.origin for joint in parts.joints},
+            attach=attach,
+            report=self.report,
         )
         parts.links.extend(found.links)
         parts.joints.extend(found.joints)
