@@ -37,4 +37,8 @@ def check_module(name: str, library: Library, report: Report) -> None:
         if can is not None:
             channels = leaf.type.document.get("channels")
             device = Device(leaf.path, "module", can, channels, (), None, leaf.scope, place)
-            build_buses([device], [BusSpec("bus", 500_000, place)], [], 0.02, report)
+            # Alone it drives no motor, which is a warning for a robot and nothing here.
+            found = Report()
+            build_buses([device], [BusSpec("bus", 500_000, place)], [], 0.02, found)
+            for fault in found.errors:
+                report.put(fault)

@@ -146,6 +146,9 @@ class Resolver:
                 if key in module.section("params"):
                     self._used_defaults.add((module.category, key))
                     given.setdefault(key, (node, scope))
+        for key, node in self._suggested(parent, entry).items():
+            if key in module.section("params"):
+                given.setdefault(key, (node, parent.scope))
         inner = Scope(module, given, self.library, report, entry)
         inner.check_given()
         inner.evaluate_all()
@@ -155,6 +158,25 @@ class Resolver:
             self._expand(instance, child, child_entry, origin, (*chain, module.name))
         if module.is_assembly:
             self._pass_can_on(instance)
+
+    def _suggested(self, parent: Instance, entry: Node) -> dict[str, Node]:
+        """What the port that an entry is mounted on suggests for its parameters.
+
+        The holder may stand later in the file, so it is looked up in the document.
+        """
+        mount = entry.get("mount")
+        port = mount.get("port") if mount is not None and isinstance(mount.value, dict) else mount
+        if port is None or not isinstance(port.value, str) or port.value.count(".") != 1:
+            return {}
+        holder, name = port.value.split(".")
+        document = parent.type.document if parent.type is not None else parent.entry
+        found = _entries(document.get("modules")).get(holder)
+        type_node = found.get("type") if found is not None else None
+        if type_node is None or not isinstance(type_node.value, str):
+            return {}
+        module = self.library.load(type_node.value, type_node, self.report)
+        socket = module.section("ports").get(name) if module is not None else None
+        return _entries(socket.get("suggests")) if socket is not None else {}
 
     def _pass_can_on(self, assembly: Instance) -> None:
         """The assembly's `can` belongs to the part that its type names."""
