@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable
 
@@ -25,6 +26,7 @@ def protect(work: Callable[[], int]) -> int:
             sys.stdout.flush()
         return status
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the second one would find us leaving
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has left; say nothing, here and at the interpreter's end.
