@@ -11,7 +11,7 @@ from pathlib import Path
 from thorvaldc import backends
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import OWN, Library
-from thorvaldc.model import Fleet, Placement, Pose, Robot
+from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.checks import Design, check_robot
 from thorvaldc.passes.elaborate import elaborate
@@ -121,7 +121,8 @@ def _robot(
     files.update(modules.files)
     if robot is not None and not report.has_errors:
         check_robot(robot, _design(document, modules, report), report)
-        _check_calculator(robot, document, report)
+        if robot.calculator.name != CalculatorChoice().name:
+            _check_calculator(robot, document, report)
     return robot
 
 

@@ -342,7 +342,7 @@ class Bus:
 class CalculatorChoice:
     """The base calculator's plugin name and its options."""
 
-    name: str
+    name: str = "general"
     options: tuple[tuple[str, Scalar], ...] = ()
 
 

@@ -400,13 +400,14 @@ class Elaborator:
     def _calculator(self) -> CalculatorChoice:
         node = self.document.get("base_calculator")
         if node is None:
-            return CalculatorChoice("general")
+            return CalculatorChoice()
+        default = CalculatorChoice().name
         if not isinstance(node.value, dict):
-            return CalculatorChoice(self.scope.text(node, "general"))
+            return CalculatorChoice(self.scope.text(node, default))
         options = node.get("options")
         entries = options.value if options is not None and isinstance(options.value, dict) else {}
         return CalculatorChoice(
-            self.scope.text(node.get("name"), "general"),
+            self.scope.text(node.get("name"), default),
             tuple(
                 (key, n.value)
                 for key, n in entries.items()
