@@ -1,0 +1,170 @@
+"""One steered wheel: which of its angles to take, and how fast to get there."""
+
+from __future__ import annotations
+
+import math
+
+from thorvaldc.runtime.calculators.geometry import WheelGeometry
+
+PI = math.pi
+TWO_PI = 2.0 * math.pi
+
+HOLD_BELOW = 1e-3
+"""Speed (m/s) of a wheel's place below which it has no direction worth following."""
+RESUME_ABOVE = 2e-3
+LIMIT_TOLERANCE = 1e-4
+"""How far (rad) past a limit an angle may be asked for; it is then clamped to the limit."""
+_TIE = 1e-9
+
+
+class Steering:
+    """The steering joint of one wheel (or of wheels that share it).
+
+    Remembers the angle last chosen and commanded, the branch (``direction``:
+    1.0 forward, -1.0 rolling backwards) and whether it holds.  All angles are
+    joint positions in rad, linear and never wrapped: a cable limits the joint.
+    """
+
+    __slots__ = (
+        "_hysteresis",
+        "_lower",
+        "_margin",
+        "_max_rate",
+        "_max_rate_change",
+        "_upper",
+        "acceleration",
+        "angle",
+        "direction",
+        "held",
+        "rate",
+        "target",
+        "unreachable",
+        "wheel",
+        "wheels",
+    )
+
+    def __init__(
+        self, wheel: WheelGeometry, wheels: tuple[int, ...], max_accel: float, hysteresis: float
+    ) -> None:
+        self.wheel = wheel
+        self.wheels = wheels
+        self.acceleration = max_accel
+        self._hysteresis = hysteresis
+        self._lower = -math.inf if wheel.lower is None else wheel.lower
+        self._upper = math.inf if wheel.upper is None else wheel.upper
+        self._max_rate = wheel.max_rate if wheel.max_rate > 0.0 else math.inf
+        self._max_rate_change = wheel.max_rate_change if wheel.max_rate_change > 0.0 else math.inf
+        self.reset(0.0)
+
+    def reset(self, angle: float) -> None:
+        """Start afresh with the joint at rest at ``angle``."""
+        self.angle = min(max(angle, self._lower), self._upper)
+        self.target = self.angle
+        self.rate = 0.0
+        self.direction = 1.0
+        self.held = True
+        self.unreachable = False
+
+    def expected_travel(self, angle: float) -> float:
+        """Mean travel (rad) from ``angle`` to the next direction, all being alike.
+
+        pi/4 where a quarter turn is free on both sides; beyond a limit d away
+        the joint must go the other way round: (d^2 + (pi - d)^2) / (2 pi).
+        """
+        travel = PI / 4.0
+        for d in (angle - self._lower, self._upper - angle):
+            if d < PI / 2.0:
+                d = max(d, 0.0)
+                travel += (d * d + (PI - d) * (PI - d)) / TWO_PI - PI / 4.0
+        return travel
+
+    def choose(self, ux: float, uy: float, wz: float, angle: float, speed: float) -> None:
+        """Choose ``target`` and ``direction`` for the velocity of the steering axis.
+
+        ``ux``, ``uy`` (m/s) and ``wz`` (rad/s) are those of the robot at the
+        axis, in ``base_link``; ``angle`` (rad) and ``speed`` (m/s, rolling) are
+        the wheel's now.  Of all angles at which the contact does not slip
+        sideways and which lie within the limits, it takes the one that is
+        reached first, counting what the next change is expected to cost.
+        At standstill, with the axis at the centre of rotation and where no
+        angle can be reached, the target stays.
+        """
+        v = math.hypot(ux, uy)
+        self.unreachable = False
+        bend = wz * self.wheel.trail
+        if v < (RESUME_ABOVE if self.held else HOLD_BELOW) or abs(bend) >= v:
+            self.held = True
+            return
+        # Side slip at the contact: v sin(phi - theta) + wz trail = 0.
+        phi = math.atan2(uy, ux) - self.wheel.heading
+        lead = math.asin(bend / v) if bend else 0.0
+        sign = self.wheel.sign
+        lower, upper = self._lower, self._upper
+        # An unlimited joint: one turn to each side has all there is.
+        first = max(lower - LIMIT_TOLERANCE, angle - TWO_PI)
+        last = min(upper + LIMIT_TOLERANCE, angle + TWO_PI)
+        rate = self._max_rate if self._max_rate < math.inf else 1.0
+        best: tuple[float, float, float, float] | None = None
+        best_cost = math.inf
+        for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
+            back = -direction * speed
+            reversal = 2.0 * back / self.acceleration if back > 0.0 else 0.0
+            stay = 0.0 if direction == self.direction else self._hysteresis
+            c = base + TWO_PI * math.ceil((first - base) / TWO_PI)
+            while c <= last:
+                at = min(max(c, lower), upper)
+                c += TWO_PI
+                cost = (
+                    max(abs(at - angle) / rate, reversal)
+                    + self.expected_travel(at) / rate
+                    + stay
+                )
+                rank = (
+                    0.0 if direction == self.direction else 1.0,
+                    abs(at),
+                    -direction,
+                    -at,
+                )
+                if cost < best_cost - _TIE or (
+                    cost <= best_cost + _TIE and (best is None or rank < best)
+                ):
+                    best, best_cost = rank, cost
+        if best is None:
+            self.held = True
+            self.unreachable = True
+            return
+        self.held = False
+        self.target = -best[3]
+        self.direction = -best[2]
+
+    def time_to_target(self) -> float:
+        """Time (s) to the target at full rate."""
+        return abs(self.target - self.angle) / self._max_rate
+
+    def advance(self, dt: float, share: float) -> None:
+        """Move the commanded ``angle`` towards the target for ``dt`` s.
+
+        Within ``share`` of the joint's rate and within its rate of change,
+        without overshoot.
+        """
+        error = self.target - self.angle
+        if error == 0.0 and self.rate == 0.0:
+            return
+        change = self._max_rate_change * dt
+        fastest = min(self._max_rate * share, abs(error) / dt)
+        if change < math.inf:
+            # The speed from which the joint still stops at the target in whole ticks.
+            stop = math.sqrt(change * change / 4.0 + 2.0 * self._max_rate_change * abs(error))
+            fastest = min(fastest, stop - change / 2.0)
+        wanted = math.copysign(fastest, error)
+        rate = min(max(wanted, self.rate - change), self.rate + change)
+        after = self.angle + rate * dt
+        if abs(self.target - after) < 1e-9:
+            after = self.target
+        self.angle = min(max(after, self._lower), self._upper)
+        self.rate = rate if self.angle == after else 0.0
+
+    def jump(self) -> None:
+        """Command the target at once."""
+        self.angle = self.target
+        self.rate = 0.0
