@@ -292,6 +292,20 @@ _TABLE: tuple[Code, ...] = (
     Code("TV761", "extra-material", "warning", "an extra uses a material that is not defined"),
     Code("TV762", "extra-warning", "warning", "xacro warns about an extra"),
     # -- 8xx: runtime --------------------------------------------------------
+    Code("TV801", "calculator-unsuited", "error", "the base calculator cannot drive such a robot"),
+    Code("TV802", "calculator-option", "error", "an option of the base calculator is wrong"),
+    Code("TV803", "simulation-scene", "error", "the generated scene cannot be simulated"),
+    Code("TV804", "simulation-tipped", "error", "the robot fell over in the simulation"),
+    Code("TV805", "simulation-diverged", "error", "the simulation left all bounds"),
+    Code("TV806", "twist-invalid", "error", "a velocity command is not a finite motion"),
+    Code(
+        "TV807",
+        "steering-unreachable",
+        "warning",
+        "wheels could not be steered to the asked motion",
+    ),
+    Code("TV808", "twist-infeasible", "warning", "fixed wheels do not allow the asked motion"),
+    Code("TV809", "model-unreadable", "error", "a model file cannot be read"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),

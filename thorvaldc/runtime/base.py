@@ -50,4 +50,4 @@ class BaseHandle(abc.ABC):
 
     def close(self) -> None:
         """Let go of what the base holds.  The last commands are no longer followed."""
-        return None
+        return

@@ -225,9 +225,7 @@ class BaseDriver:
 def _between(before: JointStates, after: JointStates, dt: float) -> JointStates:
     """The mean joint states of an interval: speeds from the ways where they are counted."""
     if before.positions is not None and after.positions is not None:
-        speeds = tuple(
-            (b - a) / dt for a, b in zip(before.positions, after.positions, strict=True)
-        )
+        speeds = tuple((b - a) / dt for a, b in zip(before.positions, after.positions, strict=True))
     else:
         speeds = tuple((a + b) / 2.0 for a, b in zip(before.speeds, after.speeds, strict=True))
     pairs = tuple(zip(before.angles, after.angles, strict=True))

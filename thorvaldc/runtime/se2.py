@@ -104,7 +104,11 @@ def _product(a: Cov3, b: Cov3) -> Cov3:
 
 def congruent(a: Cov3, p: Cov3) -> Cov3:
     """A P A^T, exactly symmetric."""
-    t: Cov3 = ((a[0][0], a[1][0], a[2][0]), (a[0][1], a[1][1], a[2][1]), (a[0][2], a[1][2], a[2][2]))
+    t: Cov3 = (
+        (a[0][0], a[1][0], a[2][0]),
+        (a[0][1], a[1][1], a[2][1]),
+        (a[0][2], a[1][2], a[2][2]),
+    )
     m = _product(_product(a, p), t)
     xy, xw, yw = (m[0][1] + m[1][0]) / 2, (m[0][2] + m[2][0]) / 2, (m[1][2] + m[2][1]) / 2
     return ((m[0][0], xy, xw), (xy, m[1][1], yw), (xw, yw, m[2][2]))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.runtime.base import JointStates
-from thorvaldc.runtime.calculators.linear import solve3
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.linear import solve3
 from thorvaldc.runtime.faults import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Twist
 
@@ -82,7 +82,9 @@ class TwistEstimator:
             if not w.swivel
         )
         self._fixed = {
-            i: (math.cos(h), math.sin(h)) for i, h, _, _, _, _, _, _, turns, _ in self._rows if not turns
+            i: (math.cos(h), math.sin(h))
+            for i, h, _, _, _, _, _, _, turns, _ in self._rows
+            if not turns
         }
         top = geometry.fastest
         self._length2 = geometry.length**2
@@ -157,9 +159,7 @@ class TwistEstimator:
                 b3 += l3 * z_l
         k = self._length2
         c11 = a22 * a33 - a23 * a23
-        det = (
-            a11 * c11 - a12 * (a12 * a33 - a13 * a23) + a13 * (a12 * a23 - a13 * a22)
-        )
+        det = a11 * c11 - a12 * (a12 * a33 - a13 * a23) + a13 * (a12 * a23 - a13 * a22)
         mean = (a11 + a22 + a33 / k) / 3.0
         rank = 3
         p_v = p_w = 0.0

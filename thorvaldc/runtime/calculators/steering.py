@@ -115,9 +115,7 @@ class Steering:
                 at = min(max(c, lower), upper)
                 c += TWO_PI
                 cost = (
-                    max(abs(at - angle) / rate, reversal)
-                    + self.expected_travel(at) / rate
-                    + stay
+                    max(abs(at - angle) / rate, reversal) + self.expected_travel(at) / rate + stay
                 )
                 rank = (
                     0.0 if direction == self.direction else 1.0,

@@ -1,0 +1,474 @@
+"""What every base calculator keeps, over random robots of 1 to 20 wheels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators import (
+    BUILTIN,
+    BaseCalculator,
+    BaseGeometry,
+    WheelGeometry,
+    calculator_class,
+)
+from thorvaldc.runtime.calculators.steering import LIMIT_TOLERANCE, RESUME_ABOVE
+from thorvaldc.runtime.faults import NotFiniteError
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+
+SETTINGS = settings(
+    max_examples=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)
+
+LIMITS: list[tuple[float | None, float | None]] = [
+    (None, None),
+    (-3.078027759, 3.078027759),
+    (-math.pi, math.pi),
+    (-2.0, 2.0),
+    (-1.0, 5.0),
+    (-0.7, 0.7),
+    (-10.0, 10.0),
+]
+
+
+def wheel(
+    name: str,
+    x: float,
+    y: float,
+    kind: str,
+    *,
+    heading: float = 0.0,
+    sign: float = 1.0,
+    trail: float = 0.0,
+    lateral: float = 0.0,
+    radius: float = 0.2,
+    limits: tuple[float | None, float | None] = (-math.pi, math.pi),
+) -> WheelGeometry:
+    """A wheel of a kind: steered, turned (steered, no drive), fixed, passive or swivel."""
+    driven = kind in ("steered", "fixed")
+    turned = kind in ("steered", "turned")
+    return WheelGeometry(
+        name=name,
+        x=x,
+        y=y,
+        heading=heading,
+        sign=sign,
+        trail=trail,
+        lateral=lateral,
+        radius=radius,
+        driven=driven,
+        steered=turned,
+        swivel=kind == "swivel",
+        encoder=driven,
+        max_speed=7.5 if driven else math.inf,
+        max_acceleration=7.5 if driven else math.inf,
+        lower=limits[0] if turned else None,
+        upper=limits[1] if turned else None,
+        max_rate=4.0 if turned else math.inf,
+        max_rate_change=20.0 if turned else math.inf,
+    )
+
+
+def coordinate(bound: float) -> st.SearchStrategy[float]:
+    return st.floats(-bound, bound).map(lambda v: round(v, 3))
+
+
+@st.composite
+def any_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
+    n = draw(st.integers(1, 20))
+    kinds = draw(
+        st.sampled_from(
+            [
+                ["steered"],
+                ["steered", "swivel"],
+                ["steered", "passive", "swivel"],
+                ["steered", "turned", "fixed", "passive", "swivel"],
+                ["fixed", "swivel"],
+            ]
+        )
+    )
+    plain = draw(st.booleans())
+    made = [
+        wheel(
+            f"w{i}",
+            draw(coordinate(3.0)),
+            draw(coordinate(2.0)),
+            draw(st.sampled_from(kinds)),
+            heading=0.0 if plain else draw(st.sampled_from([0.0, math.pi, 0.3, -1.5])),
+            sign=1.0 if plain else draw(st.sampled_from([1.0, -1.0])),
+            trail=0.0 if plain else draw(st.sampled_from([0.0, 0.0, 0.1, -0.05])),
+            lateral=0.0 if plain else draw(st.sampled_from([0.0, 0.0, 0.12, -0.08])),
+            radius=draw(st.sampled_from([0.1, 0.2, 0.35])),
+            limits=draw(st.sampled_from(LIMITS)),
+        )
+        for i in range(n)
+    ]
+    assume(any(w.driven for w in made))
+    return made
+
+
+@st.composite
+def casters(draw: st.DrawFn) -> list[WheelGeometry]:
+    places = draw(st.lists(st.tuples(coordinate(2.0), coordinate(2.0)), max_size=4))
+    return [wheel(f"c{i}", x, y, "swivel") for i, (x, y) in enumerate(places)]
+
+
+@st.composite
+def axle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
+    """Driven wheels on one axle, anywhere and at any heading, with casters."""
+    heading = draw(st.sampled_from([0.0, 0.4, math.pi / 2, -2.0]))
+    c, s = math.cos(heading), math.sin(heading)
+    along = draw(coordinate(1.0))
+    places = draw(
+        st.lists(coordinate(2.0), min_size=2, max_size=8, unique_by=lambda v: round(v, 1))
+    )
+    made = [
+        wheel(
+            f"w{i}",
+            c * along - s * place,
+            s * along + c * place,
+            "fixed" if i < 2 or draw(st.booleans()) else "passive",
+            heading=heading + draw(st.sampled_from([0.0, math.pi])),
+            radius=draw(st.sampled_from([0.1, 0.2, 0.35])),
+        )
+        for i, place in enumerate(places)
+    ]
+    return made + draw(casters())
+
+
+@st.composite
+def tricycle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
+    offset = draw(st.booleans())
+    made = [
+        wheel(
+            "drive",
+            draw(st.sampled_from([0.9, -1.2])),
+            draw(coordinate(0.5)),
+            "steered",
+            heading=draw(st.sampled_from([0.0, math.pi, 0.5])),
+            sign=draw(st.sampled_from([1.0, -1.0])),
+            trail=draw(st.sampled_from([0.0, 0.1])) if offset else 0.0,
+            lateral=draw(st.sampled_from([0.0, -0.15])) if offset else 0.0,
+            limits=draw(st.sampled_from(LIMITS)),
+        )
+    ]
+    axle = draw(coordinate(0.4))
+    places = draw(st.lists(coordinate(1.0), min_size=1, max_size=6))
+    made += [wheel(f"p{i}", axle, place, "passive") for i, place in enumerate(places)]
+    return made + draw(casters())
+
+
+SUITED: dict[str, Callable[[], st.SearchStrategy[list[WheelGeometry]]]] = {
+    "general": lambda: st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()),
+    "differential": axle_wheels,
+    "one_wheel": tricycle_wheels,
+}
+
+twists = st.builds(
+    Twist,
+    st.floats(-1.5, 1.5).map(lambda v: round(v, 4)),
+    st.floats(-1.5, 1.5).map(lambda v: round(v, 4)),
+    st.floats(-1.5, 1.5).map(lambda v: round(v, 4)),
+)
+
+
+@pytest.fixture(params=sorted(BUILTIN), scope="module")
+def name(request: pytest.FixtureRequest) -> str:
+    found: str = request.param
+    return found
+
+
+def make(name: str, wheels: list[WheelGeometry]) -> BaseCalculator:
+    cls = calculator_class(name)
+    geometry = BaseGeometry.from_wheels(wheels)
+    assert cls.unsuited(geometry) is None
+    return cls(geometry)
+
+
+def states_of(calculator: BaseCalculator, twist: Twist) -> tuple[JointStates, Twist, bool]:
+    """Joints that follow the command exactly; the twist aimed at; whether all is reached."""
+    command = calculator.command(twist)
+    n = len(calculator.geometry.wheels)
+    joints = command.joints
+    states = JointStates(0.0, list(joints.speeds), list(joints.angles), [0.0] * n)
+    return states, command.target, follows(calculator.geometry, states, command.target)
+
+
+def follows(geometry: BaseGeometry, states: JointStates, twist: Twist) -> bool:
+    """Whether no wheel of these states slips in that twist, by the field at each contact."""
+    for i, w in enumerate(geometry.wheels):
+        if w.swivel:
+            continue
+        direction = w.heading + w.sign * states.angles[i]
+        c, s = math.cos(direction), math.sin(direction)
+        px = w.x + c * w.trail - s * w.lateral
+        py = w.y + s * w.trail + c * w.lateral
+        ux, uy = twist.vx - twist.wz * py, twist.vy + twist.wz * px
+        if abs(c * uy - s * ux) > 1e-12:
+            return False
+        if w.driven and abs(c * ux + s * uy - states.speeds[i] * w.radius) > 1e-12:
+            return False
+    return True
+
+
+def close(a: Twist, b: Twist, bound: float) -> bool:
+    return max(abs(p - q) for p, q in zip(a, b, strict=True)) <= bound
+
+
+def draw_robot(data: st.DataObject, name: str) -> BaseCalculator:
+    return make(name, data.draw(SUITED[name](), label="wheels"))
+
+
+@SETTINGS
+@given(data=st.data())
+def test_forward_of_inverse_is_the_twist(name: str, data: st.DataObject) -> None:
+    calculator = draw_robot(data, name)
+    twist = data.draw(twists)
+    states, target, reached = states_of(calculator, twist)
+    assume(reached)
+    estimate = calculator.odometry(states)
+    assume(estimate.rank == 3)
+    spread = max(1.0, 1.0 / calculator.geometry.length)
+    assert close(estimate.twist, target, 1e-12 * spread**2)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_every_steered_wheel_is_reached_or_says_why(name: str, data: st.DataObject) -> None:
+    """A wheel slips only where it holds, is out of reach or scrubs by its arrangement."""
+    calculator = draw_robot(data, name)
+    twist = data.draw(twists)
+    command = calculator.command(twist)
+    for i, w in enumerate(calculator.geometry.wheels):
+        if not w.steered or i in command.unreachable or w.trail or w.lateral:
+            continue
+        ux = command.target.vx - command.target.wz * w.y
+        uy = command.target.vy + command.target.wz * w.x
+        direction = w.heading + w.sign * command.joints.angles[i]
+        c, s = math.cos(direction), math.sin(direction)
+        speed = math.hypot(ux, uy)
+        if speed * (1.0 / command.scale) < RESUME_ABOVE:
+            continue
+        assert abs(c * uy - s * ux) <= speed * LIMIT_TOLERANCE * 1.001
+        if w.driven:
+            # The velocity of the contact does not depend on the branch.
+            rolling = command.joints.speeds[i] * w.radius
+            assert abs(abs(rolling) - abs(c * ux + s * uy)) <= 1e-12
+
+
+@SETTINGS
+@given(data=st.data())
+def test_limits_hold_at_every_tick(name: str, data: st.DataObject) -> None:
+    calculator = draw_robot(data, name)
+    wheels = calculator.geometry.wheels
+    n = len(wheels)
+    states = JointStates(0.0, [0.0] * n, [0.0] * n, [0.0] * n)
+    calculator.reset(states)
+    start = calculator.command(ZERO_TWIST)
+    before = list(start.joints.angles)
+    rates = [0.0] * n
+    dt = 0.02
+    for twist in data.draw(st.lists(twists, min_size=1, max_size=4)):
+        for _ in range(8):
+            command = calculator.command(twist, states, dt)
+            for i, w in enumerate(wheels):
+                speed, angle = command.joints.speeds[i], command.joints.angles[i]
+                assert math.isfinite(speed)
+                assert math.isfinite(angle)
+                assert abs(speed) <= w.max_speed * (1 + 1e-12)
+                if w.lower is not None and w.upper is not None:
+                    assert w.lower <= angle <= w.upper
+                if w.steered:
+                    rate = (angle - before[i]) / dt
+                    assert abs(rate) <= w.max_rate + 1e-9
+                    if abs(angle) not in (w.lower, w.upper):
+                        assert abs(rate - rates[i]) <= w.max_rate_change * dt + 1e-6
+                    rates[i] = rate
+            before = list(command.joints.angles)
+            states = JointStates(0.0, list(command.joints.speeds), before, [0.0] * n)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_order_of_the_wheels_does_not_matter(name: str, data: st.DataObject) -> None:
+    wheels = data.draw(SUITED[name]())
+    order = data.draw(st.permutations(range(len(wheels))))
+    one, two = make(name, wheels), make(name, [wheels[i] for i in order])
+    for twist in data.draw(st.lists(twists, min_size=1, max_size=3)):
+        a, b = one.command(twist), two.command(twist)
+        assert close(a.target, b.target, 1e-12)
+        for j, i in enumerate(order):
+            assert abs(a.joints.angles[i] - b.joints.angles[j]) <= 1e-9
+            assert abs(a.joints.speeds[i] - b.joints.speeds[j]) <= 1e-9
+        n = len(wheels)
+        zeros = [0.0] * n
+        ea = one.odometry(JointStates(0.0, a.joints.speeds, a.joints.angles, zeros))
+        eb = two.odometry(JointStates(0.0, b.joints.speeds, b.joints.angles, zeros))
+        assert ea.rank == eb.rank
+        assert close(ea.twist, eb.twist, 1e-9)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_zero_twist_holds(name: str, data: st.DataObject) -> None:
+    calculator = draw_robot(data, name)
+    before = calculator.command(data.draw(twists))
+    after = calculator.command(ZERO_TWIST)
+    assert list(after.joints.angles) == list(before.joints.angles)
+    assert not any(after.joints.speeds)
+    assert after.target == ZERO_TWIST
+    assert after.unreachable == ()
+
+
+@SETTINGS
+@given(data=st.data())
+def test_scaling_keeps_the_angles(name: str, data: st.DataObject) -> None:
+    wheels = data.draw(SUITED[name]())
+    twist, factor = data.draw(twists), data.draw(st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
+    one, two = make(name, wheels), make(name, wheels)
+    fast, slow = sorted((twist, twist.scaled(factor)), key=lambda t: abs(t.speed) + abs(t.wz))
+    target = one.allowed(fast)
+    for w in wheels:
+        speed = math.hypot(target.vx - target.wz * w.y, target.vy + target.wz * w.x)
+        assume(not w.steered or speed == 0.0 or speed > 2 * RESUME_ABOVE)
+    a, b = one.command(fast), two.command(slow)
+    assert list(a.joints.angles) == pytest.approx(list(b.joints.angles), abs=1e-9)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_what_is_not_allowed_is_returned(name: str, data: st.DataObject) -> None:
+    calculator = draw_robot(data, name)
+    twist = data.draw(twists)
+    command = calculator.command(twist)
+    allowed = calculator.allowed(twist)
+    assert close(calculator.allowed(allowed), allowed, 1e-12)
+    total = Twist(*(a + b for a, b in zip(allowed, command.infeasible, strict=True)))
+    assert close(total, twist, 1e-12)
+    assert close(command.target, allowed.scaled(command.scale), 1e-12)
+    assert 0.0 < command.scale <= 1.0
+
+
+@SETTINGS
+@given(data=st.data())
+def test_bad_numbers_change_nothing(name: str, data: st.DataObject) -> None:
+    wheels = data.draw(SUITED[name]())
+    bad = data.draw(st.sampled_from([math.nan, math.inf, -math.inf]))
+    first, second = data.draw(twists), data.draw(twists)
+    one, two = make(name, wheels), make(name, wheels)
+    n = len(wheels)
+    one.command(first)
+    two.command(first)
+    k = data.draw(st.integers(0, 2))
+    values = [*second]
+    values[k] = bad
+    with pytest.raises(NotFiniteError):
+        one.command(Twist(*values))
+    fields = [[0.0] * n, [0.0] * n, [0.0] * n]
+    fields[k][data.draw(st.integers(0, n - 1))] = bad
+    states = JointStates(0.0, *fields)
+    with pytest.raises(NotFiniteError):
+        one.odometry(states)
+    with pytest.raises(NotFiniteError):
+        one.command(second, states, 0.02)
+    with pytest.raises(ValueError, match="joint states"):
+        one.odometry(JointStates(0.0, [0.0] * (n + 1), [0.0] * n, [0.0] * n))
+    for dt in (0.0, -0.1, math.nan):
+        with pytest.raises(ValueError, match="time step"):
+            one.command(second, None, dt)
+    assert one.command(second) == two.command(second)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_covariance_is_one(name: str, data: st.DataObject) -> None:
+    """Symmetric, positive, and larger where the wheels say less."""
+    calculator = draw_robot(data, name)
+    states, _, _ = states_of(calculator, data.draw(twists))
+    estimate = calculator.odometry(states)
+    (a, b, c), (b2, d, e), (c2, e2, f) = estimate.covariance
+    assert (b, c, e) == (b2, c2, e2)
+    assert min(a, d, f) > 0.0
+    assert a * d - b * b > 0.0
+    if estimate.rank < 3:
+        # Whatever is not determined is as uncertain as the top speed.
+        top = calculator.geometry.fastest
+        k = calculator.geometry.length
+        assert a + d + f * k * k >= 0.1 * top * top
+
+
+@SETTINGS
+@given(data=st.data())
+def test_same_commands_give_the_same(name: str, data: st.DataObject) -> None:
+    wheels = data.draw(SUITED[name]())
+    one, two = make(name, wheels), make(name, wheels)
+    for twist in data.draw(st.lists(twists, min_size=1, max_size=4)):
+        assert one.command(twist) == two.command(twist)
+    one.reset()
+    fresh = make(name, wheels)
+    assert one.command(twist) == fresh.command(twist)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_a_reached_command_stays_through_rounding(name: str, data: st.DataObject) -> None:
+    """Direction at exactly half a turn, with noise of a bit: no wheel changes its mind."""
+    calculator = draw_robot(data, name)
+    base = data.draw(
+        st.sampled_from([Twist(-1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(1.0, 0.0, 0.0)])
+    )
+    command = calculator.command(base)
+    n = len(calculator.geometry.wheels)
+    angles = list(command.joints.angles)
+    for noise in (1e-17, -1e-17, 1e-9, -1e-9, 0.0, -1e-6, 1e-6):
+        states = JointStates(0.0, command.joints.speeds, angles, [0.0] * n)
+        twist = Twist(base.vx + noise, base.vy - noise, noise)
+        command = calculator.command(twist, states, 0.02)
+        assert list(command.joints.angles) == pytest.approx(angles, abs=1e-3)
+
+
+@SETTINGS
+@given(wheels=axle_wheels(), twist=twists, noise=st.floats(-0.1, 0.1))
+def test_differential_estimates_as_general(
+    wheels: list[WheelGeometry], twist: Twist, noise: float
+) -> None:
+    one, two = make("differential", wheels), make("general", wheels)
+    a, b = one.command(twist), two.command(twist)
+    assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-12)
+    states, _, _ = states_of(one, twist)
+    states.speeds = [v + noise * (i == 0) for i, v in enumerate(states.speeds)]
+    same_estimate(one, two, states, 0.02 if sum(w.driven for w in wheels) > 2 else 1e-9)
+
+
+@SETTINGS
+@given(wheels=tricycle_wheels(), twist=twists, noise=st.floats(-0.1, 0.1))
+def test_one_wheel_estimates_as_general(
+    wheels: list[WheelGeometry], twist: Twist, noise: float
+) -> None:
+    one, two = make("one_wheel", wheels), make("general", wheels)
+    a, b = one.command(twist), two.command(twist)
+    assert list(a.joints.angles) == pytest.approx(list(b.joints.angles), abs=1e-9)
+    assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-9)
+    states, _, _ = states_of(one, twist)
+    states.angles = [v + noise * (w.steered) for v, w in zip(states.angles, wheels, strict=True)]
+    states.angle_rates = [0.1 * w.steered for w in wheels]
+    same_estimate(one, two, states, 1e-9)
+
+
+def same_estimate(
+    one: BaseCalculator, two: BaseCalculator, states: JointStates, bound: float
+) -> None:
+    a, b = one.odometry(states), two.odometry(states)
+    assert a.rank == b.rank == 3
+    assert close(a.twist, b.twist, bound)
+    largest = max(max(row) for row in b.covariance)
+    for ra, rb in zip(a.covariance, b.covariance, strict=True):
+        assert ra == pytest.approx(rb, rel=1e-6 if bound < 1e-6 else 0.1, abs=1e-6 * largest)

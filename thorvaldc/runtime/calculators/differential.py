@@ -1,0 +1,142 @@
+"""Two or more driven wheels on one axle, and nothing that steers."""
+
+from __future__ import annotations
+
+import math
+
+from thorvaldc.runtime.base import JointCommands, JointStates
+from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, NoOptions
+from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
+from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.se2 import Twist
+
+
+class Differential(BaseCalculator):
+    """Speeds along the axle and turning, in closed form.
+
+    With e along the wheels, n across them and a the place of a wheel along n,
+    it rolls at e . v - a wz; the axle at d along e does not slip: n . v = -d wz.
+    """
+
+    name = "differential"
+    summary = "driven wheels on one axle, steered by the difference of their speeds"
+
+    def __init__(self, geometry: BaseGeometry, options: NoOptions | None = None) -> None:
+        super().__init__(geometry, options)
+        self._fixed = FixedWheels(geometry.wheels)
+        self._noise = Noise()
+        # The axle's row is (n, d): n . v + d wz = 0.
+        nx, ny, self._d = self._fixed.rows[0]
+        self._nx, self._ny = nx, ny
+        # (index, +1 or -1 where the wheel is mounted the other way round, place, radius, limit)
+        self._wheels = tuple(
+            (
+                i,
+                math.copysign(1.0, ny * math.cos(w.heading) - nx * math.sin(w.heading)),
+                w.rows(0.0)[0],
+                w.radius,
+                w.max_speed,
+            )
+            for i, w in enumerate(geometry.wheels)
+            if w.driven and not w.swivel
+        )
+        self._across = tuple((i, s, -s * row[2], r) for i, s, row, r, _ in self._wheels)
+        self._axle_places = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
+
+    @classmethod
+    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+        steered = [w.name for w in geometry.wheels if w.steered]
+        if steered:
+            return f"it has steered wheels ({', '.join(steered)})"
+        driven = [w for w in geometry.driven if not w.swivel]
+        if len(driven) < 2:
+            return f"it has {len(driven)} driven wheels; two or more are needed"
+        fixed = FixedWheels(geometry.wheels)
+        if len(fixed.rows) > 1:
+            return "its fixed wheels point in different directions"
+        if fixed.skids:
+            names = ", ".join(geometry.wheels[i].name for i in fixed.skids)
+            return f"its fixed wheels ({names}) are not on one axle, so that it turns by skidding"
+        nx, ny, _ = fixed.rows[0]
+        places = [nx * w.x + ny * w.y for w in driven]
+        if max(places) - min(places) < 1e-3:
+            return "its driven wheels are in one place along the axle"
+        return None
+
+    def reset(self, states: JointStates | None = None) -> None:
+        """Nothing is kept between commands."""
+
+    def allowed(self, twist: Twist) -> Twist:
+        return self._fixed.allowed(twist)
+
+    def command(
+        self, twist: Twist, states: JointStates | None = None, dt: float | None = None
+    ) -> BaseCommand:
+        self._check(twist, states, dt)
+        allowed = self._fixed.allowed(twist)
+        vx, vy, wz = allowed
+        n = len(self.geometry.wheels)
+        speeds = [0.0] * n
+        excess = 1.0
+        for i, _, row, radius, limit in self._wheels:
+            speeds[i] = (row[0] * vx + row[1] * vy + row[2] * wz) / radius
+            excess = max(excess, abs(speeds[i]) / limit)
+        scale = 1.0 / excess
+        if excess > 1.0:
+            speeds = [v * scale for v in speeds]
+        target = allowed.scaled(scale) if excess > 1.0 else allowed
+        for group in self.geometry.spin_groups:
+            mean = sum(speeds[i] for i in group) / len(group)
+            for i in group:
+                speeds[i] = mean
+        infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
+        return BaseCommand(JointCommands(speeds, [0.0] * n), target, target, infeasible, scale, ())
+
+    def odometry(self, states: JointStates) -> TwistEstimate:
+        self.estimator.check(states)
+        noise = self._noise
+        speeds = states.speeds
+        # A first line through the wheels' speeds predicts what weighs them.
+        along, turn = self._line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[:2]
+        ratio2, floor2 = noise.speed_ratio**2, noise.speed_floor**2
+        weighted = [
+            (a, s * r * speeds[i], 1.0 / (ratio2 * (along - a * turn) ** 2 + floor2))
+            for i, s, a, r in self._across
+        ]
+        along, turn, p11, p13, p33 = self._line(weighted)
+        angle2, slip2 = noise.angle**2, noise.slip_floor**2
+        p22 = 1.0 / sum(1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_places)
+        # From (e, n) at the axle to base_link: v = e (along) + n (-d wz).
+        d, nx, ny = self._d, self._nx, self._ny
+        ex, ey = ny, -nx
+        vx, vy = ex * along - nx * d * turn, ey * along - ny * d * turn
+        nn, en, nt = p22 + d * d * p33, -d * p13, -d * p33
+        covariance = (
+            (
+                ex * ex * p11 + 2 * ex * nx * en + nx * nx * nn,
+                ex * ey * p11 + (ex * ny + ey * nx) * en + nx * ny * nn,
+                ex * p13 + nx * nt,
+            ),
+            (
+                ex * ey * p11 + (ex * ny + ey * nx) * en + nx * ny * nn,
+                ey * ey * p11 + 2 * ey * ny * en + ny * ny * nn,
+                ey * p13 + ny * nt,
+            ),
+            (ex * p13 + nx * nt, ey * p13 + ny * nt, p33),
+        )
+        return TwistEstimate(Twist(vx, vy, turn), covariance, 3)
+
+    @staticmethod
+    def _line(
+        points: list[tuple[float, float, float]],
+    ) -> tuple[float, float, float, float, float]:
+        """Fit speed = along - a turn to (a, speed, weight): along, turn and their covariance."""
+        s0 = s1 = s2 = t0 = t1 = 0.0
+        for a, v, w in points:
+            s0 += w
+            s1 += w * a
+            s2 += w * a * a
+            t0 += w * v
+            t1 += w * a * v
+        det = s0 * s2 - s1 * s1
+        return (s2 * t0 - s1 * t1) / det, (s1 * t0 - s0 * t1) / det, s2 / det, s1 / det, s0 / det

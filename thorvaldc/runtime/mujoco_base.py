@@ -1,0 +1,208 @@
+"""A base in MuJoCo: physics, from the files that the compiler generated."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime.base import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.se2 import Pose2, Twist
+
+SCENE = "mjcf/scene.xml"
+HOME = "home"
+
+
+class MujocoScene:
+    """A compiled scene and its time.  Several robots may move in it.
+
+    ``model`` and ``data`` are MuJoCo's own objects.
+    """
+
+    def __init__(self, files: Path | str | Mapping[str, bytes], scene: str = SCENE) -> None:
+        """Load the scene ``scene`` from a build folder or from ``{path: bytes}``.
+
+        Raises ``RuntimeFault`` (``simulation-scene``) where it is missing or
+        MuJoCo cannot read it.
+        """
+        if isinstance(files, Mapping):
+            self.model = _load_from_memory(files, scene)
+        else:
+            self.model = _load(Path(files), scene)
+        import mujoco
+
+        self._mujoco = mujoco
+        self.data = mujoco.MjData(self.model)
+        self.timestep = float(self.model.opt.timestep)
+        # MuJoCo's own reset on divergence would hide it (and write a log file).
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self.steps = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the key frame ``home``, at time 0."""
+        key = self._mujoco.mj_name2id(self.model, self._mujoco.mjtObj.mjOBJ_KEY, HOME)
+        if key >= 0:
+            self._mujoco.mj_resetDataKeyframe(self.model, self.data, key)
+        else:
+            self._mujoco.mj_resetData(self.model, self.data)
+        self.steps = 0
+        self._mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def time(self) -> float:
+        """Simulated time in s since the reset."""
+        return self.steps * self.timestep
+
+    def advance(self, now: float) -> None:
+        """Step to ``now`` in one call, to the nearest whole step; never back."""
+        steps = round(now / self.timestep) - self.steps
+        if steps > 0 and not self.diverged:
+            self._mujoco.mj_step(self.model, self.data, steps)
+            self.steps += steps
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the simulation has left the numbers."""
+        warning = self._mujoco.mjtWarning
+        counts = self.data.warning.number
+        return bool(
+            counts[int(warning.mjWARN_BADQPOS)]
+            or counts[int(warning.mjWARN_BADQVEL)]
+            or counts[int(warning.mjWARN_BADQACC)]
+            or not math.isfinite(float(self.data.qpos.sum()))
+        )
+
+    def index(self, kind: str, name: str, robot: Robot) -> int:
+        """MuJoCo's number of the ``kind`` (``joint``, ``actuator``, ``body``) of that name."""
+        objects = self._mujoco.mjtObj
+        found: int = self._mujoco.mj_name2id(
+            self.model, getattr(objects, f"mjOBJ_{kind.upper()}"), name
+        )
+        if found < 0:
+            raise RuntimeFault(
+                "simulation-scene",
+                f"the scene has no {kind} {name!r}, which {robot.name} has",
+                robot.origin,
+                hint="model.json and the MJCF files come from different builds: build again",
+            )
+        return found
+
+
+class MujocoBase(BaseHandle):
+    """The joints of one robot of a scene, and what only a simulation knows.
+
+    Joints, actuators and bodies are found by their names, which start with
+    ``prefix`` (by default the robot's name space and a slash).
+    """
+
+    def __init__(self, robot: Robot, scene: MujocoScene, prefix: str | None = None) -> None:
+        """Raises ``RuntimeFault`` where the scene is not of this robot."""
+        if prefix is None:
+            prefix = f"{robot.namespace}/" if robot.namespace else ""
+        self.robot = robot
+        self.scene = scene
+        model = scene.model
+        self._n = len(robot.wheels)
+        self._body = scene.index("body", prefix + robot.links[0].name, robot)
+        # (wheel, address in qpos, address in qvel) of the joints, (wheel, actuator) of the motors.
+        self._spin: list[tuple[int, int, int]] = []
+        self._steering: list[tuple[int, int, int]] = []
+        self._drive_motors: list[tuple[int, int]] = []
+        self._steering_motors: list[tuple[int, int]] = []
+        for i, wheel in enumerate(robot.wheels):
+            for name, joints, motors in (
+                (wheel.spin_joint, self._spin, self._drive_motors),
+                (wheel.steering_joint, self._steering, self._steering_motors),
+            ):
+                if name is None:
+                    continue
+                joint = scene.index("joint", prefix + name, robot)
+                joints.append((i, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])))
+                actuator = robot.actuator_of(name)
+                if actuator is not None:
+                    number = scene.index("actuator", prefix + actuator.name, robot)
+                    motors.append((i, number))
+
+    def read(self, now: float) -> JointStates:
+        self.scene.advance(now)
+        qpos, qvel = self.scene.data.qpos, self.scene.data.qvel
+        speeds, positions = [0.0] * self._n, [0.0] * self._n
+        angles, rates = [0.0] * self._n, [0.0] * self._n
+        for i, q, v in self._spin:
+            positions[i] = float(qpos[q])
+            speeds[i] = float(qvel[v])
+        for i, q, v in self._steering:
+            angles[i] = float(qpos[q])
+            rates[i] = float(qvel[v])
+        return JointStates(self.scene.time, speeds, angles, rates, positions)
+
+    def write(self, commands: JointCommands, now: float) -> None:
+        ctrl = self.scene.data.ctrl
+        for i, motor in self._drive_motors:
+            ctrl[motor] = commands.speeds[i]
+        for i, motor in self._steering_motors:
+            ctrl[motor] = commands.angles[i]
+
+    # -- what only a simulation knows ----------------------------------------------
+
+    def true_pose(self) -> Pose2:
+        """Pose of ``base_link`` on the ground; yaw in -pi..pi."""
+        x, y, _ = self.scene.data.xpos[self._body]
+        r = self.scene.data.xmat[self._body]
+        return Pose2(float(x), float(y), math.atan2(float(r[3]), float(r[0])))
+
+    def true_twist(self) -> Twist:
+        """Velocity of ``base_link`` in itself."""
+        import numpy
+
+        velocity = numpy.zeros(6)
+        mujoco: Any = self.scene._mujoco
+        mujoco.mj_objectVelocity(
+            self.scene.model,
+            self.scene.data,
+            mujoco.mjtObj.mjOBJ_XBODY,
+            self._body,
+            velocity,
+            1,
+        )
+        return Twist(float(velocity[3]), float(velocity[4]), float(velocity[2]))
+
+    def uprightness(self) -> float:
+        """Cosine of the robot's tilt: 1 upright, 0 on its side."""
+        return float(self.scene.data.xmat[self._body][8])
+
+
+def _load(folder: Path, scene: str) -> Any:
+    import mujoco
+
+    path = folder / scene
+    if not path.is_file():
+        raise RuntimeFault(
+            "simulation-scene",
+            f"there is no {scene} in {folder}",
+            hint="build the robot with --target mjcf first",
+        )
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as fault:
+        text = str(fault).replace(f"{folder}/", "").strip().replace("\n", "; ")
+        raise RuntimeFault("simulation-scene", f"MuJoCo cannot read {scene}: {text}") from fault
+
+
+def _load_from_memory(files: Mapping[str, bytes], scene: str) -> Any:
+    # MuJoCo's own virtual files are told apart by their base names alone, which robots
+    # of a fleet share; a folder that lives as long as the reading does has no such trap.
+    with tempfile.TemporaryDirectory(prefix="thorvaldc_") as folder:
+        for name, data in files.items():
+            parts = PurePosixPath(name).parts
+            if "mjcf" not in parts and "meshes" not in parts:
+                continue
+            path = Path(folder, *parts)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        return _load(Path(folder), scene)
