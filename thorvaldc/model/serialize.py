@@ -36,18 +36,22 @@ def _fields(cls: type) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cls) if (cls.__name__, f.name) not in _SKIPPED)
 
 
+_ATOMS = frozenset({float, int, str, bool, type(None)})
+_SHAPES = frozenset(typing.get_args(_robot.Shape))
+
+
 def _encode(value: Any) -> Any:
-    if isinstance(value, Span):
-        return [value.file, value.line, value.column, value.end_line, value.end_column]
-    if dataclasses.is_dataclass(value):
-        cls: type = type(value)
-        out = {name: _encode(getattr(value, name)) for name in _fields(cls)}
-        if cls in typing.get_args(_robot.Shape):
-            out["kind"] = cls.__name__
-        return out
-    if isinstance(value, tuple):
+    cls: type[Any] = type(value)
+    if cls in _ATOMS:
+        return value
+    if cls is tuple:
         return [_encode(v) for v in value]
-    return value
+    if cls is Span:
+        return [value.file, value.line, value.column, value.end_line, value.end_column]
+    out = {name: _encode(getattr(value, name)) for name in _fields(cls)}  # type: ignore[arg-type]
+    if cls in _SHAPES:
+        out["kind"] = cls.__name__
+    return out
 
 
 def _decode(hint: Any, value: Any) -> Any:
@@ -58,7 +62,7 @@ def _decode(hint: Any, value: Any) -> Any:
             if type(None) in members:
                 return None
             raise ModelFormatError(f"expected {hint}, found null")
-        shapes = {m.__name__: m for m in members if m in typing.get_args(_robot.Shape)}
+        shapes = {m.__name__: m for m in members if m in _SHAPES}
         if len(shapes) > 1:
             kind = value["kind"]
             return _decode(shapes[kind], {k: v for k, v in value.items() if k != "kind"})
