@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import Joint, Robot, Wheel
+from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.passes.base import GRAVITY, contact_point
 
 WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
@@ -359,5 +359,3 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
                 hint=hint,
             )
 
-
-__all__ = ["Design", "Joint", "check_robot", "feasible_twists", "replace"]

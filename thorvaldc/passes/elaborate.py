@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
-    Bus,
     CalculatorChoice,
     Collision,
     Cylinder,
@@ -32,16 +31,15 @@ from thorvaldc.passes.base import (
     spring_reference,
     static_loads,
 )
-from thorvaldc.passes.bus import BusSpec, Device, Wire, build_buses, connect_actuators
+from thorvaldc.passes.bus import connect_actuators
 from thorvaldc.passes.hardware import Hardware, hardware_of
-from thorvaldc.passes.resolve import Instance, Resolver
+from thorvaldc.passes.resolve import Instance, Resolver, flat
 from thorvaldc.passes.scope import Scope
+from thorvaldc.passes.wiring import Wiring
 from thorvaldc.source.node import Node
 
 DEFAULT_RATE = 50.0  # Hz, facts of the original: the base driver's `rate`
 DEFAULT_TIMEOUT = 0.5  # s, the original's command time-out
-DEFAULT_BITRATE = 500_000  # bit/s
-DEFAULT_BUS = "main"
 HEIGHT_TOLERANCE = 1e-3
 
 
@@ -99,7 +97,15 @@ class Elaborator:
         wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
         joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
         driver = self._driver(wheels, actuated)
-        buses = self._buses(robot, parts, joints, driver.rate)
+        wiring = Wiring(
+            self.document,
+            self.resolver,
+            self.scope,
+            {a.name: a for a in parts.actuators},
+            {joint.name: joint for joint in joints},
+            self.report,
+        )
+        buses = wiring.buses(robot, 1.0 / driver.rate)
         return Robot(
             name=self.scope.text(self.document.get("name")),
             namespace=self.scope.text(self.document.get("namespace")),
@@ -415,93 +421,6 @@ class Elaborator:
             ),
         )
 
-    # -- the bus ----------------------------------------------------------------------------
-
-    def _buses(
-        self,
-        robot: Instance,
-        parts: _Parts,
-        joints: tuple[Joint, ...],
-        rate: float,
-    ) -> tuple[Bus, ...]:
-        motors = _Motors(
-            {a.name: a for a in parts.actuators}, {joint.name: joint for joint in joints}
-        )
-        devices: list[Device] = []
-        for leaf in robot.leaves():
-            can = leaf.type.document.get("can") if leaf.type is not None else None
-            if can is not None:
-                devices.append(self._device(leaf, can, motors))
-                continue
-            for key in ("can", "channels"):
-                node = leaf.can if key == "can" else leaf.entry.get(key)
-                if node is not None:
-                    self.report.add(
-                        "can-without-device",
-                        f"`{leaf.path}` is no device on a bus",
-                        node.where,
-                        hint=f"leave `{key}` out",
-                    )
-        return build_buses(devices, self._bus_specs(), parts.actuators, 1.0 / rate, self.report)
-
-    def _bus_specs(self) -> list[BusSpec]:
-        node = self.document.get("buses")
-        if node is None or not isinstance(node.value, dict) or not node.value:
-            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, self.document.span)]
-        return [
-            BusSpec(
-                name,
-                round(self.scope.quantity(entry.get("bitrate"), "bitrate", DEFAULT_BITRATE)),
-                entry.where,
-            )
-            for name, entry in node.value.items()
-        ]
-
-    def _device(self, leaf: Instance, can: Node, motors: _Motors) -> Device:
-        wires: list[Wire] = []
-        channels = leaf.entry.get("channels")
-        entries = (
-            channels.value if channels is not None and isinstance(channels.value, dict) else {}
-        )
-        for channel, node in entries.items():
-            wire = self._wire(leaf, channel, node, motors)
-            if wire is not None:
-                wires.append(wire)
-        document = leaf.type.document if leaf.type is not None else can
-        return Device(
-            path=leaf.path,
-            name=flat(leaf.path),
-            can=can,
-            channels=document.get("channels"),
-            wires=tuple(wires),
-            address=leaf.can,
-            scope=leaf.scope,
-            origin=leaf.origin,
-        )
-
-    def _wire(self, leaf: Instance, channel: str, node: Node, motors: _Motors) -> Wire | None:
-        inside = leaf.parent if leaf.parent is not None else leaf
-        reference = inside.scope.text(node)
-        found = self.resolver.find_motor(inside, reference, node) if reference else None
-        if found is None:
-            return None
-        actuator = motors.actuators.get(f"{flat(found[0].path)}_{found[1]}")
-        if actuator is None:
-            return None
-        joint = motors.joints[actuator.joint]
-        return Wire(channel, actuator, joint.lower, joint.upper, node.where)
-
-
-@dataclass(frozen=True)
-class _Motors:
-    actuators: dict[str, Actuator]
-    joints: dict[str, Joint]
-
-
-def flat(path: str) -> str:
-    """The module's path as it begins the names of its links and joints."""
-    return path.replace(".", "_")
-
 
 def _turn_z_to(axis: Vec3) -> tuple[float, float, float, float]:
     """The shortest rotation that takes z to a unit vector (a half turn about x for -z)."""
@@ -521,6 +440,3 @@ def elaborate(document: Node, resolver: Resolver, base_dir: Path, report: Report
         return None
     robot = Elaborator(document, resolver, base_dir, report).elaborate(instance)
     return robot if not report.has_errors else None
-
-
-__all__ = ["Span", "elaborate", "flat"]

@@ -465,3 +465,8 @@ def _entries(node: Node | None) -> dict[str, Node]:
 
 def _last(path: str) -> str:
     return path.rsplit(".", 1)[-1]
+
+
+def flat(path: str) -> str:
+    """The module's path as it begins the names of its links and joints."""
+    return path.replace(".", "_")
