@@ -358,4 +358,3 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
                 robot.origin,
                 hint=hint,
             )
-
