@@ -17,7 +17,7 @@ from thorvaldc.passes.checks import Design, check_robot
 from thorvaldc.passes.elaborate import elaborate
 from thorvaldc.passes.library_check import check_module
 from thorvaldc.passes.resolve import Resolver
-from thorvaldc.passes.scope import Scope, nearest
+from thorvaldc.passes.scope import Scope
 from thorvaldc.schema.checker import check
 from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
@@ -121,7 +121,7 @@ def _robot(
     files.update(modules.files)
     if robot is not None and not report.has_errors:
         check_robot(robot, _design(document, modules, report), report)
-        if robot.calculator.name != CalculatorChoice().name:
+        if robot.calculator != CalculatorChoice():
             _check_calculator(robot, document, report)
     return robot
 
@@ -139,20 +139,15 @@ def _design(document: Node, library: Library, report: Report) -> Design:
 
 
 def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
-    from thorvaldc.runtime import calculators
+    """Whether the chosen calculator is there, takes the options and can drive the robot."""
+    from thorvaldc.runtime.calculators import for_robot
+    from thorvaldc.runtime.faults import RuntimeFault
 
-    if robot.calculator.name in calculators.BUILTIN:
-        return  # without a look at what other packages bring, which takes a while
-    known = calculators.names()
-    if robot.calculator.name not in known:
-        node = document.get("base_calculator")
-        named = node.get("name") if node is not None else None
-        report.add(
-            "calculator-unknown",
-            f"there is no base calculator `{robot.calculator.name}`",
-            (named or node or document).span,
-            hint=nearest(robot.calculator.name, known),
-        )
+    try:
+        for_robot(robot)
+    except RuntimeFault as fault:
+        node = document.get("base_calculator") or document
+        report.put(replace(fault.diagnostic, span=node.span))
 
 
 def _fleet(
