@@ -117,7 +117,7 @@ def _robot(
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
     folders.extend((folder, folder.name) for folder in library)
     modules = Library(folders)
-    robot = elaborate(document, Resolver(modules, report), base, report)
+    robot = elaborate(document, Resolver(modules, report), base, report, files)
     files.update(modules.files)
     if robot is not None and not report.has_errors:
         check_robot(robot, _design(document, modules, report), report)

@@ -6,7 +6,7 @@ import os
 import struct
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -321,6 +321,7 @@ def test_packages_by_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyP
     )
     assert found.codes == []
     assert [link.name for link in found.parts.links] == ["o", "t"]
+    assert found.link("t").origin.file == "package://two/t.xacro"
 
 
 def test_a_package_that_is_not_found_names_who_asked_and_the_cure(tmp_path: Path) -> None:
@@ -635,6 +636,7 @@ def test_the_result_does_not_depend_on_the_folder(tmp_path: Path) -> None:
                 m_stl=STL,
             ).parts
         )
-    assert repr(found[0]) == repr(found[1])
+    assert list(found[0].files) == list(found[1].files) == ["a.xacro"]
+    assert repr(replace(found[0], files={})) == repr(replace(found[1], files={}))
     assert str(os.getcwd()) not in repr(found)
     assert struct.unpack_from("<I", found[0].meshes[0].data, 80) == (4,)

@@ -60,13 +60,22 @@ class _Parts:
 class Elaborator:
     """Makes the model of a resolved robot.
 
-    ``base_dir`` is the folder of the robot file, for what it refers to.
+    ``base_dir`` is the folder of the robot file, for what it refers to; ``files``
+    gets the files that were read besides, by their names in spans.
     """
 
-    def __init__(self, document: Node, resolver: Resolver, base_dir: Path, report: Report) -> None:
+    def __init__(
+        self,
+        document: Node,
+        resolver: Resolver,
+        base_dir: Path,
+        report: Report,
+        files: dict[str, Path],
+    ) -> None:
         self.document = document
         self.resolver = resolver
         self.base_dir = base_dir
+        self.files = files
         self.report = report
         self.scope = Scope(None, {}, resolver.library, report, None)
 
@@ -288,12 +297,13 @@ class Elaborator:
 
         found = load_extras(
             extras.value,
-            Path(self.base_dir),
+            self.base_dir,
             links=links,
             joints={joint.name: joint.origin for joint in parts.joints},
             attach=attach,
             report=self.report,
         )
+        self.files.update(found.files)
         parts.links.extend(found.links)
         parts.joints.extend(found.joints)
         for mesh in found.meshes:
@@ -433,10 +443,15 @@ def _turn_z_to(axis: Vec3) -> tuple[float, float, float, float]:
     return (w / n, x, y, z)
 
 
-def elaborate(document: Node, resolver: Resolver, base_dir: Path, report: Report) -> Robot | None:
-    """Resolve and elaborate a checked robot document; ``None`` with the faults reported."""
+def elaborate(
+    document: Node, resolver: Resolver, base_dir: Path, report: Report, files: dict[str, Path]
+) -> Robot | None:
+    """Resolve and elaborate a checked robot document; ``None`` with the faults reported.
+
+    ``files`` gets the files that were read besides, by their names in spans.
+    """
     instance = resolver.resolve(document)
     if instance is None or report.has_errors:
         return None
-    robot = Elaborator(document, resolver, base_dir, report).elaborate(instance)
+    robot = Elaborator(document, resolver, base_dir, report, files).elaborate(instance)
     return robot if not report.has_errors else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from thorvaldc.diagnostics import Label, Report, Span
@@ -29,12 +29,16 @@ __all__ = ["Attach", "Attachment", "ExtraParts", "load_extras"]
 
 @dataclass(frozen=True, slots=True)
 class ExtraParts:
-    """What the extras add to a robot; parents come before their children."""
+    """What the extras add to a robot; parents come before their children.
+
+    ``files`` are the files that were read, by their names in spans.
+    """
 
     links: tuple[Link, ...] = ()
     joints: tuple[Joint, ...] = ()
     meshes: tuple[Mesh, ...] = ()
     urdf_extensions: tuple[str, ...] = ()
+    files: dict[str, Path] = field(default_factory=dict)
 
 
 def load_extras(
@@ -56,13 +60,15 @@ def load_extras(
         return ExtraParts()
     base_dir = base_dir.absolute()
     display = str(Path(entries[0].span.file).parent)
-    shown = Shown(base_dir, "" if display == "." else display)
+    shown = Shown(base_dir, "" if display == "." else display, {})
     read = [_Entry.read(node, base_dir, shown, report) for node in entries]
     wanted = [entry for entry in read if entry is not None]
     joined = Joined(dict(links), dict(joints), attach, report)
     expanded = expand([Request(e.file, e.args, e.packages) for e in wanted], shown)
+    files: dict[str, Path] = {}
     for entry, expansion in zip(wanted, expanded, strict=True):
-        parts = _read(entry, expansion, shown, report)
+        files.update(expansion.files)
+        parts = _read(entry, expansion, report)
         if parts is not None:
             joined.add(entry.place(), parts)
     joined.check_mimics()
@@ -71,6 +77,7 @@ def load_extras(
         tuple(joined.new_joints),
         tuple(joined.meshes.values()),
         tuple(joined.extensions),
+        files,
     )
 
 
@@ -201,7 +208,8 @@ _FAULTS = {
 }
 
 
-def _read(entry: _Entry, expanded: Expanded, shown: Shown, report: Report) -> UrdfParts | None:
+def _read(entry: _Entry, expanded: Expanded, report: Report) -> UrdfParts | None:
+    shown = expanded.shown
     named = Label(entry.span, "the file is named here")
     if expanded.fault is not None:
         fault = expanded.fault

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -66,7 +66,11 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Expanded:
-    """What came out of one file.  ``packages`` are the ROS packages that it asked for."""
+    """What came out of one file.
+
+    ``packages`` are the ROS packages that it asked for, ``files`` all files that were
+    read, by the names that spans have for them.
+    """
 
     fault: Fault | None
     elements: tuple[Element, ...]
@@ -75,6 +79,8 @@ class Expanded:
     unused_arguments: tuple[str, ...]
     known_arguments: tuple[str, ...]
     packages: dict[str, str]
+    shown: Shown
+    files: dict[str, Path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +94,27 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """How messages and outputs call files: relative to where the robot's file was named."""
+    """How messages and outputs call files, whatever folder the whole lies in.
+
+    Relative to ``folder``, that of the robot's file, which spans call ``display``;
+    a file of an installed package (``installed``: name to folder) by its package.
+    """
 
     folder: Path
     display: str
+    installed: dict[str, str]
 
     def name(self, file: str) -> str:
+        for package, folder in self.installed.items():
+            if file.startswith(os.path.join(folder, "")):
+                return f"package://{package}/{os.path.relpath(file, folder)}".replace(os.sep, "/")
         relative = os.path.relpath(file, self.folder)
         return os.path.normpath(os.path.join(self.display, relative)).replace(os.sep, "/")
 
     def text(self, message: str) -> str:
-        """A message with absolute paths below ``folder`` made relative."""
+        """A message, or any text, with absolute paths named as ``name`` does."""
+        for package, folder in self.installed.items():
+            message = message.replace(os.path.join(folder, ""), f"package://{package}/")
         prefix = os.path.join(self.display, "") if self.display else ""
         return message.replace(os.path.join(str(self.folder), ""), prefix)
 
@@ -125,11 +141,23 @@ def expand(requests: Sequence[Request], shown: Shown) -> list[Expanded]:
     answers: list[dict[str, Any]] = []
     while len(answers) < len(entries):
         answers += _work(entries[len(answers) :])
-    return [_expanded(answer, shown) for answer in answers]
+    roots = [*search["ament"], *search["ros"]]
+    done: list[Expanded] = []
+    for answer, request in zip(answers, requests, strict=True):
+        installed = {
+            name: folder
+            for name, folder in answer.get("packages", {}).items()
+            if name not in request.packages and folder.startswith(tuple(roots))
+        }
+        done.append(_expanded(answer, replace(shown, installed=installed)))
+    return done
 
 
 def _work(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The answers of one worker; the last one is a fault where it did not live to the end."""
+    if find_spec("xacro") is None:
+        text = "the package xacro is not installed"
+        return [{"fault": {"kind": "expression", "text": text}} for _ in entries]
     path = [
         str(Path(spec.origin).parent.parent)
         for spec in (find_spec("xacro"), find_spec("yaml"))
@@ -254,4 +282,6 @@ def _expanded(answer: dict[str, Any], shown: Shown) -> Expanded:
         tuple(answer.get("unused", ())),
         tuple(answer.get("asked", ())),
         answer.get("packages", {}),
+        shown,
+        {shown.name(file): Path(file) for file in files},
     )
