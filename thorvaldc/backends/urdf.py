@@ -17,9 +17,14 @@ class Urdf(Backend):
     summary = "robot description for ROS 2 (urdf/robot.urdf) with its meshes"
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
-        files = {"urdf/robot.urdf": to_bytes(_robot(robot))}
+        files = {"urdf/robot.urdf": urdf_text(robot).encode()}
         files.update(mesh_files(robot))
         return files
+
+
+def urdf_text(robot: Robot) -> str:
+    """The document alone, as ROS passes it about."""
+    return to_bytes(_robot(robot)).decode()
 
 
 def _robot(robot: Robot) -> Element:

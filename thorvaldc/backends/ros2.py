@@ -1,0 +1,176 @@
+"""Parameter files of the robot's ROS 2 nodes: base driver, multiplexer, teleop, description.
+
+docs/ros2.md says what each parameter means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from thorvaldc.backends import Backend
+from thorvaldc.backends.ros2_parameters import Value, parameter_file
+from thorvaldc.backends.urdf import urdf_text
+from thorvaldc.model import Robot
+from thorvaldc.model.robot import Actuator, Joint, Wheel
+
+# The original's topics and default covariance of the measured twist (its diagonal).
+TELEOP_TOPIC, NAVIGATION_TOPIC = "teleop_joy/cmd_vel", "auto_nav/cmd_vel"
+TWIST_COVARIANCE = (0.001, 0.001, 0.001, 0.001, 0.001, 0.03)
+TELEOP_SHARE = 0.5  # of the robot's limits, without the turbo button
+
+Parameters = dict[str, Value]
+
+
+class Ros2(Backend):
+    name = "ros2"
+    summary = "parameter files of the base driver, twist_mux, teleop and robot_state_publisher"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        nodes: dict[str, tuple[str, Callable[[Robot], Parameters]]] = {
+            "base_driver": ("base_driver", base_driver),
+            "twist_mux": ("twist_mux", twist_mux),
+            "teleop_twist_joy": ("teleop_twist_joy_node", teleop),
+            "robot_state_publisher": ("robot_state_publisher", robot_state_publisher),
+        }
+        space = f"/{robot.namespace}/" if robot.namespace else ""
+        return {
+            f"ros2/config/{file}.yaml": parameter_file({space + node: make(robot)}).encode()
+            for file, (node, make) in nodes.items()
+        }
+
+
+def base_driver(robot: Robot) -> Parameters:
+    """What the driver needs to know of this robot; lists have an entry for each wheel."""
+    driver, prefix = robot.driver, _prefix(robot)
+    parameters: Parameters = {
+        "robot_name": robot.name,
+        "rate": driver.rate,
+        "command_timeout": driver.command_timeout,
+        "simple_sim": False,
+        "tf_prefix": robot.namespace,
+        "base_frame_id": "base_link",
+        "odom_frame_id": "odom",
+        "enable_odom_tf": True,
+        "twist_covariance": TWIST_COVARIANCE,
+        "max_linear_velocity": driver.max_linear_velocity,
+        "max_angular_velocity": driver.max_angular_velocity,
+        "max_linear_acceleration": driver.max_linear_acceleration,
+        "max_angular_acceleration": driver.max_angular_acceleration,
+        "base_calculator": robot.calculator.name,
+    }
+    if robot.calculator.options:
+        parameters["base_calculator_options"] = dict(robot.calculator.options)
+    if robot.buses:
+        parameters["can_interface_type"] = "socketcan"
+        parameters["can_interface_name"] = "can0"
+    if len(robot.buses) > 1:
+        parameters["can_bus_names"] = [bus.name for bus in robot.buses]
+        parameters["can_interface_names"] = [f"can{i}" for i, _ in enumerate(robot.buses)]
+    if robot.wheels:
+        parameters["wheels"] = _wheels(robot, prefix)
+    return parameters
+
+
+def _wheels(robot: Robot, prefix: str) -> Parameters:
+    wheels = robot.wheels
+    joints = {joint.name: joint for joint in robot.joints}
+    actuators = {actuator.joint: actuator for actuator in robot.actuators}
+
+    def on(joint: str | None, read: Callable[[Actuator], float]) -> float:
+        actuator = actuators.get(joint) if joint is not None else None
+        return read(actuator) if actuator is not None else 0.0
+
+    def limit(wheel: Wheel, read: Callable[[Joint], float | None]) -> float:
+        joint = joints.get(wheel.steering_joint or "")
+        return (read(joint) if joint is not None else None) or 0.0
+
+    def is_limited(wheel: Wheel) -> bool:
+        joint = joints.get(wheel.steering_joint or "")
+        return joint is not None and joint.lower is not None and joint.upper is not None
+
+    found: Parameters = {
+        "names": [w.name for w in wheels],
+        "propulsion_joints": [prefix + w.spin_joint for w in wheels],
+        "steering_joints": [prefix + w.steering_joint if w.steering_joint else "" for w in wheels],
+        "driven": [w.driven for w in wheels],
+        "steered": [w.steered for w in wheels],
+        "swivel": [w.swivel_joint is not None for w in wheels],
+        "x": [w.x for w in wheels],
+        "y": [w.y for w in wheels],
+        "heading": [w.heading for w in wheels],
+        "steering_sign": [w.steering_sign for w in wheels],
+        "trail": [w.trail for w in wheels],
+        "lateral_offset": [w.lateral_offset for w in wheels],
+        "radius": [w.radius for w in wheels],
+        "width": [w.width for w in wheels],
+        "max_velocity": [on(w.spin_joint, lambda a: a.max_velocity) for w in wheels],
+        "max_acceleration": [on(w.spin_joint, lambda a: a.max_acceleration) for w in wheels],
+        "steering_limited": [is_limited(w) for w in wheels],
+        "steering_lower": [limit(w, lambda j: j.lower) for w in wheels],
+        "steering_upper": [limit(w, lambda j: j.upper) for w in wheels],
+        "steering_max_velocity": [on(w.steering_joint, lambda a: a.max_velocity) for w in wheels],
+        "steering_max_acceleration": [
+            on(w.steering_joint, lambda a: a.max_acceleration) for w in wheels
+        ],
+    }
+    names = dict.fromkeys(name for wheel in wheels for name, _ in wheel.radii)
+    if names:
+        found["radii"] = {
+            name: [dict(w.radii).get(name, w.radius) for w in wheels] for name in names
+        }
+    return found
+
+
+def twist_mux(robot: Robot) -> Parameters:
+    """A person comes before the navigation; a lock stops all that is not above it."""
+    timeout = robot.driver.command_timeout
+    return {
+        "use_stamped": False,
+        "topics": {
+            "teleop_joy": {"topic": TELEOP_TOPIC, "timeout": timeout, "priority": 100},
+            "auto_nav": {"topic": NAVIGATION_TOPIC, "timeout": timeout, "priority": 10},
+        },
+        "locks": {
+            "safety_stop": {"topic": "safety_stop/lock", "timeout": 0.0, "priority": 255},
+            "auto_nav_pause": {"topic": "auto_nav/pause", "timeout": 0.0, "priority": 50},
+        },
+    }
+
+
+def teleop(robot: Robot) -> Parameters:
+    """Scales from the robot's limits; sideways only where every wheel can turn that way."""
+    linear, angular = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
+    turns = [w.steered or w.swivel_joint is not None for w in robot.wheels]
+    sideways = linear if turns and all(turns) else 0.0
+
+    def scales(share: float) -> tuple[dict[str, float], dict[str, float]]:
+        return {"x": share * linear, "y": share * sideways}, {"yaw": share * angular}
+
+    slow, fast = scales(TELEOP_SHARE), scales(1.0)
+    return {
+        "publish_stamped_twist": False,
+        "require_enable_button": True,
+        "enable_button": 4,
+        "enable_turbo_button": 5,
+        "inverted_reverse": False,
+        "axis_linear": {"x": 1, "y": 0},
+        "axis_angular": {"yaw": 3},
+        "scale_linear": slow[0],
+        "scale_linear_turbo": fast[0],
+        "scale_angular": slow[1],
+        "scale_angular_turbo": fast[1],
+    }
+
+
+def robot_state_publisher(robot: Robot) -> Parameters:
+    """The names in the description have the name space already, so there is no prefix to add."""
+    return {
+        "robot_description": urdf_text(robot),
+        "frame_prefix": "",
+        "publish_frequency": robot.driver.rate,
+        "ignore_timestamp": False,
+    }
+
+
+def _prefix(robot: Robot) -> str:
+    return f"{robot.namespace}/" if robot.namespace else ""
