@@ -9,9 +9,10 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.command import LightCommand, guarded
+from thorvaldc.cli.command import LightCommand, LightGroup, guarded
 
 app = typer.Typer(
+    cls=LightGroup,
     help="A compiler for modular robots: robot.yaml in; URDF, MJCF, ROS 2 parameters and a CAN"
     " map out.",
     no_args_is_help=True,
@@ -20,7 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-modules = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+modules = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(modules, name="modules", help="The hardware modules of the library.")
 
 Files = Annotated[list[str], typer.Argument(metavar="FILE...", help="A robot.yaml or fleet.yaml.")]

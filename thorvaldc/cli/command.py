@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, ParamSpec
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from thorvaldc.cli.main import protect
 
@@ -23,6 +23,12 @@ class _PlainText:
         return list(value)
 
 
+def _lightened(parameters: list[Any]) -> list[Any]:
+    for parameter in parameters:
+        parameter._runtime_param = _PlainText()
+    return parameters
+
+
 class LightCommand(TyperCommand):
     """A command whose parameters are text, lists of text and flags.
 
@@ -31,10 +37,15 @@ class LightCommand(TyperCommand):
     the attribute set here.
     """
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        for parameter in self.params:
-            setattr(parameter, "_runtime_param", _PlainText())  # noqa: B010
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _lightened(super().get_params(ctx))
+
+
+class LightGroup(TyperGroup):
+    """A group of commands, for the same reason."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _lightened(super().get_params(ctx))
 
 
 def guarded(function: Callable[P, int]) -> Callable[P, None]:

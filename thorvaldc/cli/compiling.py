@@ -72,7 +72,8 @@ def check_modules(folders: Sequence[str], format: str, strict: bool) -> int:
     from thorvaldc.pipeline import check_library
 
     faults = Faults(format, sys.stdout)
-    for folder in library_folders(folders, "DIR") or [None]:
+    wanted: list[Path | None] = [*library_folders(folders, "DIR")]
+    for folder in wanted or [None]:
         done = check_library(folder)
         faults.add(done.report, done.sources)
         faults.result(f"{folder or 'modules'}: {count(len(done.names), 'module')}")
