@@ -1,0 +1,6 @@
+"""The JSON Schemas of robot, module and fleet documents: the definition of their shape."""
+
+from thorvaldc.schema.checker import check
+from thorvaldc.schema.documents import KINDS, Kind, bundle, inlined, schema_text
+
+__all__ = ["KINDS", "Kind", "bundle", "check", "inlined", "schema_text"]

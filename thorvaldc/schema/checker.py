@@ -2,17 +2,123 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import functools
+from collections.abc import Iterator
+from typing import Any
 
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.schema import faults
+from thorvaldc.schema.documents import Kind, inlined
 from thorvaldc.source.node import Node
-
-Kind = Literal["robot", "module", "fleet"]
+from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 
 
 def check(node: Node, kind: Kind, report: Report) -> bool:
-    """Whether the document has the shape of its kind; what is wrong goes to the report."""
+    """Whether the document has the shape of its kind.
+
+    What is wrong goes to ``report``, all of it, but nothing about a value that
+    the report has an error at already.
+    """
+    schema = inlined(kind)
+    # A scalar that the reader found fault with has only a likely meaning.
+    known = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
+    found = False
+    for error in _validator(kind).iter_errors(node.plain()):
+        found = True
+        faults.explain(error, node, kind, known, report)
+    for span, fault in _quantity_faults(node, schema, kind):
+        if span not in known:
+            found = True
+            report.add(fault.code, fault.message, span, hint=fault.hint)
+    return not found
+
+
+@functools.cache
+def _validator(kind: Kind) -> Any:
+    from jsonschema import Draft202012Validator
+    from jsonschema.validators import extend
+
+    # 3.0 is an integer to JSON Schema, but no id of a device.
+    checker = Draft202012Validator.TYPE_CHECKER.redefine(
+        "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
+    )
+    return extend(Draft202012Validator, type_checker=checker)(inlined(kind))
+
+
+def sound(node: Node, report: Report) -> Node:
+    """The document without the values that the report has errors at.
+
+    What is left can be given to the next stages, so that their faults are found
+    in the same run.
+    """
+    spans = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
+    return _without(node, spans) or Node({}, node.span, node.key_span)
+
+
+def _without(node: Node, spans: set[Span]) -> Node | None:
+    if node.span in spans:
+        return None
     if isinstance(node.value, dict):
-        return True
-    report.add("wrong-type", f"a {kind} document is a mapping", node.span)
-    return False
+        entries = {k: kept for k, v in node.value.items() if (kept := _without(v, spans))}
+        return Node(entries, node.span, node.key_span)
+    if isinstance(node.value, tuple):
+        items = [kept for v in node.value if (kept := _without(v, spans))]
+        # A vector with an element missing is no vector.
+        return (
+            Node(tuple(items), node.span, node.key_span) if len(items) == len(node.value) else None
+        )
+    return node
+
+
+# -- quantities -----------------------------------------------------------------------
+
+
+def _quantity_faults(
+    node: Node, schema: dict[str, Any], kind: Kind
+) -> Iterator[tuple[Span, UnitError]]:
+    value = node.value
+    if isinstance(value, str):
+        wanted = schema.get("x-quantity")
+        if value.startswith("${"):
+            if kind != "module" and not schema.get("x-verbatim"):
+                yield node.span, _no_expression(kind)
+        elif wanted is not None and value not in schema.get("x-words", ()):
+            fault = _fault(value, wanted)
+            if fault is not None:
+                yield node.span, fault
+    elif isinstance(value, dict):
+        properties = schema.get("properties", {})
+        others = schema.get("additionalProperties")
+        for key, entry in value.items():
+            inner = properties.get(key, others)
+            if isinstance(inner, dict):
+                yield from _quantity_faults(entry, inner, kind)
+    elif isinstance(value, tuple):
+        inner = schema.get("items")
+        if isinstance(inner, dict):
+            for item in value:
+                yield from _quantity_faults(item, inner, kind)
+
+
+def _fault(text: str, wanted: str | list[str]) -> UnitError | None:
+    """Why the text is none of the wanted quantities, or ``None``."""
+    first: UnitError | None = None
+    for quantity in [wanted] if isinstance(wanted, str) else wanted:
+        try:
+            if quantity == "any":
+                parse_any(text)
+            else:
+                parse_quantity(text, quantity)
+        except UnitError as error:
+            first = first or error
+        else:
+            return None
+    return first
+
+
+def _no_expression(kind: Kind) -> UnitError:
+    return UnitError(
+        f"a {kind} document has no expressions",
+        "write the value; expressions belong in module documents",
+        "expression-not-allowed",
+    )
