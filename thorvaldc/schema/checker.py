@@ -42,7 +42,8 @@ def _validator(kind: Kind) -> Any:
     checker = Draft202012Validator.TYPE_CHECKER.redefine(
         "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
     )
-    return extend(Draft202012Validator, type_checker=checker)(inlined(kind))
+    strict: Any = extend(Draft202012Validator, type_checker=checker)  # type: ignore[no-untyped-call]
+    return strict(inlined(kind))
 
 
 def sound(node: Node, report: Report) -> Node:

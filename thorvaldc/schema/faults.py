@@ -19,6 +19,7 @@ _TYPE_WORDS = {
     "integer": "a whole number",
     "boolean": "`true` or `false`",
 }
+_AUTO = ("^auto", "^(auto")
 _EXPRESSION = "^\\$\\{.*\\}$"
 _ID_HINT = "names have lower-case letters, digits and `_`, and begin with a letter"
 
@@ -40,10 +41,10 @@ def explain(error: Any, root: Node, kind: Kind, known: set[Span], report: Report
 def _find(node: Node, path: list[str | int]) -> Node:
     for step in path:
         inner = node.value
-        if (isinstance(inner, dict) and isinstance(step, str)) or (
-            isinstance(inner, tuple) and isinstance(step, int)
-        ):
-            node = inner[step]
+        if isinstance(inner, dict):
+            node = inner[str(step)]
+        elif isinstance(inner, tuple):
+            node = inner[int(step)]
     return node
 
 
@@ -86,9 +87,8 @@ class _Fault:
         names = [step for step in self.path if isinstance(step, str)]
         if not names:
             return f"the {self.kind} document"
-        return (
-            f"`{names[-1]}`" if isinstance(self.path[-1], str) else f"an element of `{names[-1]}`"
-        )
+        name = f"`{names[-1]}`"
+        return name if isinstance(self.path[-1], str) else f"an element of {name}"
 
     @property
     def start(self) -> Span:
@@ -120,9 +120,9 @@ class _Fault:
             return near
         for name, inner in properties.items():
             if key in inner.get("properties", {}):
-                return f"`{key}` belongs into `{name}`"
+                return f"`{key}` belongs under `{name}`"
         if "params" in properties:
-            return "parameters of the module's type belong into `params`"
+            return "parameters of the module's type belong under `params`"
         return "known keys are " + ", ".join(f"`{name}`" for name in properties)
 
     def _present(self) -> dict[str, Node]:
@@ -166,7 +166,8 @@ class _Fault:
         present = self._present()
         keys = [key for key in self.error.validator_value.get("required", []) if key in present]
         if len(keys) < 2:
-            return self.other()
+            self.other()
+            return
         first, second = sorted(present[key].where for key in keys)[:2]
         self.add(
             "conflicting-keys",
@@ -178,7 +179,8 @@ class _Fault:
 
     def _minproperties(self) -> None:
         if self.schema.get("maxProperties") == 1:
-            return self._one_key()
+            self._one_key()
+            return
         self.add(
             "wrong-length", f"{self.place} is empty", self.start, "it needs at least one entry"
         )
@@ -212,18 +214,13 @@ class _Fault:
 
     def _type(self) -> None:
         example = _example(self.schema)
-        found = self.node.value
         hint = f"as in `{example}`" if example is not None else None
-        if found is None:
-            where, hint = self.start, hint or "leave the key out, or give it a value"
-            self.add("wrong-type", f"{self.place} has no value", where, hint)
+        if self.node.value is None:
+            hint = hint or "leave the key out, or give it a value"
+            self.add("wrong-type", f"{self.place} has no value", self.start, hint)
             return
-        self.add(
-            "wrong-type",
-            f"{_wanted(self.schema)} is wanted, not {_found(self.node)}",
-            self.node.span,
-            hint,
-        )
+        message = f"{_wanted(self.schema)} is wanted, not {_found(self.node)}"
+        self.add("wrong-type", message, self.node.span, hint)
 
     def _enum(self, values: list[Any] | None = None) -> None:
         values = values if values is not None else list(self.error.validator_value)
@@ -257,10 +254,11 @@ class _Fault:
         branches = self.error.validator_value
         if "enum" in branches[0]:
             self._enum(branches[0]["enum"])
-            return None
+            return
         keys = [f"`{key}`" for branch in branches for key in branch.get("required", [])]
         if not keys:
-            return self.other()
+            self.other()
+            return
         self.add(
             "conflicting-keys",
             f"{self.place} has none of {', '.join(keys)}; one is wanted",
@@ -272,7 +270,7 @@ class _Fault:
         pattern, text = str(self.error.validator_value), _text(self.node)
         span = self.node.span
         types = self.schema.get("type")
-        if pattern == _EXPRESSION or pattern.startswith("^(auto") or pattern.startswith("^auto"):
+        if pattern == _EXPRESSION or pattern.startswith(_AUTO):
             example = _example(self.schema)
             self.add(
                 "wrong-type",
@@ -293,7 +291,7 @@ class _Fault:
                 "bad-id",
                 f"`{text}` does not name a part",
                 span,
-                f"write names joined by dots, as in `{_example(self.schema) or 'frame.front_left'}`",
+                "write names joined by dots, as in `frame.front_left`",
             )
         else:
             what = "name or mapping" if isinstance(types, list) and "object" in types else "name"
@@ -341,18 +339,24 @@ def _wanted(schema: dict[str, Any]) -> str:
     for name in [types] if isinstance(types, str) else types:
         if name == "string":
             pattern = schema.get("pattern", "")
-            if pattern.startswith("^auto") or pattern.startswith("^(auto"):
+            if pattern.startswith(_AUTO):
                 words.append("`auto`")
-            elif pattern != _EXPRESSION and not words[:1] == ["a number"] and quantity is None:
+            elif pattern != _EXPRESSION and quantity is None:
                 words.append("text")
         elif name != "number" or quantity is None:
             words.append(_TYPE_WORDS[name])
-    return " or ".join(words) or "something else"
+    if len(words) < 2:
+        return "".join(words)
+    return ", ".join(words[:-1]) + f" or {words[-1]}"
 
 
 def _example(schema: dict[str, Any]) -> str | None:
     examples = schema.get("examples")
-    return _shown(examples[0]) if examples else None
+    if not examples or (isinstance(examples[0], str) and examples[0].startswith("${")):
+        return None
+    shown = _shown(examples[0])
+    # Text that would be read as a number is shown as it must be written.
+    return f'"{shown}"' if isinstance(examples[0], str) and shown.startswith("0x") else shown
 
 
 def _shown(value: Any) -> str:

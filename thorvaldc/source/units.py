@@ -305,14 +305,16 @@ def _refuse(text: str, part: str) -> NoReturn:
     raise UnitError(f"there is no unit `{_shorten(part or text)}`", _unit_hint(part or text))
 
 
+_JOINED = re.compile(r"(kg|g|kN|mN|N)(m|mm|cm|s|ms)")  # `kgm^2`: two units written as one
+
+
 def _unit_hint(name: str) -> str:
     for known in COMMON:
         if known.casefold() == name.casefold():
             return f"did you mean `{known}`?"
-    # `kgm^2`, `Nms`: two units written as one.
-    for cut in range(1, min(len(name), 8)):
-        if _lookup(name[:cut]) is not None and _lookup(name[cut:]) is not None:
-            return f"put a space between units: `{name[:cut]} {name[cut:]}`"
+    joined = _JOINED.fullmatch(name)
+    if joined:
+        return f"put a space between units: `{joined[1]} {joined[2]}`"
     found = nearest(name, COMMON)
     if found is not None:
         return f"did you mean `{found}`?"
