@@ -108,7 +108,16 @@ class MujocoBase(BaseHandle):
         self.scene = scene
         model = scene.model
         self._n = len(robot.wheels)
-        self._body = scene.index("body", prefix + robot.links[0].name, robot)
+        body = scene.index("body", prefix + robot.links[0].name, robot)
+        free = int(model.body_jntadr[body])
+        if free < 0 or int(model.body_dofnum[body]) != 6:
+            raise RuntimeFault(
+                "simulation-scene",
+                f"the body {prefix + robot.links[0].name!r} of the scene has no free joint",
+                robot.origin,
+            )
+        self._base = int(model.jnt_qposadr[free])
+        self._base_velocity = int(model.jnt_dofadr[free])
         # (wheel, address in qpos, address in qvel) of the joints, (wheel, actuator) of the motors.
         self._spin: list[tuple[int, int, int]] = []
         self._steering: list[tuple[int, int, int]] = []
@@ -152,29 +161,26 @@ class MujocoBase(BaseHandle):
 
     def true_pose(self) -> Pose2:
         """Pose of ``base_link`` on the ground; yaw in -pi..pi."""
-        x, y, _ = self.scene.data.xpos[self._body]
-        r = self.scene.data.xmat[self._body]
-        return Pose2(float(x), float(y), math.atan2(float(r[3]), float(r[0])))
+        x, y, _, w, i, j, k = self._base_position()
+        yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
+        return Pose2(x, y, yaw)
 
     def true_twist(self) -> Twist:
-        """Velocity of ``base_link`` in itself."""
-        import numpy
-
-        velocity = numpy.zeros(6)
-        mujoco: Any = self.scene._mujoco
-        mujoco.mj_objectVelocity(
-            self.scene.model,
-            self.scene.data,
-            mujoco.mjtObj.mjOBJ_XBODY,
-            self._body,
-            velocity,
-            1,
-        )
-        return Twist(float(velocity[3]), float(velocity[4]), float(velocity[2]))
+        """Velocity of ``base_link`` in itself, on the ground."""
+        v = self.scene.data.qvel[self._base_velocity : self._base_velocity + 6].tolist()
+        yaw = self.true_pose().yaw
+        c, s = math.cos(yaw), math.sin(yaw)
+        return Twist(c * v[0] + s * v[1], c * v[1] - s * v[0], v[5])
 
     def uprightness(self) -> float:
         """Cosine of the robot's tilt: 1 upright, 0 on its side."""
-        return float(self.scene.data.xmat[self._body][8])
+        _, _, _, _, i, j, _ = self._base_position()
+        return 1.0 - 2.0 * (i * i + j * j)
+
+    def _base_position(self) -> list[float]:
+        # Read from qpos: MuJoCo's xpos lags a step behind it.
+        found: list[float] = self.scene.data.qpos[self._base : self._base + 7].tolist()
+        return found
 
 
 def _load(folder: Path, scene: str) -> Any:
