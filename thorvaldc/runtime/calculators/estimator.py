@@ -63,6 +63,7 @@ class TwistEstimator:
         self._wheels = geometry.wheels
         self._centre = geometry.centre
         skids = FixedWheels(geometry.wheels).skids
+        self._skidding = len(skids)
         xm, ym = geometry.centre
         # (index, direction at angle 0, sign, x', y', trail, lateral, radius or 0, turns, skids)
         self._rows = tuple(
@@ -176,12 +177,17 @@ class TwistEstimator:
         speed_floor2, slip_floor2 = n.speed_floor**2, n.slip_floor**2
         a11, a22, a33 = p_v, p_v, p_w
         a12 = a13 = a23 = b1 = b2 = b3 = 0.0
+        w_skid = 0.0
+        if self._skidding:
+            # Friction does not ask how fast a wheel scrubs: they all weigh the same.
+            a2 = sum((c * vx + s * vy + l3 * wz) ** 2 for c, s, l3, _, _, _, _, k in rows if k)
+            w_skid = 1.0 / (skid2 * a2 / self._skidding + speed_floor2)
         for c, s, l3, z_l, rolls, t3, z_t, skids in rows:
             roll = c * vx + s * vy + l3 * wz
             slip = c * vy - s * vx + t3 * wz
             a2 = roll * roll + slip * slip
             if skids:
-                w_l = w_t = 1.0 / (skid2 * a2 + speed_floor2)
+                w_l = w_t = w_skid
             else:
                 w_l = 1.0 / (ratio2 * a2 + speed_floor2)
                 w_t = 1.0 / (angle2 * a2 + slip_floor2)
