@@ -396,6 +396,7 @@ class _Stance:
             about_x.append(y * f)
             about_y.append(-x * f)
         depths: list[float] = []
+        tilts: list[float] = []
         points: list[tuple[float, float]] = []
         for footing in self.footings:
             t = transforms[footing.group]
@@ -411,6 +412,7 @@ class _Stance:
             about_x[footing.group] += y * f
             about_y[footing.group] -= x * f
             depths.append(p)
+            tilts.append(az)
             points.append((x, y))
         for g in range(len(self.parent) - 1, 0, -1):
             up = self.parent[g]
@@ -431,7 +433,7 @@ class _Stance:
             else:
                 force = ax * (about_x[g] - oy * vertical[g]) + ay * (about_y[g] + ox * vertical[g])
             residual.append(force - joint.stiffness * (s[g - 1] - joint.spring_reference))
-        return _Forces(residual, depths, points, frames)
+        return _Forces(residual, depths, tilts, points, frames)
 
     def step(self, forces: _Forces) -> list[float] | None:
         """The Newton step; ``None`` where the stance has no stiffness in some direction."""
@@ -459,6 +461,7 @@ class _Stance:
 class _Forces:
     residual: list[float]
     depths: list[float]
+    tilts: list[float]
     points: list[tuple[float, float]]
     frames: list[tuple[Vec3, Vec3]]
 
@@ -476,14 +479,17 @@ def _moved(base: Pose, step: list[float]) -> Pose:
     return Pose((x, y, z + step[0]), quat)
 
 
-def _settle(stance: _Stance) -> tuple[Pose, list[float], list[float]] | None:
-    """Base, positions of the compliant joints and penetrations; ``None``: it does not stand."""
-    base, s = Pose(), [joint_home(joint) for joint in stance.joints]
+def _settle(stance: _Stance, sink: float) -> tuple[Pose, list[float], _Forces] | None:
+    """Base, positions of the compliant joints and the forces; ``None``: it does not stand.
+
+    The search starts with the base ``sink`` m under its place at joint positions 0.
+    """
+    base, s = Pose((0.0, 0.0, -sink)), [joint_home(joint) for joint in stance.joints]
     forces = stance.evaluate(base, s)
     tolerance = 1e-10 * max(stance.weight, 1.0)
     for _ in range(_MAX_ITERATIONS):
         if forces.size() < tolerance:
-            return base, s, forces.depths
+            return base, s, forces
         step = stance.step(forces)
         if step is None or max(map(abs, step)) > 1e3:
             return None
@@ -497,7 +503,7 @@ def _settle(stance: _Stance) -> tuple[Pose, list[float], list[float]] | None:
                 break
             length /= 2
         else:
-            return (base, s, forces.depths) if forces.size() < 1e-6 * stance.weight else None
+            return (base, s, forces) if forces.size() < 1e-6 * stance.weight else None
         base, s, forces = new_base, new_s, new_forces
     return None
 
@@ -551,22 +557,27 @@ def rest(robot: Robot) -> Rest:
         axis = pose.rotate(spin_axis(tree, wheel))
         group = stance.group_of_lump[tree.lump[link]]
         footings.append(_Footing(group, pose.xyz, axis, wheel.radius, weight))
-    found = _settle(stance) if footings and stance.weight > 0.0 else None
-    if found is None:
-        base = Pose()
-        depths = [
-            penetration_under(wheel.load, weight)
-            for wheel, weight in zip(robot.wheels, weights, strict=True)
-        ]
-    else:
-        base, s, depths = found
+    depths = [
+        penetration_under(wheel.load, weight)
+        for wheel, weight in zip(robot.wheels, weights, strict=True)
+    ]
+    tilts = [footing.axis[2] for footing in footings]
+    base = Pose()
+    found = None
+    if footings and stance.weight > 0.0:
+        found = _settle(stance, sum(depths) / len(depths) / 2)
+    if found is not None:
+        base, s, forces = found
         base = base.clean()
         positions |= {j.name: clean(q) for j, q in zip(compliant, s, strict=True)}
+        depths, tilts = forces.depths, forces.tilts
     wheels = {}
-    for wheel, footing, depth in zip(robot.wheels, footings, depths, strict=True):
+    for wheel, footing, depth, tilt in zip(robot.wheels, footings, depths, tilts, strict=True):
         p = max(depth, 0.0)
         force = normal_force(p, footing.inverse_weight)
-        wheels[wheel.name] = _ellipsoid(wheel, p, force, footing.axis[2])
+        # The body leans by some 1e-5 rad; a wheel that is upright is to stay so in the file.
+        lean = tilt if abs(tilt) > 1e-4 else 0.0
+        wheels[wheel.name] = _ellipsoid(wheel, p, force, lean)
     return Rest(base, positions, carried, wheels, found is not None)
 
 
