@@ -146,7 +146,7 @@ class _Check:
     def poses(self, urdf: Any, mjcf: Any) -> None:
         rng = np.random.default_rng(1)
         a, b = mujoco.MjData(urdf), mujoco.MjData(mjcf)
-        free = [j for j in range(mjcf.njnt) if mjcf.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE][0]
+        free = next(j for j in range(mjcf.njnt) if mjcf.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
         adr = mjcf.jnt_qposadr[free]
         links = [self.prefix + link.name for link in self.robot.links]
         ia = [urdf.body(name).id for name in links]
@@ -188,6 +188,7 @@ class _Check:
         d = mujoco.MjData(m)
         mujoco.mj_forward(m, d)
         full = np.zeros((m.nv, m.nv))
+        # MuJoCo 4 takes the data, 3 the array in it.
         mujoco.mj_fullM(m, full, d.qM) if hasattr(d, "qM") else mujoco.mj_fullM(m, d, full)
         driven = sum(wheel.driven for wheel in robot.wheels)
         total = sum(link.inertial.mass for link in robot.links if link.inertial is not None)
@@ -235,6 +236,7 @@ class _Check:
             force = float(d.efc_aref[row] / d.efc_R[row])
             for g in contact.geom:
                 touched[m.body(m.geom_bodyid[g]).name] = (contact, force)
+        self.bits(m)
         weight = sum(m.body_mass) * 9.81
         carried = sum(force for name, (_, force) in touched.items() if name != "world")
         self.same("weight on the ground", carried / weight, 1.0, tolerance=1e-5)
@@ -263,10 +265,37 @@ class _Check:
             ]
             self.same(f"{name}: treads", len(geoms), 1)
             if geoms:
-                self.same(f"{name}: width", m.geom_size[geoms[0], 2] * 2, wheel.width)
+                size, turn = m.geom_size[geoms[0]], np.zeros(3)
+                ellipsoid = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+                self.same(f"{name}: tread", int(m.geom_type[geoms[0]]), ellipsoid)
+                self.same(f"{name}: width", size[2] * 2, wheel.width)
+                self.same(f"{name}: round", size[0], size[1])
+                mujoco.mju_rotVecQuat(turn, np.array([0.0, 0.0, 1.0]), m.geom_quat[geoms[0]])
+                axis = self.robot.joint(wheel.spin_joint).axis
+                if self.robot.joint(wheel.spin_joint).child == wheel.link:
+                    self.same(f"{name}: tread's axis", np.cross(turn, axis), np.zeros(3))
             self.same(
                 f"{name}: rolling loss", m.dof_frictionloss[joint.dofadr[0]], loss, tolerance=1e-5
             )
+
+    def bits(self, m: Any) -> None:
+        """Collision shapes meet the world and other things, never one another; visuals nothing."""
+        shapes = []
+        for g in range(m.ngeom):
+            if m.geom_bodyid[g] == 0:
+                continue
+            contype, conaffinity = int(m.geom_contype[g]), int(m.geom_conaffinity[g])
+            group = int(m.geom_group[g])
+            if group == 3:
+                shapes.append((contype, conaffinity))
+                self.same("shapes meet the world", bool((contype | conaffinity) & 1), True)
+            else:
+                self.same("group of a shape", group, 2)
+                self.same("visuals touch", contype | conaffinity, 0)
+        for contype, _ in shapes:
+            if any(contype & conaffinity for _, conaffinity in shapes):
+                self.found.append("shapes of the robot meet one another")
+                break
 
     def sensors(self, m: Any) -> None:
         for sensor in self.robot.sensors:
@@ -275,9 +304,7 @@ class _Check:
             if site < 0:
                 self.found.append(f"sensor {name} has no site")
                 continue
-            self.same(
-                f"{name}: link", m.body(m.site_bodyid[site]).name, self.prefix + sensor.link
-            )
+            self.same(f"{name}: link", m.body(m.site_bodyid[site]).name, self.prefix + sensor.link)
             self.same(f"{name}: place", m.site_pos[site], np.zeros(3))
             self.same(f"{name}: turn", m.site_quat[site], (1, 0, 0, 0))
             if sensor.type == "imu":
@@ -357,9 +384,7 @@ class _Check:
             touched = [g for g in geoms if g.get("class") != "visual"]
             parts = element.findall("visual")
             self.same(f"{name}: visuals", len(parts), len(seen), len(link.visuals))
-            for i, (part, geom, visual) in enumerate(
-                zip(parts, seen, link.visuals, strict=False)
-            ):
+            for i, (part, geom, visual) in enumerate(zip(parts, seen, link.visuals, strict=False)):
                 what = f"{name}: visual {i}"
                 self.shape(what, part, geom, assets, visual.shape, folder)
                 material = part.find("material")
@@ -459,9 +484,7 @@ class _Check:
         for wheel in self.robot.wheels:
             for tag in ("mu1", "mu2"):
                 path = f"gazebo[@reference='{self.prefix}{wheel.link}']/{tag}"
-                self.same(
-                    f"{wheel.link}: {tag}", float(urdf.findtext(path, "nan")), wheel.friction
-                )
+                self.same(f"{wheel.link}: {tag}", float(urdf.findtext(path, "nan")), wheel.friction)
         for joint in self.robot.joints:
             if joint.mimic is not None:
                 path = f"joint[@name='{self.prefix}{joint.name}']/mimic"

@@ -1,0 +1,61 @@
+"""Robots written to disk by the two XML backends, and the external checkers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.backends.urdf import Urdf
+from thorvaldc.model import Fleet, Robot
+
+
+def write(files: dict[str, bytes], folder: Path) -> Path:
+    for path, data in files.items():
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+    return folder
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[[Robot], Path]:
+    """Writes URDF and MJCF of a robot to a folder of its own and returns that."""
+
+    def run(robot: Robot) -> Path:
+        return write({**Urdf().emit(robot), **Mjcf().emit(robot)}, tmp_path / robot.name)
+
+    return run
+
+
+@pytest.fixture
+def written_fleet(tmp_path: Path) -> Callable[[Fleet], Path]:
+    def run(fleet: Fleet) -> Path:
+        return write({**Urdf().emit_fleet(fleet), **Mjcf().emit_fleet(fleet)}, tmp_path)
+
+    return run
+
+
+def checker(program: str, package: str) -> str:
+    """Path of an external program; skips without it, but fails where ``CI`` is set."""
+    found = shutil.which(program)
+    if found is None:
+        reason = f"{program} is not installed (Debian package {package})"
+        if os.environ.get("CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return found
+
+
+@pytest.fixture
+def check_urdf() -> str:
+    return checker("check_urdf", "liburdfdom-tools")
+
+
+@pytest.fixture
+def ign() -> str:
+    return checker("ign", "ignition-tools, libsdformat-dev")

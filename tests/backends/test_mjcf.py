@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.backends.plans import ROBOTS, grafted, stl
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.model import Fleet, Mesh, MeshShape, Placement, Pose, Robot, Visual
+
+Written = Callable[[Robot], Path]
+WrittenFleet = Callable[[Fleet], Path]
+
+
+def fleet(*names: str) -> Fleet:
+    """Robots side by side, 3 m apart, each turned a little further."""
+    placements = [
+        Placement(
+            f"r{i}",
+            Pose.from_xyz_rpy((0.0, 3.0 * i, 0.0), (0.0, 0.0, 0.7 * i)),
+            replace(ROBOTS[name], namespace=f"r{i}"),
+        )
+        for i, name in enumerate(names)
+    ]
+    return Fleet("several", "", tuple(placements))
+
+
+def test_robot_file_can_be_attached(written: Written) -> None:
+    folder = written(grafted(1))
+    parent = mujoco.MjSpec()
+    child = mujoco.MjSpec.from_file(str(folder / "mjcf" / "robot.xml"))
+    # Options are the parent's to set; MuJoCo warns where it does not.
+    for option in ("timestep", "impratio", "integrator", "cone"):
+        setattr(parent.option, option, getattr(child.option, option))
+    for prefix in ("a/", "b/"):
+        frame = parent.worldbody.add_frame(pos=[0, 5 if prefix == "b/" else 0, 0])
+        parent.attach(child.copy(), prefix=prefix, frame=frame)
+    model = parent.compile()
+    assert model.body("a/base_link").id != model.body("b/base_link").id
+
+
+def test_fleet_stands_still_together(written_fleet: WrittenFleet) -> None:
+    scene = fleet("square", "suspended", "casters", "square")
+    folder = written_fleet(scene)
+    m = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    start = d.qpos.copy()
+    for placement in scene.placements:
+        base = d.joint(f"{placement.name}/floating_base").qpos
+        assert base[:2] == pytest.approx(placement.pose.xyz[:2])
+        assert abs(np.dot(base[3:], placement.pose.quat)) == pytest.approx(1.0, abs=1e-6)
+    for _ in range(200):
+        mujoco.mj_step(m, d)
+    assert np.abs(d.qpos - start).max() < 1e-5
+    for placement in scene.placements:
+        own = folder / placement.name / "mjcf" / "scene.xml"
+        alone = mujoco.MjModel.from_xml_path(str(own))
+        assert alone.nu == len(placement.robot.actuators)
+
+
+def test_robots_of_a_fleet_meet_each_other(written_fleet: WrittenFleet) -> None:
+    folder = written_fleet(fleet("square", "square", "square"))
+    m = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    for one, two in ((0, 1), (0, 2), (1, 2)):
+        mujoco.mj_resetDataKeyframe(m, d, 0)
+        at = d.joint(f"r{one}/floating_base").qpos
+        d.joint(f"r{two}/floating_base").qpos[:2] = at[:2] + np.array([0.3, 0.1])
+        mujoco.mj_forward(m, d)
+        pairs = {frozenset(m.geom(g).name.split("/")[0] for g in c.geom) for c in d.contact}
+        assert frozenset((f"r{one}", f"r{two}")) in pairs
+        assert not any(len(pair) == 1 for pair in pairs)
+
+
+def test_equal_meshes_of_a_fleet_are_one_asset(written_fleet: WrittenFleet) -> None:
+    robots = [replace(grafted(s), namespace=f"r{i}") for i, s in enumerate((1, 1, 2))]
+    placements = [
+        Placement(f"r{i}", Pose((0.0, 4.0 * i, 0.0)), robot) for i, robot in enumerate(robots)
+    ]
+    folder = written_fleet(Fleet("several", "", tuple(placements)))
+    m = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
+    scales = {
+        (shape.mesh, shape.scale)
+        for robot in robots
+        for link in robot.links
+        for part in (*link.visuals, *link.collisions)
+        if isinstance(shape := part.shape, MeshShape)
+    }
+    assert m.nmesh == len(scales)
+
+
+def test_a_flat_mesh_can_be_shown(written: Written) -> None:
+    data = stl(
+        ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+        ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)),
+    )
+    mesh = Mesh("sheet.stl", hashlib.sha256(data).hexdigest(), data)
+    robot = ROBOTS["square"]
+    body = robot.link("frame_body")
+    seen = replace(body, visuals=(Visual(MeshShape("sheet.stl"), Pose(), (1.0, 0.0, 0.0, 1.0)),))
+    links = [seen if link is body else link for link in robot.links]
+    folder = written(replace(robot, links=tuple(links), meshes=(mesh,)))
+    assert mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml")).nmesh == 1
+
+
+def test_wheels_hold_on_a_slope(written: Written) -> None:
+    # 10 degrees along x, servos at zero speed: the robot may creep by its softness only.
+    m = mujoco.MjModel.from_xml_path(str(written(ROBOTS["square"]) / "mjcf" / "scene.xml"))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    angle = np.radians(10)
+    m.opt.gravity[:] = (-9.81 * np.sin(angle), 0, -9.81 * np.cos(angle))
+    for _ in range(400):
+        mujoco.mj_step(m, d)
+    after = d.qpos[0]
+    for _ in range(1000):
+        mujoco.mj_step(m, d)
+    assert abs(d.qpos[0] - after) / 5.0 < 1e-4  # m/s
+    assert abs(after) < 0.02
+
+
+def test_long_drives_do_not_saturate(written: Written) -> None:
+    m = mujoco.MjModel.from_xml_path(str(written(ROBOTS["square"]) / "mjcf" / "scene.xml"))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    for name in ("w0", "w1", "w2", "w3"):
+        axle = d.joint(f"{name}_axle")
+        axle.qpos[0] = 1e5  # as after 20 km
+        d.act[m.actuator(f"{name}_propulsion").actadr[0]] = 1e5
+        d.ctrl[m.actuator(f"{name}_propulsion").id] = 5.0
+    for _ in range(400):
+        mujoco.mj_step(m, d)
+    assert d.joint("w0_axle").qvel[0] == pytest.approx(5.0, rel=1e-3)
+
+
+def test_emission_repeats_itself() -> None:
+    assert Mjcf().emit(grafted(3)) == Mjcf().emit(grafted(3))

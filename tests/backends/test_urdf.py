@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import subprocess
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.backends.plans import ROBOTS, grafted
+from thorvaldc.backends.urdf import Urdf
+from thorvaldc.model import Robot
+
+Written = Callable[[Robot], Path]
+SAMPLE = {"suspended": ROBOTS["suspended"], "casters": ROBOTS["casters"]} | {
+    f"graft_{seed}": grafted(seed) for seed in (0, 4, 7)
+}
+
+
+@pytest.mark.parametrize("name", sorted(SAMPLE))
+def test_check_urdf_accepts(name: str, written: Written, check_urdf: str) -> None:
+    path = written(SAMPLE[name]) / "urdf" / "robot.urdf"
+    done = subprocess.run([check_urdf, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "Successfully Parsed XML" in done.stdout
+    assert "error" not in done.stderr.lower(), done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(SAMPLE))
+def test_sdformat_accepts(name: str, written: Written, ign: str) -> None:
+    path = written(SAMPLE[name]) / "urdf" / "robot.urdf"
+    done = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)
+    assert "Valid" in done.stdout, done.stderr
+    assert "Error" not in done.stderr, done.stderr
+
+
+def test_springs_reach_sdformat(written: Written, ign: str) -> None:
+    path = written(ROBOTS["suspended"]) / "urdf" / "robot.urdf"
+    done = subprocess.run([ign, "sdf", "-p", str(path)], capture_output=True, text=True)
+    assert done.stdout.count("<spring_stiffness>20000</spring_stiffness>") == 4
+
+
+def test_extensions_of_extras_go_along() -> None:
+    text = '<gazebo reference="frame_body"><sensor type="ray" name="a&amp;b"/></gazebo>'
+    robot = replace(ROBOTS["square"], urdf_extensions=(text,))
+    root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])
+    found = root.find("gazebo[@reference='frame_body']/sensor")
+    assert found is not None
+    assert found.get("name") == "a&b"
+
+
+def test_names_carry_the_name_space() -> None:
+    robot = replace(grafted(1), namespace="r7")
+    root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])
+    links = {link.get("name") for link in root.findall("link")}
+    assert all(str(name).startswith("r7/") for name in links)
+    for tag, key in (("parent", "link"), ("child", "link")):
+        assert {e.get(key) for e in root.iter(tag)} <= links
+    joints = {joint.get("name") for joint in root.findall("joint")}
+    assert all(str(name).startswith("r7/") for name in joints)
+    assert {m.get("joint") for m in root.iter("mimic")} <= joints
+    assert {g.get("reference") for g in root.iter("gazebo")} <= links | joints
+
+
+def test_emission_repeats_itself() -> None:
+    assert Urdf().emit(grafted(3)) == Urdf().emit(grafted(3))
