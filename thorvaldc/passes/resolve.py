@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import Library, ModuleType
 from thorvaldc.model.spatial import Pose
-from thorvaldc.passes.scope import NONE, ModuleChoice, Scope, nearest
+from thorvaldc.passes.scope import FAULT, NONE, ModuleChoice, Scope, nearest
 from thorvaldc.source.node import Node
 
 MAX_DEPTH = 12
@@ -24,7 +24,8 @@ class Instance:
     """A module in its place.  ``path`` is dotted, ``fl.steering``; the robot's is empty.
 
     ``origin`` is the span of the robot file's own entry that it came from.
-    ``left_out`` names the parts that were chosen to be ``none``.
+    ``left_out`` names the parts that were chosen to be ``none``, ``failed`` those
+    with a fault that is reported.
     """
 
     path: str
@@ -36,6 +37,7 @@ class Instance:
     can: Node | None = None
     children: dict[str, Instance] = field(default_factory=dict)
     left_out: set[str] = field(default_factory=set)
+    failed: set[str] = field(default_factory=set)
     mount: Mount | None = None
 
     @property
@@ -91,9 +93,9 @@ class Resolver:
             self._expand(robot, name, entry, entry.where, ())
         self._check_defaults(robot)
         root = self._root_part(robot, document.get("modules") or document)
+        self._mount_parts(robot)
         if root is None:
             return None
-        self._mount_parts(robot)
         self._check_reached(robot, root)
         return robot
 
@@ -117,7 +119,7 @@ class Resolver:
         type_node = entry.get("type")
         if type_node is None:
             return
-        value = scope.evaluate(type_node)
+        value = scope.read(type_node)
         given: dict[str, tuple[Node, Scope]] = {}
         if isinstance(value, ModuleChoice):
             module: ModuleType | None = value.module
@@ -125,10 +127,12 @@ class Resolver:
         elif value is None or value == NONE:
             parent.left_out.add(name)
             return
+        elif value is FAULT:
+            module = None
         else:
             module = self.library.load(str(value), type_node, report)
         if module is None:
-            parent.left_out.add(name)
+            parent.failed.add(name)
             return
         path = f"{parent.path}.{name}" if parent.path else name
         if module.name in chain or len(chain) >= MAX_DEPTH:
@@ -137,6 +141,7 @@ class Resolver:
                 f"`{module.name}` contains itself: " + " -> ".join([*chain, module.name]),
                 type_node.span,
             )
+            parent.failed.add(name)
             return
         # An assembly's own word about a part comes before what the chosen module was given.
         params = _entries(entry.get("params"))
@@ -229,19 +234,28 @@ class Resolver:
     # -- references -----------------------------------------------------------------
 
     def find(
-        self, inside: Instance, reference: str, node: Node
+        self, inside: Instance, reference: str, node: Node, *, optional: bool = False
     ) -> tuple[Instance, list[str]] | None:
         """The part that a dotted reference leads to, and what of it is left over.
 
-        ``None`` where there is no such part (reported), or where it was left out.
+        ``None`` where there is no such part; that is reported, but for one that was
+        left out where the reference is ``optional``.
         """
         parts = reference.split(".")
         current = inside
         while parts and parts[0] in current.children:
             current = current.children[parts.pop(0)]
         if current is inside:
-            if parts[0] not in inside.left_out:
-                where = f" in `{inside.path}`" if inside.path else ""
+            where = f" in `{inside.path}`" if inside.path else ""
+            if parts[0] in inside.left_out:
+                if not optional:
+                    self.report.add(
+                        "module-unknown",
+                        f"`{parts[0]}` is left out{where}",
+                        node.span,
+                        hint=f"leave out what needs it too, or choose a module for `{parts[0]}`",
+                    )
+            elif parts[0] not in inside.failed:
                 self.report.add(
                     "module-unknown",
                     f"there is no module `{parts[0]}`{where}",
@@ -266,7 +280,7 @@ class Resolver:
     def _find_offered(
         self, inside: Instance, reference: str, node: Node, section: str, word: str
     ) -> tuple[Instance, str] | None:
-        found = self.find(inside, reference, node)
+        found = self.find(inside, reference, node, optional=section == "motors")
         if found is None:
             return None
         part, rest = found
@@ -318,8 +332,8 @@ class Resolver:
             return root if root.is_leaf else self._root_part(root, root.entry)
         name = f"`{assembly.path}`" if assembly.path else "the robot"
         if not roots:
-            if not assembly.children and assembly.left_out:
-                return None  # their faults are reported
+            if assembly.failed:
+                return None  # one of those may be the root
             self.report.add(
                 "root-missing",
                 f"{name} has no root: every module is mounted on another, or there is none",

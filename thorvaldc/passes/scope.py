@@ -6,6 +6,7 @@ fault is reported and a harmless value goes on, so that one run shows all faults
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 from collections.abc import Iterator, Mapping
@@ -16,13 +17,20 @@ from thorvaldc.library import Library, ModuleType
 from thorvaldc.model.spatial import Pose, Vec3
 from thorvaldc.source.expressions import ExpressionError, evaluate
 from thorvaldc.source.node import Node
-from thorvaldc.source.units import UnitError, parse_quantity
+from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 
 NONE = "none"
 
 
 class _Cycle(Exception):
     """A `let` or a parameter that needs itself."""
+
+
+class _Faulty(Exception):
+    """A name was used whose own value has a fault that is in the report already."""
+
+
+FAULT: Any = object()  # in place of a value whose fault is reported
 
 
 def nearest(word: str, known: list[str]) -> str:
@@ -108,6 +116,12 @@ class Scope(Mapping[str, Any]):
     # -- as a mapping -----------------------------------------------------------
 
     def __getitem__(self, name: str) -> Any:
+        value = self._value(name)
+        if value is FAULT:
+            raise _Faulty
+        return value
+
+    def _value(self, name: str) -> Any:
         if name in self._values:
             return self._values[name]
         if name not in self._params and name not in self._let:
@@ -119,7 +133,7 @@ class Scope(Mapping[str, Any]):
             if name in self._params:
                 value = self._param(name, self._params[name])
             else:
-                value = self.evaluate(self._let[name])
+                value = self._plain(self._let[name])
         finally:
             self._busy.pop()
         self._values[name] = value
@@ -136,7 +150,7 @@ class Scope(Mapping[str, Any]):
 
     def evaluate_all(self) -> tuple[Any, ...]:
         """All parameters' values, in order: with the type, what the hardware depends on."""
-        return tuple(self[name] for name in self._params)
+        return tuple(self._value(name) for name in self._params)
 
     # -- parameters ---------------------------------------------------------------
 
@@ -153,12 +167,15 @@ class Scope(Mapping[str, Any]):
 
     def _param(self, name: str, declared: Node) -> Any:
         given = self._given.get(name)
-        default = declared.get("default")
         if given is not None:
             node, scope = given
-        elif default is not None:
-            node, scope = default, self
-        else:
+            value = scope._typed(node, declared)
+            # An assembly may hand on that there is no value; that is as left out.
+            if value is not None or _kind(declared) == "module":
+                self._check_range(name, declared, node, value)
+                return value
+        default = declared.get("default")
+        if default is None:
             if self._place is not None and self.module is not None:
                 self.report.add(
                     "param-missing",
@@ -166,16 +183,14 @@ class Scope(Mapping[str, Any]):
                     self._place.where,
                     hint=f"add `params: {{{name}: ...}}`: {_text(declared, 'description')}",
                 )
-            return _harmless(declared)
-        faults = len(scope.report)
-        value = scope._typed(node, declared, is_default=given is None)
-        if len(scope.report) == faults:
-            self._check_range(name, declared, node, value)
+            return FAULT
+        value = self._typed(default, declared, is_default=True)
+        self._check_range(name, declared, default, value)
         return value
 
     def _typed(self, node: Node, declared: Node, *, is_default: bool = False) -> Any:
-        kind = _text(declared, "type") or "quantity"
-        quantity = _text(declared, "quantity")
+        kind = _kind(declared)
+        quantity = _text(declared, "quantity") or "ratio"
         if node.value is None or (node.value == NONE and kind != "module"):
             # Only a default may say that there is no value; expressions then ask for it.
             if is_default:
@@ -186,42 +201,39 @@ class Scope(Mapping[str, Any]):
                 node.span,
                 hint="leave the parameter out to have its default",
             )
-            return _harmless(declared)
+            return FAULT
         if kind == "module":
             return self._module(node, declared)
-        if kind == "list":
-            value = self.evaluate(node) if isinstance(node.value, str) else node.value
-            if not isinstance(value, tuple | list):
-                self.report.add("wrong-type", f"a list is wanted, not {_found(node)}", node.span)
-                return ()
-            return tuple(
-                self.quantity(v, quantity or "ratio") if isinstance(v, Node) else v for v in value
-            )
+        value = self.read(node)
+        if value is FAULT or value is None:
+            return value
         if kind == "quantity":
-            return self.quantity(node, quantity)
-        value = self.evaluate(node)
-        if kind == "integer":
+            value = self._as_quantity(value, node, quantity, math.nan)
+            return FAULT if math.isnan(value) else value
+        if kind == "list":
+            if isinstance(value, tuple | list):
+                return tuple(
+                    self.quantity(v, quantity) if isinstance(v, Node) else v for v in value
+                )
+            wanted = "a list"
+        elif kind == "integer":
             if isinstance(value, float) and value.is_integer():
                 value = int(value)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value
-            self.report.add(
-                "wrong-type", f"a whole number is wanted, not {_found(node)}", node.span
-            )
-            return 1
-        if kind == "boolean":
+            wanted = "a whole number"
+        elif kind == "boolean":
             if isinstance(value, bool):
                 return value
-            self.report.add(
-                "wrong-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
-            )
-            return False
-        if isinstance(value, str):
-            return value
-        self.report.add("wrong-type", f"text is wanted, not {_found(node)}", node.span)
-        return ""
+            wanted = "`true` or `false`"
+        else:
+            if isinstance(value, str):
+                return value
+            wanted = "text"
+        self.report.add("wrong-type", f"{wanted} is wanted, not {_found(node)}", node.span)
+        return FAULT
 
-    def _module(self, node: Node, declared: Node) -> ModuleChoice | None:
+    def _module(self, node: Node, declared: Node) -> Any:
         params: dict[str, Node] = {}
         name_node: Node | None = node
         if isinstance(node.value, dict):
@@ -230,10 +242,12 @@ class Scope(Mapping[str, Any]):
             params = given.value if given is not None and isinstance(given.value, dict) else {}
         if name_node is None:
             self.report.add("wrong-type", "a module needs a `type`", node.span)
+            return FAULT
+        value = self.read(name_node)
+        if value is FAULT or value is None or isinstance(value, ModuleChoice):
+            return value
+        if value == NONE:
             return None
-        value = self.evaluate(name_node)
-        if isinstance(value, ModuleChoice) or value is None or value == NONE:
-            return value if isinstance(value, ModuleChoice) else None
         if not isinstance(value, str):
             self.report.add(
                 "wrong-type",
@@ -241,10 +255,10 @@ class Scope(Mapping[str, Any]):
                 name_node.span,
                 hint="write its name, as in `wheel/agri_200`, or `none`",
             )
-            return None
+            return FAULT
         module = self.library.load(value, name_node, self.report)
         if module is None:
-            return None
+            return FAULT
         wanted = _text(declared, "category")
         if wanted and module.category != wanted:
             self.report.add(
@@ -252,10 +266,12 @@ class Scope(Mapping[str, Any]):
                 f"`{value}` is a {module.category}; a {wanted} is wanted",
                 name_node.span,
             )
-            return None
+            return FAULT
         return ModuleChoice(module, params, self)
 
     def _check_range(self, name: str, declared: Node, node: Node, value: Any) -> None:
+        if value is None or value is FAULT:
+            return
         choices = declared.get("choices")
         if choices is not None and isinstance(choices.value, tuple):
             known = [self.evaluate(c) for c in choices.value]
@@ -274,7 +290,7 @@ class Scope(Mapping[str, Any]):
             if limit_node is None:
                 continue
             limit = self._typed(limit_node, declared)
-            if sign * value < sign * limit:
+            if limit is not FAULT and sign * value < sign * limit:
                 shown = limit_node.value if isinstance(limit_node.value, str) else f"{limit:g}"
                 if isinstance(shown, str) and shown.startswith("${"):
                     shown = f"{limit:g}"
@@ -289,6 +305,22 @@ class Scope(Mapping[str, Any]):
 
     def evaluate(self, node: Node) -> Any:
         """The node's own value, or that of the expression in it (``None`` on a fault)."""
+        value = self.read(node)
+        return None if value is FAULT else value
+
+    def _plain(self, node: Node) -> Any:
+        """The value of a `let`, or of an item of its list: a text with a unit is a quantity."""
+        if isinstance(node.value, tuple):
+            items = [self._plain(item) for item in node.value]
+            return FAULT if any(item is FAULT for item in items) else items
+        value = self.read(node)
+        if isinstance(value, str) and value is node.value and not node.quoted:
+            with contextlib.suppress(UnitError):
+                return parse_any(value)
+        return value
+
+    def read(self, node: Node) -> Any:
+        """As ``evaluate``, with ``FAULT`` for a fault: ``None`` is then a module's `none`."""
         value = node.value
         if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
             return value
@@ -298,16 +330,19 @@ class Scope(Mapping[str, Any]):
             self.report.add(fault.code, fault.message, node.span, hint=fault.hint)
         except _Cycle as fault:
             self.report.add("expression-cycle", f"the value needs itself: {fault}", node.span)
-        return None
+        except _Faulty:
+            pass
+        return FAULT
 
     def quantity(self, node: Node | None, quantity: str, default: float = 0.0) -> float:
         """The SI value of a quantity; ``default`` where it is left out or at fault."""
         if node is None:
             return default
-        raw = node.value
-        if type(raw) is float or type(raw) is int:
-            return float(raw)
-        value = self.evaluate(node)
+        return self._as_quantity(self.read(node), node, quantity, default)
+
+    def _as_quantity(self, value: Any, node: Node, quantity: str, default: float) -> float:
+        if value is FAULT:
+            return default
         if isinstance(value, bool):
             pass
         elif isinstance(value, int | float):
@@ -319,8 +354,6 @@ class Scope(Mapping[str, Any]):
             except UnitError as fault:
                 self.report.add(fault.code, fault.message, node.span, hint=fault.hint)
                 return default
-        elif value is None and isinstance(raw, str):
-            return default  # the expression's fault is reported
         self.report.add(
             "wrong-type", f"a {quantity.replace('_', ' ')} is wanted, not {_found(node)}", node.span
         )
@@ -329,10 +362,10 @@ class Scope(Mapping[str, Any]):
     def boolean(self, node: Node | None, default: bool) -> bool:
         if node is None:
             return default
-        value = self.evaluate(node)
+        value = self.read(node)
         if isinstance(value, bool):
             return value
-        if not (value is None and isinstance(node.value, str)):
+        if value is not FAULT:
             self.report.add(
                 "wrong-type", f"`true` or `false` is wanted, not {_found(node)}", node.span
             )
@@ -341,10 +374,10 @@ class Scope(Mapping[str, Any]):
     def text(self, node: Node | None, default: str = "") -> str:
         if node is None:
             return default
-        value = self.evaluate(node)
+        value = self.read(node)
         if isinstance(value, str):
             return value
-        if not (value is None and isinstance(node.value, str)):
+        if value is not FAULT:
             self.report.add("wrong-type", f"text is wanted, not {_found(node)}", node.span)
         return default
 
@@ -354,8 +387,10 @@ class Scope(Mapping[str, Any]):
             return default
         items = node.value
         if isinstance(items, str):
-            value = self.evaluate(node)
-            if isinstance(value, tuple | list) and len(value) == 3:
+            value = self.read(node)
+            if value is FAULT:
+                return default
+            if isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_number, value)):
                 return (float(value[0]), float(value[1]), float(value[2]))
         if not isinstance(items, tuple) or len(items) != 3:
             self.report.add("wrong-type", "three numbers are wanted, x, y and z", node.span)
@@ -390,6 +425,9 @@ def _found(node: Node) -> str:
     return f"`{node.value}`"
 
 
-def _harmless(declared: Node) -> Any:
-    kind = _text(declared, "type") or "quantity"
-    return {"module": None, "list": (), "boolean": False, "text": ""}.get(kind, 1)
+def _kind(declared: Node) -> str:
+    return _text(declared, "type") or "quantity"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
