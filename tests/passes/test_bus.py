@@ -596,6 +596,30 @@ def test_bitrate_that_a_node_cannot_do(bench: Bench) -> None:
     assert fault.labels[0].span == line(2)
 
 
+def test_bitrate_must_be_positive(bench: Bench) -> None:
+    bench.drive(1)
+    assert bench.build((BusSpec("main", 0, line(99)),)) == ()
+    assert bench.fault("can-bitrate").span == line(99)
+
+
+@pytest.mark.parametrize("period", ["0", "-1 ms", "0.0 s"])
+def test_period_must_be_positive(bench: Bench, period: str) -> None:
+    bench.add("my/a", 6, text=simple(period=period), wires={"motor": MOTORS[0]})
+    bench.build()
+    assert bench.fault("can-period").span is not None
+
+
+def test_an_expression_at_fault_is_one_fault(bench: Bench) -> None:
+    text = simple().replace("cob_id: 400", 'cob_id: "${unknown + id}"')
+    assert "unknown" in text
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
+    bench.build()
+    (fault,) = bench.report
+    assert fault.code.number.startswith("TV2")
+    assert fault.span is not None
+    assert fault.span.file == "my/a/module.yaml"
+
+
 def test_load_of_four_drives(bench: Bench) -> None:
     """The worst case of four two-channel drives at 50 Hz: 46 % at 250 kbit/s, 84 at 100 Hz."""
     for _ in range(4):

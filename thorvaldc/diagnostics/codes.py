@@ -242,7 +242,13 @@ _TABLE: tuple[Code, ...] = (
     Code("TV523", "can-multiplexer", "error", "the multiplexing of a frame does not work out"),
     Code("TV524", "can-choice-range", "error", "a named value does not fit into its signal"),
     Code("TV525", "can-scale", "error", "a signal cannot carry the whole range of its joint"),
-    Code("TV530", "can-bitrate", "error", "a device cannot do the bitrate of its bus"),
+    Code("TV526", "can-period", "error", "the period of a frame is not positive"),
+    Code(
+        "TV530",
+        "can-bitrate",
+        "error",
+        "a bus has a bitrate that a device on it cannot do, or none",
+    ),
     Code(
         "TV531",
         "can-overload",

@@ -56,7 +56,15 @@ def build_buses(
     ``specs`` in file order; a device that names no bus is on the first.
     ``sync_period`` in s is the control cycle.  A robot without devices has no buses.
     """
-    if not specs:
+    for spec in specs:
+        if spec.bitrate <= 0:
+            report.add(
+                "can-bitrate",
+                f"the bus `{spec.name}` has {spec.bitrate} bit/s; a bitrate is positive",
+                spec.span,
+                hint="write it as in `500 kbit/s`",
+            )
+    if not specs or any(spec.bitrate <= 0 for spec in specs):
         return ()
     present = [device for device in devices if _is_present(device, report)]
     check_wiring(present, actuators, report)

@@ -10,7 +10,6 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model.robot import Frame, Signal
 from thorvaldc.passes.bus_device import MASTER, Device, entries, integer, items
 from thorvaldc.passes.frame_checks import check_channels, check_layout, check_scales
-from thorvaldc.passes.scope import Scope
 from thorvaldc.source.node import Node
 
 HEARTBEAT_PERIOD = 0.1  # s, where the module does not say
@@ -34,19 +33,11 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
 def frames_of(device: Device, node_id: int, sync_period: float, report: Report) -> Iterator[Frame]:
     scope, name = device.scope, device.name
     for key, node in entries(device.can.get("frames")):
-        cob_id = integer(scope, node.get("cob_id"), -1)
-        if not 0 <= cob_id <= 0x7FF:
-            place = node.get("cob_id") or node
-            report.add(
-                "can-cob-id-range",
-                f"the frame `{key}` of `{device.path}` has the identifier {cob_id:#x}; "
-                "a standard frame has 0x0 to 0x7ff",
-                place.span,
-                labels=[Label(device.origin, "this device has it")],
-            )
+        cob_id = _cob_id(device, key, node, report)
+        if cob_id is None:
             continue
         length = integer(scope, node.get("length"), 8)
-        period = _period(scope, node.get("period"), sync_period)
+        period = _period(device, node, sync_period, report)
         signals = tuple(_signals(device, node))
         check_channels(device, node, report)
         fits = check_layout(node, length, signals, report)
@@ -65,15 +56,15 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
                 (name,) if sends else (MASTER,),
                 length,
                 period,
-                scope.quantity(deadline, "time") if deadline is not None else period,
+                period if deadline is None else _time(device, deadline, report),
                 kept,
                 node.where,
                 scope.text(node.get("description")),
             )
-    yield from _standard_frames(device, node_id)
+    yield from _standard_frames(device, node_id, report)
 
 
-def _standard_frames(device: Device, node_id: int) -> Iterator[Frame]:
+def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[Frame]:
     """The CANopen objects that the device says it has (CiA 301, predefined connection set)."""
     found = device.can.get("canopen")
     if found is None or not isinstance(found.value, tuple):
@@ -122,11 +113,9 @@ def _standard_frames(device: Device, node_id: int) -> Iterator[Frame]:
                     f"Access to the object dictionary, {way}.",
                 )
         elif item.value == "heartbeat":
-            period = device.can.get("heartbeat_period")
-            every = (
-                device.scope.quantity(period, "time") if period is not None else HEARTBEAT_PERIOD
-            )
-            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), every, here)
+            stated = device.can.get("heartbeat_period")
+            every = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
+            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), every or HEARTBEAT_PERIOD, here)
 
 
 def heartbeat(
@@ -152,39 +141,79 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
     scope = device.scope
     joints = {wire.channel: wire.actuator.joint for wire in device.wires}
     for name, node in entries(frame.get("signals")):
-        channel_node = node.get("channel")
-        channel = scope.text(channel_node) if channel_node is not None else None
-        wired = _is_wired(device, channel)
+        if not isinstance(node.value, dict):
+            continue
+        get = node.value.get
+        channel = scope.text(get("channel")) if "channel" in node.value else None
+        wired = channel is None or channel in joints
 
-        def value(key: str, otherwise: float, node: Node = node, wired: bool = wired) -> Any:
+        def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
             # The numbers of a channel without a motor have no meaning and are not evaluated.
-            found = node.get(key) if wired else None
-            return otherwise if found is None else scope.quantity(found, "ratio", otherwise)
+            found = get(key) if wired else None
+            return otherwise if found is None else scope.quantity(found, "ratio", otherwise or 0.0)
 
-        signal = Signal(
-            name,
-            integer(scope, node.get("start"), 0),
-            integer(scope, node.get("length"), 1),
-            scope.boolean(node.get("signed"), False),
-            value("scale", 1.0),
-            value("offset", 0.0),
-            scope.text(node.get("unit")),
-            value("minimum", 0.0) if node.get("minimum") is not None else None,
-            value("maximum", 0.0) if node.get("maximum") is not None else None,
-            joints.get(channel) if channel is not None else None,
-            scope.boolean(node.get("multiplexer"), False),
-            tuple(integer(scope, item, 0) for item in items(node.get("selected_by"))),
-            tuple((integer(scope, raw, 0), choice) for choice, raw in entries(node.get("choices"))),
-            scope.text(node.get("description")),
+        yield (
+            Signal(
+                name,
+                integer(scope, get("start"), 0),
+                integer(scope, get("length"), 1),
+                scope.boolean(get("signed"), False),
+                value("scale", 1.0),
+                value("offset", 0.0),
+                scope.text(get("unit")),
+                value("minimum", None),
+                value("maximum", None),
+                joints.get(channel) if channel is not None else None,
+                scope.boolean(get("multiplexer"), False),
+                tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
+                tuple((integer(scope, raw, 0), choice) for choice, raw in entries(get("choices"))),
+                scope.text(get("description")),
+            ),
+            channel,
         )
-        yield signal, channel
 
 
 def _is_wired(device: Device, channel: str | None) -> bool:
     return channel is None or any(wire.channel == channel for wire in device.wires)
 
 
-def _period(scope: Scope, node: Node | None, sync_period: float) -> float | None:
+def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None:
+    node = frame.get("cob_id") or frame
+    faults = len(report)
+    cob_id = integer(device.scope, node, -1)
+    if 0 <= cob_id <= 0x7FF:
+        return cob_id
+    if len(report) == faults:
+        report.add(
+            "can-cob-id-range",
+            f"the frame `{key}` of `{device.path}` has the identifier {cob_id:#x}; "
+            "a standard frame has 0x0 to 0x7ff",
+            node.span,
+            labels=[Label(device.origin, "this device has it")],
+        )
+    return None
+
+
+def _period(device: Device, frame: Node, sync_period: float, report: Report) -> float | None:
+    node = frame.get("period")
     if node is None or node.value == "on_demand":
         return None
-    return sync_period if node.value == "cycle" else scope.quantity(node, "time")
+    if node.value == "cycle":
+        return sync_period
+    return _time(device, node, report)
+
+
+def _time(device: Device, node: Node, report: Report) -> float | None:
+    """A time that is positive, or ``None`` with the fault reported."""
+    faults = len(report)
+    time = device.scope.quantity(node, "time")
+    if time > 0.0:
+        return time
+    if len(report) == faults:
+        report.add(
+            "can-period",
+            f"a frame of `{device.path}` has the period {time:g} s; it must be positive",
+            node.span,
+            hint="give a time, `cycle`, or `on_demand` for a frame that is sent when asked for",
+        )
+    return None
