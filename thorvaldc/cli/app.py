@@ -99,21 +99,26 @@ def build(
 def sim(
     file: File,
     duration: Annotated[
-        str, typer.Option("--duration", metavar="TIME", help="Simulated time, 5 or '5 s'.")
-    ] = "5",
+        str,
+        typer.Option("--duration", metavar="TIME", help="Simulated time: 5, or '5 s'."),
+    ] = "",
     twist: Annotated[
         str,
         typer.Option(
-            "--twist", metavar="VX,VY,WZ", help="Commanded velocity in m/s, m/s and rad/s."
+            "--twist",
+            metavar="VX,VY,WZ",
+            help="Velocity to command, in m/s, m/s and rad/s; without, the robot shows what it"
+            " can do.",
         ),
-    ] = "0.5,0,0",
+    ] = "",
+    ideal: Annotated[bool, typer.Option("--ideal", help="Ideal joints, no physics.")] = False,
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:
     """Drive a robot in simulation, without a display."""
     from thorvaldc.cli.simulating import simulate
 
-    return simulate(file, duration, twist, json, library)
+    return simulate(file, duration, twist, json, ideal, library)
 
 
 @app.command("import", cls=LightCommand)

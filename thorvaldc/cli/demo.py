@@ -1,0 +1,115 @@
+"""``demo``: build robots, drive each from its files, print a table."""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thorvaldc.cli.faults import Faults, count, message
+from thorvaldc.cli.main import DONE, INPUT, OutsideError
+
+if TYPE_CHECKING:
+    from thorvaldc.runtime.simulation import DemoRow
+
+TARGETS = ("urdf", "mjcf", "ros2", "can")
+
+
+@dataclass
+class Outcome:
+    """Of one file: the table's rows, what is to be said of it, whether it is all well."""
+
+    rows: list[DemoRow]
+    text: str
+    well: bool
+
+
+def run_demo(files: Sequence[str], originals: Sequence[str], output: str) -> int:
+    started = time.monotonic()
+    jobs = [(file, output, False) for file in files] + [(file, output, True) for file in originals]
+    outcomes: list[Outcome] = []
+    with multiprocessing.Pool(min(2, os.cpu_count() or 1), initializer=_deaf) as pool:
+        for outcome in pool.imap(_drive, jobs):
+            outcomes.append(outcome)
+            _progress(len(outcomes), len(jobs))
+    from thorvaldc.runtime.simulation import demo_table
+
+    for outcome in outcomes:
+        if outcome.text:
+            message(outcome.text.rstrip())
+    rows = [row for outcome in outcomes for row in outcome.rows]
+    if rows:
+        print(demo_table(rows))
+    seconds = time.monotonic() - started
+    message(
+        f"{count(len(jobs), 'file')} built to {output}/ and {count(len(rows), 'robot')} driven"
+        f" in {seconds:.0f} s"
+    )
+    return DONE if jobs and all(outcome.well for outcome in outcomes) else INPUT
+
+
+def _deaf() -> None:
+    """Ctrl-C is for the parent, which then ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _progress(done: int, all_: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{done} of {all_}", end="\r" if done == all_ else "", file=sys.stderr, flush=True)
+
+
+def _drive(job: tuple[str, str, bool]) -> Outcome:
+    from thorvaldc import __version__
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.pipeline import compile_file, emit
+    from thorvaldc.runtime.simulation import run_demo as drive
+    from thorvaldc.writer import WriteError, write_build
+
+    file, output, is_original = job
+    text = io.StringIO()
+    faults = Faults("text", text)
+    if is_original:
+        file = _import(file, output, faults)
+        if not file:
+            return Outcome([], text.getvalue(), False)
+    done = compile_file(file)
+    rows: list[DemoRow] = []
+    run = Report()
+    if done.model is not None:
+        made = emit(done.model, TARGETS, done.report)
+        folder = Path(output) / done.model.name
+        try:
+            write_build(
+                made,
+                folder,
+                name=done.model.name,
+                source_sha256=done.source_sha256,
+                version=__version__,
+            )
+        except WriteError as fault:
+            raise OutsideError(str(fault)) from None
+        rows = drive(folder, run)
+    faults.add(done.report, done.sources)
+    faults.add(run, done.sources)
+    return Outcome(rows, text.getvalue(), faults.finish() == DONE)
+
+
+def _import(file: str, output: str, faults: Faults) -> str:
+    """The robot.yaml of an original configuration; empty where there is none."""
+    from thorvaldc.importer import import_original
+
+    text, report = import_original(Path(file))
+    faults.add(report, {file: Path(file)})
+    if text is None:
+        return ""
+    robot = Path(output) / "imported" / f"{Path(file).stem}.yaml"
+    robot.parent.mkdir(parents=True, exist_ok=True)
+    robot.write_text(text, encoding="utf-8")
+    return str(robot)

@@ -1,0 +1,79 @@
+"""``sim``: drive a robot in MuJoCo from the files that a build would write."""
+
+from __future__ import annotations
+
+import json as json_format
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from thorvaldc.cli.compiling import compile_one
+from thorvaldc.cli.faults import Faults
+from thorvaldc.cli.main import INPUT
+
+SECONDS = 5.0  # of a twist, where the user does not say
+
+
+def simulate(
+    file: str, duration: str, twist: str, json: bool, ideal: bool, library: Sequence[str]
+) -> int:
+    """One twist for a time, or without a twist the manoeuvre that suits the robot."""
+    seconds = _seconds(duration) if duration else 0.0
+    done = compile_one(file, library)
+    if done.model is None:
+        return INPUT
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.pipeline import emit
+    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.runtime.manoeuvre import default_manoeuvre, parse_twist
+    from thorvaldc.runtime.simulation import DemoRow, Simulation, demo_table
+
+    report = Report()
+    faults = Faults("text", sys.stderr)
+    try:
+        simulation = Simulation(done.model, None if ideal else emit(done.model, ["mjcf"], report))
+        if twist:
+            result = simulation.run(seconds or SECONDS, parse_twist(twist), report)
+        else:
+            plans = {name: default_manoeuvre(robot) for name, robot in simulation.robots}
+            longest = max(end for _, end in plans.values())
+            manoeuvres = {name: plan for name, (plan, _) in plans.items()}
+            result = simulation.run(seconds or longest, manoeuvres, report)
+    except RuntimeFault as fault:
+        report.put(fault.diagnostic)
+        faults.add(report, done.sources)
+        return faults.finish()
+    if json:
+        print(json_format.dumps(_finite(result.as_json()), indent=1, ensure_ascii=False))
+    else:
+        print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
+    faults.add(report, done.sources)
+    return faults.finish()
+
+
+def _seconds(text: str) -> float:
+    from thorvaldc.source.units import UnitError, parse_quantity
+
+    try:
+        seconds = parse_quantity(text, "time")
+    except UnitError as fault:
+        raise typer.BadParameter(f"{text!r}: {fault}", param_hint="'--duration'") from None
+    if not 0.0 < seconds <= 86400.0:
+        raise typer.BadParameter(
+            f"{text!r} is not between 0 and 86400 s", param_hint="'--duration'"
+        )
+    return seconds
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinities: a number that a run away simulation left becomes null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value
