@@ -34,7 +34,7 @@ def list_targets(json: bool) -> int:
 def show_schema(kind: str) -> int:
     if kind not in KINDS:
         raise typer.BadParameter(f"{kind!r} is none of {', '.join(KINDS)}", param_hint="KIND")
-    from thorvaldc.schema import schema_text
+    from thorvaldc.schema.documents import schema_text
 
     print(schema_text(kind), end="")
     return DONE
@@ -50,7 +50,7 @@ def explain(code: str) -> int:
         raise typer.BadParameter(
             f"there is no code {code!r}{_near(code.lower(), numbers)}", param_hint="CODE"
         )
-    page = data_folder("diagnostics") / f"{found.number}.md"
+    page = data_folder("docs/diagnostics") / f"{found.number}.md"
     print(page.read_text(encoding="utf-8"), end="")
     return DONE
 

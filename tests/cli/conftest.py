@@ -1,0 +1,56 @@
+"""Runs the command in this process, as a user would."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from thorvaldc.cli.main import _call, protect
+
+GOOD = """\
+thorvaldc: 1
+name: good
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m}}
+  fl: {type: assembly/steered_drive, mount: frame.front_left, can: 1}
+  fr: {type: assembly/steered_drive, mount: frame.front_right, can: 2}
+  rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
+  rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
+"""
+# Three faults of different stages.
+BAD = GOOD.replace("can: 2", "can: 1").replace("name: good", "name: Bad").replace("1.1 m", "1.1 kg")
+# A warning: the centre of mass is nearly over the edge.
+SHAKY = GOOD.replace("name: good", "name: shaky\ndesign: {minimum_tip_over_angle: 60 deg}")
+
+
+class Result(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def thorvaldc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Command:
+    """``thorvaldc("check", "robot.yaml")`` in a folder with good.yaml, bad.yaml and shaky.yaml."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("NO_COLOR", "FORCE_COLOR", "THORVALDC_TRACEBACK"):
+        monkeypatch.delenv(name, raising=False)
+    for name, text in (("good", GOOD), ("bad", BAD), ("shaky", SHAKY)):
+        Path(f"{name}.yaml").write_text(text, encoding="utf-8")
+
+    def run(*arguments: str) -> Result:
+        monkeypatch.setattr("sys.argv", ["thorvaldc", *arguments])
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            status = protect(_call)
+        return Result(status, out.getvalue(), err.getvalue())
+
+    return run

@@ -1,0 +1,349 @@
+"""What each command prints, where, and its exit status."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import GOOD, Command
+from thorvaldc.diagnostics import CODES
+
+
+def test_help_names_every_command(thorvaldc: Command) -> None:
+    shown = thorvaldc("--help")
+    assert shown.status == 0
+    for word in [
+        "check",
+        "build",
+        "sim",
+        "import",
+        "new",
+        "targets",
+        "schema",
+        "explain",
+        "modules",
+    ]:
+        assert re.search(rf"^  {word} ", shown.out, re.M), word
+    assert thorvaldc("-h") == shown
+
+
+def test_version(thorvaldc: Command) -> None:
+    assert re.fullmatch(r"thorvaldc \d+\.\d+\.\d+\n", thorvaldc("--version").out)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["buidl", "x"], "Did you mean 'build'"),
+        (["check"], "Missing argument 'FILE"),
+        (["check", "good.yaml", "--nope"], "No such option: --nope"),
+        (["check", "good.yaml", "--format", "xml"], "'xml' is none of text, json, github, sarif"),
+        (["build", "good.yaml", "--target", "urdf,mjfc"], "no target 'mjfc'"),
+        (["build", "good.yaml", "--target", ","], "names no target"),
+        (["check", "good.yaml", "--library", "nowhere"], "no folder 'nowhere'"),
+        (["sim", "good.yaml", "--duration", "5 m"], "'5 m'"),
+        (["sim", "good.yaml", "--duration", "-1"], "not between"),
+        (["new", "Bad Name"], "no name for a robot"),
+        (["new", "mine", "--preset", "3wd"], "1wd1ws, 2wd0ws, 4wd4ws"),
+        (["explain", "TV99999"], "no code 'TV99999'"),
+        (["explain", "can-id-duplicat"], "did you mean 'can-id-duplicate'?"),
+        (["schema", "car"], "none of robot, module, fleet"),
+        (["modules", "show", "drive/standart"], "did you mean 'drive/standard'?"),
+        (["modules", "check", "nowhere"], "no folder 'nowhere'"),
+    ],
+)
+def test_usage_is_2_and_one_error(thorvaldc: Command, arguments: list[str], says: str) -> None:
+    status, out, err = thorvaldc(*arguments)
+    assert (status, out) == (2, "")
+    assert says in err
+    assert len(err.splitlines()) <= 4
+    assert not Path("build").exists()
+
+
+# -- check ------------------------------------------------------------------------------
+
+
+def test_check_of_a_good_file(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("check", "good.yaml")
+    assert (status, err) == (0, "")
+    assert re.fullmatch(r"good\.yaml: good, 4 wheels \(4 driven, 4 steered\), \d+\.\d kg\n", out)
+
+
+def test_check_of_a_bad_file_tells_all_on_stdout(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("check", "good.yaml", "bad.yaml")
+    assert (status, err) == (1, "")
+    assert "bad.yaml:2:7" in out
+    assert "bad.yaml:4:57" in out
+    assert out.rstrip().endswith("in 2 files")
+    assert "\033" not in out
+
+
+def test_warnings_are_no_errors_unless_strict(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc("check", "shaky.yaml")
+    assert status == 0
+    assert "1 warning in 1 file" in out
+    assert thorvaldc("check", "--strict", "shaky.yaml").status == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["missing.yaml", ".", "empty.yaml", "binary.yaml", "list.yaml", "good.yaml/x"]
+)
+def test_what_is_no_robot_is_one_fault(thorvaldc: Command, name: str) -> None:
+    Path("empty.yaml").write_text("")
+    Path("binary.yaml").write_bytes(b"\x7fELF\x00\xff\xfe")
+    Path("list.yaml").write_text("[1, 2]\n")
+    status, out, err = thorvaldc("check", name)
+    assert (status, err) == (1, "")
+    assert out.rstrip().endswith("1 error in 1 file")
+
+
+def test_check_as_json_is_one_document(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("check", "bad.yaml", "good.yaml", "--format", "json")
+    assert (status, err) == (1, "")
+    found = json.loads(out)["diagnostics"]
+    assert len(found) >= 2
+    assert {"code", "message"} <= found[0].keys()
+    good = json.loads(thorvaldc("check", "good.yaml", "--format", "json").out)
+    assert good["diagnostics"] == []
+
+
+def test_check_for_github_is_a_line_per_fault(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc("check", "bad.yaml", "--format", "github")
+    assert status == 1
+    assert all(line.startswith("::error ") for line in out.splitlines())
+    assert "file=bad.yaml,line=2" in out
+
+
+def test_check_as_sarif(thorvaldc: Command) -> None:
+    found = json.loads(thorvaldc("check", "bad.yaml", "--format", "sarif").out)
+    assert found["version"] == "2.1.0"
+    assert len(found["runs"][0]["results"]) >= 2
+
+
+# -- build ------------------------------------------------------------------------------
+
+
+def test_build_goes_to_a_folder_of_its_name(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("build", "good.yaml")
+    assert (status, err) == (0, "")
+    assert re.fullmatch(r"build/good: \d+ files \(urdf, mjcf, ros2, can\)\n", out)
+    assert Path("build/good/manifest.json").is_file()
+    for folder in ("urdf", "mjcf", "ros2", "can"):
+        assert Path("build/good", folder).is_dir()
+
+
+def test_build_of_one_goes_where_it_is_told(thorvaldc: Command) -> None:
+    thorvaldc("build", "good.yaml", "-o", "there", "--target", "can")
+    assert sorted(p.name for p in Path("there").iterdir()) == [
+        "can",
+        "manifest.json",
+        "model.json",
+    ]
+
+
+def test_build_of_several_makes_a_folder_for_each(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc("build", "good.yaml", "shaky.yaml", "-o", "there")
+    assert status == 0
+    assert sorted(p.name for p in Path("there").iterdir()) == ["good", "shaky"]
+    assert len(out.splitlines()) == 2
+
+
+def test_two_robots_of_one_name_do_not_overwrite_each_other(thorvaldc: Command) -> None:
+    Path("other.yaml").write_text(GOOD)
+    status, _, err = thorvaldc("build", "good.yaml", "other.yaml")
+    assert status == 2
+    assert "good.yaml and other.yaml both go to build/good" in err
+
+
+def test_a_build_with_errors_writes_nothing_and_keeps_the_last(thorvaldc: Command) -> None:
+    thorvaldc("build", "good.yaml", "-o", "out")
+    before = Path("out/manifest.json").read_bytes()
+    status, out, err = thorvaldc("build", "bad.yaml", "-o", "out")
+    assert (status, out) == (1, "")
+    assert "bad.yaml:2:7" in err
+    assert Path("out/manifest.json").read_bytes() == before
+
+
+def test_of_several_the_good_ones_are_built(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc("build", "bad.yaml", "good.yaml")
+    assert status == 1
+    assert out.startswith("build/good: ")
+
+
+def test_build_as_json_says_what_was_written(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("build", "good.yaml", "--format", "json")
+    assert (status, err) == (0, "")
+    (built,) = json.loads(out)["builds"]
+    assert built["folder"] == "build/good"
+    assert "urdf/robot.urdf" in built["files"]
+
+
+@pytest.mark.parametrize("folder", ["good.yaml", "good.yaml/deeper", "/proc/nowhere/x"])
+def test_a_folder_that_cannot_be_written_is_3_and_one_line(thorvaldc: Command, folder: str) -> None:
+    status, out, err = thorvaldc("build", "good.yaml", "-o", folder)
+    assert (status, out) == (3, "")
+    assert err.startswith(f"error: cannot write {folder}: ")
+    assert len(err.splitlines()) == 1
+
+
+def test_a_folder_with_files_of_others_is_refused(thorvaldc: Command) -> None:
+    status, _, err = thorvaldc("build", "good.yaml", "-o", ".")
+    assert status == 3
+    assert "will not write into the current folder" in err
+    assert len(err.splitlines()) == 1
+
+
+BUILD = """
+import sys
+from thorvaldc.cli.main import run
+sys.argv = ["thorvaldc", "build", sys.argv[1], "-o", sys.argv[2]]
+run()
+"""
+
+
+def test_output_is_the_same_bytes_everywhere(thorvaldc: Command, tmp_path: Path) -> None:
+    """Two folders, two hash seeds, two ways to name the file."""
+    trees = []
+    for seed, where in (("1", "a"), ("4242", "b/deeper")):
+        folder = tmp_path / where
+        folder.mkdir(parents=True)
+        (folder / "good.yaml").write_text(GOOD)
+        name = "good.yaml" if where == "a" else str(folder / "good.yaml")
+        subprocess.run(
+            [sys.executable, "-c", BUILD, name, str(folder / "out")],
+            cwd=folder if where == "a" else tmp_path,
+            env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path), "TZ": f"UTC{seed[0]}"},
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        out = folder / "out"
+        trees.append({p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()})
+    assert trees[0].keys() == trees[1].keys()
+    assert [p for p in trees[0] if trees[0][p] != trees[1][p]] == []
+    assert not any(str(tmp_path).encode() in data for data in trees[0].values())
+
+
+def test_a_build_loads_nothing_heavy(thorvaldc: Command) -> None:
+    script = BUILD.replace(
+        "run()\n",
+        "try:\n    run()\nfinally:\n"
+        "    heavy = 'numpy jinja2 trimesh xacro mujoco can rich pydantic scipy'.split()\n"
+        "    print([name for name in heavy if name in sys.modules])\n",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, "good.yaml", "out"],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={"PYTHONPATH": ":".join(sys.path)},
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+# -- the rest -----------------------------------------------------------------------------
+
+
+def test_sim_tells_how_it_went(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("sim", "good.yaml", "--duration", "1", "--twist", "0.5,0,0")
+    assert (status, err) == (0, "")
+    assert len(out.splitlines()) == 2
+    assert out.splitlines()[1].startswith("good ")
+
+
+def test_sim_as_json(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc(
+        *("sim", "good.yaml", "--duration", "2 s", "--twist", "-0.5,0,0.2", "--json")
+    )
+    assert (status, err) == (0, "")
+    result = json.loads(out)
+    assert result["physics"] == "mujoco"
+    (robot,) = result["robots"]
+    assert 0.5 < robot["path_true"] < 1.0
+    assert robot["end_error"] < 0.01
+
+
+def test_sim_of_a_bad_file_and_a_bad_twist(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("sim", "bad.yaml")
+    assert (status, out) == (1, "")
+    assert "bad.yaml:2:7" in err
+    status, out, err = thorvaldc("sim", "good.yaml", "--twist", "fast")
+    assert (status, out) == (1, "")
+    assert "fast" in err
+
+
+@pytest.mark.parametrize("preset", ["4wd4ws", "2wd0ws", "1wd1ws"])
+def test_new_starts_a_robot_without_faults(thorvaldc: Command, preset: str) -> None:
+    status, out, _ = thorvaldc("new", "mine", "--preset", preset)
+    assert status == 0
+    assert out.startswith("mine/robot.yaml")
+    assert thorvaldc("check", "--strict", "mine/robot.yaml").status == 0
+    assert preset in thorvaldc("new", "--help").out
+    again = thorvaldc("new", "mine", "--preset", preset)
+    assert again.status == 2
+    assert "already" in again.err
+
+
+def test_targets(thorvaldc: Command) -> None:
+    assert [line.split()[0] for line in thorvaldc("targets").out.splitlines()] == [
+        "can",
+        "mjcf",
+        "ros2",
+        "urdf",
+    ]
+    assert set(json.loads(thorvaldc("targets", "--json").out)) == {"can", "mjcf", "ros2", "urdf"}
+
+
+@pytest.mark.parametrize("kind", ["robot", "module", "fleet"])
+def test_schema_is_a_document_that_stands_alone(thorvaldc: Command, kind: str) -> None:
+    import jsonschema
+
+    schema = json.loads(thorvaldc("schema", kind).out)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    references = re.findall(r'"\$ref": "([^"]*)"', json.dumps(schema))
+    assert all(reference.startswith("#") for reference in references)
+
+
+def test_explain_takes_number_and_name(thorvaldc: Command) -> None:
+    code = next(iter(CODES.values()))
+    shown = thorvaldc("explain", code.number)
+    assert shown.status == 0
+    assert code.number in shown.out
+    assert thorvaldc("explain", code.name) == shown
+    assert thorvaldc("explain", code.number.lower()) == shown
+
+
+def test_modules_list_and_show(thorvaldc: Command) -> None:
+    assert "drive/standard" in thorvaldc("modules", "list").out
+    listed = json.loads(thorvaldc("modules", "list", "--json").out)
+    assert "gear_ratio" in next(m for m in listed if m["type"] == "drive/standard")["params"]
+    shown = thorvaldc("modules", "show", "drive/standard").out
+    assert "gear_ratio" in shown
+    assert "published: " in shown
+    assert json.loads(thorvaldc("modules", "show", "drive/standard", "--json").out)["params"]
+
+
+def test_modules_check(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc("modules", "check")
+    assert status == 0, out
+    Path("lib/wheel/odd").mkdir(parents=True)
+    Path("lib/wheel/odd/module.yaml").write_text("thorvaldc: 1\nlinkz: {}\n")
+    status, out, _ = thorvaldc("modules", "check", "lib")
+    assert status == 1
+    assert "lib/wheel/odd/module.yaml:2:1" in out
+
+
+def test_modules_of_the_user_are_found_by_the_option(thorvaldc: Command) -> None:
+    source = Path(__file__).parents[2] / "modules/wheel/passive/module.yaml"
+    Path("lib/wheel/mine").mkdir(parents=True)
+    Path("lib/wheel/mine/module.yaml").write_text(source.read_text())
+    assert "wheel/mine" in thorvaldc("modules", "list", "--library", "lib").out
+    Path("robot.yaml").write_text(
+        GOOD.replace("modules:\n", "defaults: {assembly: {wheel: wheel/mine}}\nmodules:\n")
+    )
+    assert thorvaldc("check", "robot.yaml").status == 1
+    assert thorvaldc("check", "robot.yaml", "--library", "lib").status == 0
