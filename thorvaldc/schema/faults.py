@@ -216,7 +216,7 @@ class _Fault:
         example = _example(self.schema)
         hint = f"as in `{example}`" if example is not None else None
         if self.node.value is None:
-            hint = hint or "leave the key out, or give it a value"
+            hint = f"leave the key out, or give it a value{f', {hint}' if hint else ''}"
             self.add("wrong-type", f"{self.place} has no value", self.start, hint)
             return
         message = f"{_wanted(self.schema)} is wanted, not {_found(self.node)}"

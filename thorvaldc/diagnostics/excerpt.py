@@ -1,0 +1,124 @@
+"""Lines of source text as they look on a terminal, and where a span lies in them."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from thorvaldc.diagnostics.report import Span
+
+TAB = 4
+_ELLIPSIS = "…"
+_LINE_BREAK = re.compile(r"\r\n|\r|\n")
+# Controls, and the marks that reorder text: shown as such they would deceive.
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    """Text in one line that cannot steer a terminal."""
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+@dataclass(frozen=True, slots=True)
+class Excerpt:
+    """A line, trimmed; ``start`` and ``length`` of the span in columns of the terminal."""
+
+    text: str
+    start: int
+    length: int
+
+
+class Excerpts:
+    """Excerpts of the files in ``sources``, each read once, lines at most ``width`` wide."""
+
+    def __init__(self, sources: Mapping[str, Path], width: int = 100) -> None:
+        self._sources = sources
+        self._width = width
+        self._lines: dict[str, list[str]] = {}
+
+    def gutter(self, spans: Sequence[Span]) -> int:
+        """Width of the column with the line numbers."""
+        return max([len(str(span.line)) for span in spans], default=1)
+
+    def show(self, span: Span, gutter: int) -> Excerpt | None:
+        """The first line of the span, or ``None`` where there is no text for it."""
+        lines = self._of(span.file)
+        if not 1 <= span.line <= len(lines):
+            return None
+        line = lines[span.line - 1]
+        if not line.strip() and len(lines) == 1:
+            return None
+        first = min(max(span.column - 1, 0), len(line))
+        last = span.end_column - 1 if span.end_line == span.line else len(line.rstrip())
+        cells = [_cell(character) for character in line]
+        starts = _starts(cells)
+        begin = starts[first]
+        end = max(starts[min(max(last, first), len(line))], begin + 1)
+        return _window(cells, starts, begin, end, max(self._width - gutter - 3, 20))
+
+    def _of(self, file: str) -> list[str]:
+        if file not in self._lines:
+            self._lines[file] = self._read(file)
+        return self._lines[file]
+
+    def _read(self, file: str) -> list[str]:
+        path = self._sources.get(file)
+        if path is None:
+            return []
+        try:
+            data = path.read_bytes()
+        except (OSError, ValueError):
+            return []
+        return _LINE_BREAK.split(data.decode("utf-8-sig", "replace"))
+
+
+def _cell(character: str) -> tuple[str, int]:
+    """How a character is shown, and in how many columns; a tab's width is found later."""
+    if " " <= character <= "~":
+        return character, 1
+    if character == "\t":
+        return character, TAB
+    if _UNPRINTABLE.match(character):
+        return "\N{REPLACEMENT CHARACTER}", 1
+    if unicodedata.combining(character) or unicodedata.category(character) in ("Mn", "Me", "Cf"):
+        return character, 0
+    return character, 2 if unicodedata.east_asian_width(character) in "WF" else 1
+
+
+def _starts(cells: list[tuple[str, int]]) -> list[int]:
+    """The column where each character begins, and the one after the last; tabs are expanded."""
+    starts, column = [], 0
+    for i, (character, width) in enumerate(cells):
+        starts.append(column)
+        if character == "\t":
+            width = TAB - column % TAB
+            cells[i] = (" " * width, width)
+        column += width
+    starts.append(column)
+    return starts
+
+
+def _window(
+    cells: list[tuple[str, int]], starts: list[int], begin: int, end: int, width: int
+) -> Excerpt:
+    """The line from ``begin`` to ``end`` and what fits around it."""
+    total = starts[-1]
+    if max(total, end) <= width:
+        text = "".join(shown for shown, _ in cells).rstrip()
+        return Excerpt(text, begin, end - begin)
+    length = min(end - begin, width - 2)
+    left = max(0, min(begin - (width - length) // 2, total - width + 1))
+    right = left + width
+    shown = []
+    for (text, size), start in zip(cells, starts, strict=False):
+        if start >= left + (left > 0) and start + size <= right - (right < total):
+            shown.append((start, text))
+    offset = shown[0][0] if shown else left
+    before = _ELLIPSIS if left > 0 else ""
+    after = _ELLIPSIS if right < total else ""
+    text = before + "".join(part for _, part in shown).rstrip() + after
+    visible = min(length, max(right - (right < total) - begin, 1))
+    return Excerpt(text, begin - offset + len(before), visible)

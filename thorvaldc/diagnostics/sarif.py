@@ -1,0 +1,92 @@
+"""SARIF 2.1.0, for code scanning services and editors."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+from urllib.parse import quote
+
+from thorvaldc import __version__
+from thorvaldc.diagnostics import explain
+from thorvaldc.diagnostics.codes import Code
+from thorvaldc.diagnostics.report import Diagnostic, Report, Span
+
+SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+
+
+def render_sarif(report: Report) -> str:
+    """One run; the rules are the codes that occur, with their pages as help."""
+    diagnostics = report.sorted()
+    codes = sorted({d.code.number: d.code for d in diagnostics}.values(), key=lambda c: c.number)
+    index = {code.number: i for i, code in enumerate(codes)}
+    document = {
+        "$schema": SCHEMA,
+        "version": "2.1.0",
+        "runs": [
+            {
+                "tool": {
+                    "driver": {
+                        "name": "thorvaldc",
+                        "semanticVersion": __version__,
+                        "rules": [_rule(code) for code in codes],
+                    }
+                },
+                "columnKind": "unicodeCodePoints",
+                "results": [_result(d, index) for d in diagnostics],
+            }
+        ],
+    }
+    return json.dumps(document, indent=2, ensure_ascii=False)
+
+
+def _rule(code: Code) -> dict[str, Any]:
+    page = explain.page(code)
+    return {
+        "id": code.number,
+        "name": "".join(word.capitalize() for word in code.name.split("-")),
+        "shortDescription": {"text": f"{code.name}: {code.meaning}"},
+        "help": {"text": page, "markdown": page},
+        "defaultConfiguration": {"level": code.severity},
+    }
+
+
+def _result(diagnostic: Diagnostic, index: dict[str, int]) -> dict[str, Any]:
+    message = diagnostic.message
+    if diagnostic.hint:
+        message += f"\nhint: {diagnostic.hint}"
+    result: dict[str, Any] = {
+        "ruleId": diagnostic.code.number,
+        "ruleIndex": index[diagnostic.code.number],
+        "level": diagnostic.severity.value,
+        "message": {"text": message},
+    }
+    if diagnostic.span is not None:
+        result["locations"] = [{"physicalLocation": _place(diagnostic.span)}]
+    if diagnostic.labels:
+        result["relatedLocations"] = [
+            {
+                "id": number,
+                "physicalLocation": _place(label.span),
+                "message": {"text": label.text},
+            }
+            for number, label in enumerate(diagnostic.labels, 1)
+        ]
+    return result
+
+
+def _place(span: Span) -> dict[str, Any]:
+    return {
+        "artifactLocation": {"uri": _uri(span.file)},
+        "region": {
+            "startLine": span.line,
+            "startColumn": span.column,
+            "endLine": span.end_line,
+            "endColumn": span.end_column,
+        },
+    }
+
+
+def _uri(file: str) -> str:
+    path = file.replace(os.sep, "/")
+    return ("file://" if path.startswith("/") else "") + quote(path)
