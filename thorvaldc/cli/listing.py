@@ -41,17 +41,14 @@ def show_schema(kind: str) -> int:
 
 
 def explain(code: str) -> int:
-    from thorvaldc.diagnostics import CODES
-    from thorvaldc.library.finder import data_folder
+    from thorvaldc.diagnostics.explain import UnknownCode
+    from thorvaldc.diagnostics.explain import explain as page_of
 
-    numbers = {c.number.lower(): c for c in CODES.values()} | {c.name: c for c in CODES.values()}
-    found = numbers.get(code.lower())
-    if found is None:
-        raise typer.BadParameter(
-            f"there is no code {code!r}{_near(code.lower(), numbers)}", param_hint="CODE"
-        )
-    page = data_folder("docs/diagnostics") / f"{found.number}.md"
-    print(page.read_text(encoding="utf-8"), end="")
+    try:
+        print(page_of(code), end="")
+    except UnknownCode as unknown:
+        hint = f"; {unknown.hint}" if unknown.hint else ""
+        raise typer.BadParameter(f"{unknown}{hint}", param_hint="CODE") from None
     return DONE
 
 
