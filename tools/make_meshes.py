@@ -661,7 +661,7 @@ LIBRARY: dict[str, Callable[[], Meshes]] = {
     "battery/enclosure": battery,
     "frame/tube_rectangular": frame_clamps,
     "frame/tube": lambda: {"end_cap": _end_cap()},
-    "frame/corner": lambda: {"clamp": tube_clamp(1.0, 1.0, 0.8).scaled(1.0, 1.0, 1.0)},
+    "frame/corner": lambda: {"clamp": tube_clamp(0.1, 0.1, 0.08).scaled(10.0, 10.0, 10.0)},
     "frame/portal": portal,
     "frame/sheet_metal": sheet_metal,
     "sensor/lidar_2d": lidar,
