@@ -542,8 +542,8 @@ def portal() -> Meshes:
 
 
 def sheet_metal() -> Meshes:
-    """Length 1.0, width 0.42, height 0.24; the bottom's middle is the origin."""
-    length, width, height = 1.0, 0.42, 0.24
+    """Length 1.0, width 0.36, height 0.24; the bottom's middle is the origin."""
+    length, width, height = 1.0, 0.36, 0.24
 
     def ring(z: float, front: float, rear: float, side: float, radius: float) -> np.ndarray:
         x0, x1 = -length / 2 + rear, length / 2 - front
@@ -562,15 +562,15 @@ def sheet_metal() -> Meshes:
         ]
     )
     skirt = extrude(rounded_rectangle(length + 0.006, width + 0.006, 0.032, 4), 0.136, 0.149, 0.003)
-    deck = extrude(rounded_rectangle(0.62, 0.32, 0.03, 4), height - 0.002, height + 0.012, 0.004)
+    deck = extrude(rounded_rectangle(0.62, 0.27, 0.03, 4), height - 0.002, height + 0.012, 0.004)
     slots = [block(0.006, 0.24, 0.007, 0.0).moved(x=length / 2, z=z) for z in (0.05, 0.068, 0.086, 0.104)]
     side_panels = [
         block(0.30, 0.006, 0.085, 0.002).moved(x=x, y=y, z=0.075)
-        for x in (-0.28, 0.07)
+        for x in (-0.28, 0.02)
         for y in (-width / 2, width / 2)
     ]
     screws = [
-        bolt(0.006, 0.005).moved(sx * 0.285, sy * 0.135, height + 0.012)
+        bolt(0.006, 0.005).moved(sx * 0.285, sy * 0.11, height + 0.012)
         for sx in (-1, 1)
         for sy in (-1, 1)
     ]
