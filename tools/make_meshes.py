@@ -141,19 +141,19 @@ def rim(seat: float, spokes: int) -> Solid:
     )
     spoke = extrude(
         [(0.11, 0.10), (-0.11, 0.10), (-0.075, seat - 0.02), (0.075, seat - 0.02)],
-        -0.09,
-        0.09,
-        0.02,
+        -0.17,
+        0.17,
+        0.03,
     )
-    centre = revolve([(0.20, -0.16), (0.23, -0.13), (0.23, 0.13), (0.20, 0.16)], 24)
-    valve = cylinder(0.015, 0.12, 6).turned("y", math.pi / 2).moved(x=seat - 0.09, z=0.20)
+    centre = revolve([(0.20, -0.25), (0.23, -0.22), (0.23, 0.22), (0.20, 0.25)], 24)
+    valve = cylinder(0.015, 0.12, 6).turned("y", math.pi / 2).moved(x=seat - 0.09, z=0.26)
     return along_y(join([barrel, around(spoke, spokes), centre, valve]))
 
 
 def wheel_bolts(circle: float, count: int) -> Solid:
     """Bolts and a cap on both faces of the rim's centre."""
-    one = bolt(0.026, 0.06).moved(x=circle, z=0.15)
-    cap = cylinder(0.07, 0.40, 16, 0.015)
+    one = bolt(0.026, 0.06).moved(x=circle, z=0.24)
+    cap = cylinder(0.07, 0.60, 16, 0.015)
     face = around(one, count)
     return along_y(join([face, face.turned("x", math.pi), cap]))
 
@@ -588,6 +588,7 @@ def lidar() -> Meshes:
         [
             extrude(rounded_rectangle(0.100, 0.100, 0.018, 3), 0.0, 0.050, 0.004),
             along_x(cylinder(0.010, 0.030, 12)).moved(x=-0.055, z=0.020),
+            block(0.050, 0.070, 0.030, 0.004).moved(z=-0.005),
         ]
     )
     head = join(
