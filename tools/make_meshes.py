@@ -313,7 +313,8 @@ def drive() -> Meshes:
     hub = join(
         [
             revolve(
-                [(0.050, -0.006), (0.054, -0.002), (0.054, 0.006), (0.032, 0.012), (0.026, 0.030)], 28
+                [(0.050, -0.006), (0.054, -0.002), (0.054, 0.006), (0.032, 0.012), (0.026, 0.030)],
+                28,
             ),
             around(bolt(0.005, 0.006).moved(x=0.042, z=0.005), 5),
         ]
@@ -448,7 +449,8 @@ def battery() -> Meshes:
     seam = 0.175
     box = extrude(rounded_rectangle(length - 0.012, width - 0.012, 0.030, 4), 0.0, seam, 0.008)
     ribs = [
-        block(0.022, width, 0.115, 0.004).moved(x=x, z=0.080) for x in (-0.225, -0.150, 0.150, 0.225)
+        block(0.022, width, 0.115, 0.004).moved(x=x, z=0.080)
+        for x in (-0.225, -0.150, 0.150, 0.225)
     ]
     ribs += [block(length, 0.020, 0.115, 0.004).moved(y=y, z=0.080) for y in (-0.075, 0.075)]
     rings = [
@@ -476,9 +478,7 @@ def battery() -> Meshes:
             block(0.044, 0.014, 0.014, 0.003).moved(z=seam + 0.012),
         ]
     )
-    latches = join(
-        [latch.moved(x, y) for x in (-0.19, 0.19) for y in (-width / 2, width / 2)]
-    )
+    latches = join([latch.moved(x, y) for x in (-0.19, 0.19) for y in (-width / 2, width / 2)])
     bow = np.array(
         [
             (0.0, -0.062, 0.0),
@@ -527,7 +527,9 @@ def portal() -> Meshes:
     """Elbow: a quarter bend of radius 1 from (0, 0, 0) upwards to (1, 0, 1) forwards; pipe of 0.16."""
     angles = np.linspace(0.0, math.pi / 2, 9)
     path = np.column_stack([1.0 - np.cos(angles), np.zeros(9), np.sin(angles)])
-    gusset = extrude([(0.0, 0.0), (0.13, 0.0), (0.13, 0.02), (0.02, 0.13), (0.0, 0.13)], -0.003, 0.003)
+    gusset = extrude(
+        [(0.0, 0.0), (0.13, 0.0), (0.13, 0.02), (0.02, 0.13), (0.0, 0.13)], -0.003, 0.003
+    )
     return {
         "elbow": sweep(path, 0.16, 16),
         "gusset": gusset.turned("x", math.pi / 2),
@@ -563,7 +565,9 @@ def sheet_metal() -> Meshes:
     )
     skirt = extrude(rounded_rectangle(length + 0.006, width + 0.006, 0.032, 4), 0.136, 0.149, 0.003)
     deck = extrude(rounded_rectangle(0.62, 0.27, 0.03, 4), height - 0.002, height + 0.012, 0.004)
-    slots = [block(0.006, 0.24, 0.007, 0.0).moved(x=length / 2, z=z) for z in (0.05, 0.068, 0.086, 0.104)]
+    slots = [
+        block(0.006, 0.24, 0.007, 0.0).moved(x=length / 2, z=z) for z in (0.05, 0.068, 0.086, 0.104)
+    ]
     side_panels = [
         block(0.30, 0.006, 0.085, 0.002).moved(x=x, y=y, z=0.075)
         for x in (-0.28, 0.02)
@@ -613,7 +617,12 @@ def gnss() -> Meshes:
         ],
         32,
     )
-    foot = join([cylinder(0.030, 0.010, 24, 0.002).moved(z=0.005), cylinder(0.017, 0.030, 16).moved(z=0.018)])
+    foot = join(
+        [
+            cylinder(0.030, 0.010, 24, 0.002).moved(z=0.005),
+            cylinder(0.017, 0.030, 16).moved(z=0.018),
+        ]
+    )
     return {"dome": dome, "foot": foot, "neck": cylinder(0.016, 0.030, 16, 0.002).moved(z=-0.012)}
 
 
@@ -642,7 +651,9 @@ def camera() -> Meshes:
     small = along_x(cylinder(0.005, 0.006, 14))
     return {
         "body": body,
-        "lens": join([lens.moved(x=0.014), small.moved(x=0.014, y=0.032), small.moved(x=0.014, y=-0.032)]),
+        "lens": join(
+            [lens.moved(x=0.014), small.moved(x=0.014, y=0.032), small.moved(x=0.014, y=-0.032)]
+        ),
     }
 
 

@@ -109,7 +109,12 @@ def cylinder(radius: float, length: float, segments: int = 24, bevel: float = 0.
     """Along z, centred."""
     h = length / 2
     if bevel:
-        profile = [(radius - bevel, -h), (radius, bevel - h), (radius, h - bevel), (radius - bevel, h)]
+        profile = [
+            (radius - bevel, -h),
+            (radius, bevel - h),
+            (radius, h - bevel),
+            (radius - bevel, h),
+        ]
     else:
         profile = [(radius, -h), (radius, h)]
     return revolve(profile, segments)
@@ -167,7 +172,9 @@ def rounded_rectangle(x: float, y: float, radius: float, steps: int) -> list[tup
 def block(x: float, y: float, z: float, bevel: float = 0.0) -> Solid:
     """A box, centred, all edges bevelled."""
     if not bevel:
-        return extrude([(x / 2, y / 2), (-x / 2, y / 2), (-x / 2, -y / 2), (x / 2, -y / 2)], -z / 2, z / 2)
+        return extrude(
+            [(x / 2, y / 2), (-x / 2, y / 2), (-x / 2, -y / 2), (x / 2, -y / 2)], -z / 2, z / 2
+        )
     return extrude(rectangle(x, y, bevel), -z / 2, z / 2, bevel)
 
 

@@ -127,9 +127,7 @@ def _set_lights(spec: mujoco.MjSpec) -> None:
             texture.markrgb = [0.71, 0.72, 0.69]
 
 
-def _turn_wheels(
-    model: Robot | Fleet, mj: mujoco.MjModel, data: mujoco.MjData, view: View
-) -> None:
+def _turn_wheels(model: Robot | Fleet, mj: mujoco.MjModel, data: mujoco.MjData, view: View) -> None:
     """Steer the wheels for the view's twist, and turn each a little further than the last."""
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     vx, vy, w = view.twist
