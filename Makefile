@@ -57,7 +57,7 @@ golden: $(READY)
 	$(BIN)/python -m tests.golden.rewrite
 
 pictures: $(READY)
-	$(BIN)/python -m examples.pictures
+	PYTHONPATH=. $(BIN)/python tools/render_examples.py
 
 clean:
 	rm -rf build dist bench.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

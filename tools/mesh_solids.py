@@ -19,6 +19,8 @@ Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 Outline = Sequence[tuple[float, float]]
 
+ALONG_Y = -math.pi / 2  # turns z onto y, about x
+
 
 @dataclass(frozen=True)
 class Solid:
@@ -46,6 +48,20 @@ class Solid:
 
     def mirrored_y(self) -> Solid:
         return Solid(self.vertices * np.array([1.0, -1.0, 1.0]), self.faces[:, ::-1])
+
+
+Meshes = dict[str, Solid]
+"""A module's meshes by the names of their files, without the ending."""
+
+
+def along_y(solid: Solid) -> Solid:
+    """What was built along z, along y."""
+    return solid.turned("x", ALONG_Y)
+
+
+def along_x(solid: Solid) -> Solid:
+    """What was built along z, along x."""
+    return solid.turned("y", math.pi / 2)
 
 
 def join(solids: Iterable[Solid]) -> Solid:

@@ -14,25 +14,26 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-os.environ.setdefault("MUJOCO_GL", "egl")
-
-import mujoco
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
-
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.pipeline import compile_file, emit
 
+os.environ.setdefault("MUJOCO_GL", "egl")
+import mujoco
+
+ROOT = Path(__file__).resolve().parent.parent
 WIDTH, HEIGHT = 1000, 700
 SAMPLING = 2  # rendered larger, then scaled down
 FIELD_OF_VIEW = math.radians(28.0)
 MARGIN = 1.06
-KEY = [-0.45, 0.35, -1.0]  # direction of the light with the shadow
+# Directions of the light with the shadow and of the one without, in the camera's
+# heading: ahead, to the right, up.
+KEY = (0.57, 0.03, -1.0)
+FILL = (-0.35, -0.86, -0.5)
 
 Points = npt.NDArray[np.float64]
 
@@ -75,7 +76,7 @@ def render(name: str) -> bytes:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(data)
         spec = mujoco.MjSpec.from_file(str(Path(made) / "mjcf" / "scene.xml"))
-        _set_lights(spec)
+        _set_lights(spec, view)
         model = spec.compile()
     data = mujoco.MjData(model)
     if model.nkey:
@@ -85,15 +86,20 @@ def render(name: str) -> bytes:
     return _picture(model, data, view)
 
 
-def _set_lights(spec: mujoco.MjSpec) -> None:
+def _set_lights(spec: mujoco.MjSpec, view: View) -> None:
     """A key light with a soft shadow, a fill from the other side, a plain ground."""
     for light in list(spec.lights):
         spec.delete(light)
+    turn = math.radians(view.azimuth)
+    c, s = math.cos(turn), math.sin(turn)
+    key, fill = (
+        [along * c + right * s, along * s - right * c, up] for along, right, up in (KEY, FILL)
+    )
     spec.worldbody.add_light(
         name="key",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[-KEY[0] * 8, -KEY[1] * 8, -KEY[2] * 8],
-        dir=KEY,
+        pos=[-8 * v for v in key],
+        dir=key,
         diffuse=[0.62, 0.61, 0.58],
         specular=[0.25, 0.25, 0.25],
         castshadow=True,
@@ -102,7 +108,7 @@ def _set_lights(spec: mujoco.MjSpec) -> None:
         name="fill",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[0, 0, 12],
-        dir=[-0.2, -0.9, -0.5],
+        dir=fill,
         diffuse=[0.22, 0.24, 0.28],
         specular=[0.0, 0.0, 0.0],
         castshadow=False,
