@@ -14,7 +14,9 @@ from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twi
 
 LONGEST_TICK = 0.5
 """Time (s) between ticks beyond which joint states no longer tell the way between them."""
-_STEP_DOWN = 1e-9
+LEAD = 0.1
+"""Speed (m/s, of the wheels) by which the ramp may be ahead of what the wheels do."""
+_SLACK = 1e-9
 
 
 class DriveMode(enum.Enum):
@@ -35,8 +37,9 @@ class DriveMode(enum.Enum):
 class DriverState:
     """What a tick left: times in s, twists of ``base_link``, its pose where it started.
 
-    ``asked`` is the twist of the command in force, ``ramped`` that twist within
-    the limits and ramps, ``command`` what was made of it.  ``odometry`` is the
+    ``asked`` is the twist of the command in force, ``infeasible`` the part of it
+    that the wheels' arrangement does not allow, ``ramped`` the rest within the
+    limits and ramps, ``command`` what was made of that.  ``odometry`` is the
     mean twist since the tick before; ``pose`` its integral and
     ``pose_covariance`` that of a small motion in ``base_link``.  ``fault`` says what
     is wrong, if anything is.
@@ -46,6 +49,7 @@ class DriverState:
     mode: DriveMode
     asked: Twist
     ramped: Twist
+    infeasible: Twist
     command: BaseCommand | None
     joints: JointStates | None
     odometry: TwistEstimate
@@ -81,6 +85,7 @@ class BaseDriver:
         self.state = DriverState(
             -math.inf,
             DriveMode.IDLE,
+            ZERO_TWIST,
             ZERO_TWIST,
             ZERO_TWIST,
             None,
@@ -129,6 +134,7 @@ class BaseDriver:
             odometry, pose, covariance = state.odometry, state.pose, state.pose_covariance
         mode, asked = self._mode(now, fault)
         period = dt if 0.0 < dt <= LONGEST_TICK else 1.0 / self.settings.rate
+        infeasible = ZERO_TWIST
         if fault:
             # What the wheels do is unknown: ramp down by the commands alone.
             self._ramped = self._ramp(ZERO_TWIST, period)
@@ -137,7 +143,9 @@ class BaseDriver:
             if self._joints is None:
                 self.calculator.reset(joints)
             self._joints = joints
-            self._ramped = self._ramp(self._limited(asked), period)
+            allowed = self.calculator.allowed(asked)
+            infeasible = Twist(asked.vx - allowed.vx, asked.vy - allowed.vy, asked.wz - allowed.wz)
+            self._ramped = self._ramp(self._limited(allowed), period)
             command = self.calculator.command(self._ramped, joints, period)
         self.base.write(command.joints, now)
         self.state = DriverState(
@@ -145,6 +153,7 @@ class BaseDriver:
             mode,
             asked,
             self._ramped,
+            infeasible,
             command,
             self._joints,
             odometry,
@@ -159,7 +168,7 @@ class BaseDriver:
     def _mode(self, now: float, fault: str) -> tuple[DriveMode, Twist]:
         if fault:
             return DriveMode.FAULT, ZERO_TWIST
-        if now - self._asked_at > self.settings.command_timeout + _STEP_DOWN:
+        if now - self._asked_at > self.settings.command_timeout + _SLACK:
             if self._asked_at == -math.inf:
                 return DriveMode.IDLE, ZERO_TWIST
             return DriveMode.TIMED_OUT, ZERO_TWIST
@@ -206,6 +215,8 @@ class BaseDriver:
         rotation, and with it the steering, stays.
         """
         now = self._ramped
+        if self.state.command is not None:
+            now = self._within_reach(now, self.state.command)
         dv = math.hypot(goal.vx - now.vx, goal.vy - now.vy)
         dw = abs(goal.wz - now.wz)
         share = 1.0
@@ -220,6 +231,21 @@ class BaseDriver:
             now.vy + share * (goal.vy - now.vy),
             now.wz + share * (goal.wz - now.wz),
         )
+
+    def _within_reach(self, ramped: Twist, command: BaseCommand) -> Twist:
+        """``ramped``, drawn back to what the wheels do where it has run ahead of them.
+
+        Wheels that still turn, or are at their limits, make the robot slower than
+        the ramp; without this it would jump once they are through.
+        """
+        doing = command.twist
+        dx, dy, dw = ramped.vx - doing.vx, ramped.vy - doing.vy, ramped.wz - doing.wz
+        lever = self.calculator.geometry.length
+        ahead = math.sqrt(dx * dx + dy * dy + lever * lever * dw * dw)
+        if ahead <= LEAD:
+            return ramped
+        share = LEAD / ahead
+        return Twist(doing.vx + share * dx, doing.vy + share * dy, doing.wz + share * dw)
 
 
 def _between(before: JointStates, after: JointStates, dt: float) -> JointStates:

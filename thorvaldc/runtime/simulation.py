@@ -15,45 +15,17 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.serialize import ModelFormatError, from_json
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base import BaseHandle
-from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.faults import RuntimeFault
-from thorvaldc.runtime.manoeuvre import Manoeuvre, Segment, default_manoeuvre, twist_at
+from thorvaldc.runtime.manoeuvre import (
+    Manoeuvre,
+    Segment,
+    default_manoeuvre,
+    fleet_manoeuvres,
+)
+from thorvaldc.runtime.meter import NOTICEABLE, Meter, RobotRun, size
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
-from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
+from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.runtime.sim_base import SimBase
-
-_TIPPED = math.cos(math.radians(60.0))
-_NOTICEABLE = 0.01
-"""Infeasible or unreachable motion (m/s, rad/s) below which nobody is told."""
-
-
-@dataclass(frozen=True, slots=True)
-class RobotRun:
-    """How one robot drove.  Lengths in m, angles in rad, poses relative to the start.
-
-    ``path_commanded`` is the way of ``base_link`` that the driver aimed at, its
-    ramps and limits applied; ``path_true`` the way in the simulated world and
-    ``path_odometry`` that by the joints.  ``end_error`` is the distance between
-    the true and the estimated position at the end, ``yaw_error`` that of the headings.
-    With ideal joints there is no other truth than the joints: true is odometry.
-    """
-
-    name: str
-    mass: float
-    wheels: int
-    driven: int
-    steered: int
-    path_commanded: float
-    path_true: float
-    path_odometry: float
-    end_error: float
-    yaw_error: float
-    pose_true: Pose2
-    pose_odometry: Pose2
-    largest_tilt: float
-    infeasible: Twist
-    unreachable: tuple[str, ...]
-    tipped: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,95 +54,6 @@ class SimulationResult:
         return value
 
 
-class _Meter:
-    """One robot of a run: its driver, and what is measured beside it."""
-
-    def __init__(self, name: str, robot: Robot, base: BaseHandle, manoeuvre: Manoeuvre) -> None:
-        self.name = name
-        self.robot = robot
-        self.driver = BaseDriver(robot, base)
-        self.base = base
-        self.manoeuvre = manoeuvre
-        self.ticks = 0
-        self.start = base.true_pose() if isinstance(base, MujocoBase) else se2.ORIGIN
-        self.true = self.start
-        self.turned = 0.0
-        self.commanded = self.path = self.estimated = 0.0
-        self.largest_tilt = 0.0
-        self.infeasible = ZERO_TWIST
-        self.unreachable: tuple[int, ...] = ()
-        self.unreachable_twist = ZERO_TWIST
-        self.infeasible_twist = ZERO_TWIST
-
-    @property
-    def next(self) -> float:
-        return self.ticks / self.robot.driver.rate
-
-    def tick(self) -> None:
-        now = self.next
-        before = self.driver.state
-        self.driver.command(twist_at(self.manoeuvre, now), now)
-        state = self.driver.tick(now)
-        if self.ticks:
-            dt = now - before.time
-            if before.command is not None:
-                self.commanded += before.command.target.speed * dt
-            self.estimated += state.odometry.twist.speed * dt
-            self._measure_truth()
-        self.ticks += 1
-        command = state.command
-        if command is None:
-            return
-        if _size(command.infeasible) > _size(self.infeasible):
-            self.infeasible, self.infeasible_twist = command.infeasible, state.ramped
-        for i in command.unreachable:
-            if i not in self.unreachable and _size(state.ramped) > _NOTICEABLE:
-                self.unreachable += (i,)
-                self.unreachable_twist = state.ramped
-
-    def _measure_truth(self) -> None:
-        if not isinstance(self.base, MujocoBase):
-            return
-        pose = self.base.true_pose()
-        turn = math.remainder(pose.yaw - self.true.yaw, math.tau)
-        self.turned += turn
-        chord = math.hypot(pose.x - self.true.x, pose.y - self.true.y)
-        self.path += chord / se2.chord_over_arc(turn)
-        self.true = pose
-        upright = min(max(self.base.uprightness(), -1.0), 1.0)
-        self.largest_tilt = max(self.largest_tilt, math.acos(upright))
-
-    @property
-    def tipped(self) -> bool:
-        return math.cos(self.largest_tilt) < _TIPPED
-
-    def result(self) -> RobotRun:
-        robot = self.robot
-        odometry = self.driver.state.pose
-        true, path = odometry, self.estimated
-        if isinstance(self.base, MujocoBase):
-            x, y, _ = self.true.relative_to(self.start)
-            true, path = Pose2(x, y, self.turned), self.path
-        return RobotRun(
-            name=self.name,
-            mass=robot.inertial.mass,
-            wheels=len(robot.wheels),
-            driven=sum(1 for w in robot.wheels if w.driven),
-            steered=sum(1 for w in robot.wheels if w.steered),
-            path_commanded=self.commanded,
-            path_true=path,
-            path_odometry=self.estimated,
-            end_error=math.hypot(true.x - odometry.x, true.y - odometry.y),
-            yaw_error=abs(true.yaw - odometry.yaw),
-            pose_true=true,
-            pose_odometry=odometry,
-            largest_tilt=self.largest_tilt,
-            infeasible=self.infeasible,
-            unreachable=tuple(robot.wheels[i].name for i in self.unreachable),
-            tipped=self.tipped,
-        )
-
-
 class Simulation:
     """A robot, or a fleet in one scene, ready to drive.
 
@@ -184,8 +67,13 @@ class Simulation:
         """Raises ``RuntimeFault`` where the scene cannot be read or is not of this model."""
         if isinstance(model, Fleet):
             self.robots = [(p.name, p.robot) for p in model.placements]
+            self.starts = {
+                p.name: Pose2(p.pose.xyz[0], p.pose.xyz[1], p.pose.rpy()[2])
+                for p in model.placements
+            }
         else:
             self.robots = [(model.name, model)]
+            self.starts = {model.name: se2.ORIGIN}
         self.scene = None if files is None else MujocoScene(files)
 
     def run(
@@ -206,7 +94,7 @@ class Simulation:
         if self.scene is not None:
             self.scene.reset()
         meters = [
-            _Meter(name, robot, self._base(robot), _manoeuvre(motion, name))
+            Meter(name, robot, self._base(robot), _manoeuvre(motion, name))
             for name, robot in self.robots
         ]
         started = time.perf_counter()
@@ -233,6 +121,19 @@ class Simulation:
             _tell(meters, result, report)
         return result
 
+    def demonstrate(
+        self, report: Report | None = None, duration: float | None = None
+    ) -> SimulationResult:
+        """Drive the default manoeuvre, for ``duration`` s or to its end."""
+        if len(self.robots) == 1:
+            name, robot = self.robots[0]
+            plan, end = default_manoeuvre(robot)
+            plans = {name: plan}
+        else:
+            placed = [(name, robot, self.starts[name]) for name, robot in self.robots]
+            plans, end = fleet_manoeuvres(placed)
+        return self.run(duration or end, plans, report)
+
     def _base(self, robot: Robot) -> BaseHandle:
         return SimBase(robot) if self.scene is None else MujocoBase(robot, self.scene)
 
@@ -252,15 +153,11 @@ def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], name: str) -
     return found
 
 
-def _size(twist: Twist) -> float:
-    return max(abs(twist.vx), abs(twist.vy), abs(twist.wz))
-
-
 def _words(twist: Twist) -> str:
     return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"
 
 
-def _tell(meters: Sequence[_Meter], result: SimulationResult, report: Report) -> None:
+def _tell(meters: Sequence[Meter], result: SimulationResult, report: Report) -> None:
     if result.diverged:
         report.add(
             "simulation-diverged",
@@ -286,7 +183,7 @@ def _tell(meters: Sequence[_Meter], result: SimulationResult, report: Report) ->
                 meter.robot.origin,
                 hint="ask for another motion, or widen the steering limits",
             )
-        if _size(meter.infeasible) > _NOTICEABLE and not _only_swing(meter):
+        if size(meter.infeasible) > NOTICEABLE and not _only_swing(meter):
             report.add(
                 "twist-infeasible",
                 f"{meter.name} was asked for {_words(meter.infeasible_twist)}; "
@@ -296,7 +193,7 @@ def _tell(meters: Sequence[_Meter], result: SimulationResult, report: Report) ->
             )
 
 
-def _only_swing(meter: _Meter) -> bool:
+def _only_swing(meter: Meter) -> bool:
     """Whether all that was infeasible is the swing of base_link beside the fixed axle.
 
     Who asks for a turn without saying where an axle lies asks for nothing impossible.
@@ -341,11 +238,7 @@ def run_demo(build: Path, report: Report) -> list[DemoRow]:
     per robot; none where the report has the reason.
     """
     try:
-        model = load_model(build)
-        simulation = Simulation(model, build)
-        plans = {name: default_manoeuvre(robot) for name, robot in simulation.robots}
-        duration = max(end for _, end in plans.values())
-        result = simulation.run(duration, {n: plan for n, (plan, _) in plans.items()}, report)
+        result = Simulation(load_model(build), build).demonstrate(report)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
         return []

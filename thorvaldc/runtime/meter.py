@@ -1,0 +1,142 @@
+"""Measures how a robot drives: what was commanded, what was true, what the joints say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime import se2
+from thorvaldc.runtime.base import BaseHandle
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.manoeuvre import Manoeuvre, twist_at
+from thorvaldc.runtime.mujoco_base import MujocoBase
+from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
+
+TIPPED = math.cos(math.radians(60.0))
+"""Cosine of the tilt at which a robot counts as fallen."""
+NOTICEABLE = 0.01
+"""Infeasible or unreachable motion (m/s, rad/s) below which nobody is told."""
+
+
+def size(twist: Twist) -> float:
+    """The largest part of a twist, m/s or rad/s."""
+    return max(abs(twist.vx), abs(twist.vy), abs(twist.wz))
+
+
+@dataclass(frozen=True, slots=True)
+class RobotRun:
+    """How one robot drove.  Lengths in m, angles in rad, poses relative to the start.
+
+    ``path_commanded`` is the way of ``base_link`` that the driver aimed at, its
+    ramps and limits applied; ``path_true`` the way in the simulated world and
+    ``path_odometry`` that by the joints.  ``end_error`` is the distance between
+    the true and the estimated position at the end, ``yaw_error`` that of the headings.
+    With ideal joints there is no other truth than the joints: true is odometry.
+    """
+
+    name: str
+    mass: float
+    wheels: int
+    driven: int
+    steered: int
+    path_commanded: float
+    path_true: float
+    path_odometry: float
+    end_error: float
+    yaw_error: float
+    pose_true: Pose2
+    pose_odometry: Pose2
+    largest_tilt: float
+    infeasible: Twist
+    unreachable: tuple[str, ...]
+    tipped: bool
+
+
+class Meter:
+    """One robot of a run: its driver, and what is measured beside it."""
+
+    def __init__(self, name: str, robot: Robot, base: BaseHandle, manoeuvre: Manoeuvre) -> None:
+        self.name = name
+        self.robot = robot
+        self.driver = BaseDriver(robot, base)
+        self.base = base
+        self.manoeuvre = manoeuvre
+        self.ticks = 0
+        self.start = base.true_pose() if isinstance(base, MujocoBase) else se2.ORIGIN
+        self.true = self.start
+        self.turned = 0.0
+        self.commanded = self.path = self.estimated = 0.0
+        self.largest_tilt = 0.0
+        self.infeasible = ZERO_TWIST
+        self.unreachable: tuple[int, ...] = ()
+        self.unreachable_twist = ZERO_TWIST
+        self.infeasible_twist = ZERO_TWIST
+
+    @property
+    def next(self) -> float:
+        return self.ticks / self.robot.driver.rate
+
+    def tick(self) -> None:
+        now = self.next
+        before = self.driver.state
+        self.driver.command(twist_at(self.manoeuvre, now), now)
+        state = self.driver.tick(now)
+        if self.ticks:
+            dt = now - before.time
+            if before.command is not None:
+                self.commanded += before.command.target.speed * dt
+            self.estimated += state.odometry.twist.speed * dt
+            self._measure_truth()
+        self.ticks += 1
+        command = state.command
+        if command is None:
+            return
+        if size(state.infeasible) > size(self.infeasible):
+            self.infeasible, self.infeasible_twist = state.infeasible, state.asked
+        for i in command.unreachable:
+            if i not in self.unreachable and size(state.ramped) > NOTICEABLE:
+                self.unreachable += (i,)
+                self.unreachable_twist = state.asked
+
+    def _measure_truth(self) -> None:
+        if not isinstance(self.base, MujocoBase):
+            return
+        pose = self.base.true_pose()
+        turn = math.remainder(pose.yaw - self.true.yaw, math.tau)
+        self.turned += turn
+        chord = math.hypot(pose.x - self.true.x, pose.y - self.true.y)
+        self.path += chord / se2.chord_over_arc(turn)
+        self.true = pose
+        upright = min(max(self.base.uprightness(), -1.0), 1.0)
+        self.largest_tilt = max(self.largest_tilt, math.acos(upright))
+
+    @property
+    def tipped(self) -> bool:
+        return math.cos(self.largest_tilt) < TIPPED
+
+    def result(self) -> RobotRun:
+        robot = self.robot
+        odometry = self.driver.state.pose
+        true, path = odometry, self.estimated
+        if isinstance(self.base, MujocoBase):
+            x, y, _ = self.true.relative_to(self.start)
+            true, path = Pose2(x, y, self.turned), self.path
+        return RobotRun(
+            name=self.name,
+            mass=robot.inertial.mass,
+            wheels=len(robot.wheels),
+            driven=sum(1 for w in robot.wheels if w.driven),
+            steered=sum(1 for w in robot.wheels if w.steered),
+            path_commanded=self.commanded,
+            path_true=path,
+            path_odometry=self.estimated,
+            end_error=math.hypot(true.x - odometry.x, true.y - odometry.y),
+            yaw_error=abs(true.yaw - odometry.yaw),
+            pose_true=true,
+            pose_odometry=odometry,
+            largest_tilt=self.largest_tilt,
+            infeasible=self.infeasible,
+            unreachable=tuple(robot.wheels[i].name for i in self.unreachable),
+            tipped=self.tipped,
+        )
