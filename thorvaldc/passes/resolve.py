@@ -94,6 +94,7 @@ class Resolver:
         self._check_defaults(robot)
         root = self._root_part(robot, document.get("modules") or document)
         self._mount_parts(robot)
+        self._check_devices(robot)
         if root is None:
             return None
         self._check_reached(robot, root)
@@ -108,6 +109,7 @@ class Resolver:
         if part is not None and not part.is_leaf:
             self._root_part(part, entry)
             self._mount_parts(part)
+            self._check_devices(part)
 
     def _expand(
         self, parent: Instance, name: str, entry: Node, origin: Span, chain: tuple[str, ...]
@@ -319,6 +321,28 @@ class Resolver:
                 return None
             return part, name
         return self._find_offered(part, str(offered[name].value), offered[name], section, word)
+
+    def _check_devices(self, inside: Instance) -> None:
+        """Addresses and channels are a device's, and channels lead to motors."""
+        for leaf in inside.leaves():
+            if leaf.type is None:
+                continue
+            channels = leaf.entry.get("channels")
+            if leaf.type.document.get("can") is None:
+                for key, node in (("can", leaf.can), ("channels", channels)):
+                    if node is not None:
+                        self.report.add(
+                            "can-without-device",
+                            f"`{leaf.path}` is no device on a bus",
+                            node.where,
+                            hint=f"leave `{key}` out",
+                        )
+                continue
+            written_in = leaf.parent or leaf
+            for node in _entries(channels).values():
+                reference = written_in.scope.text(node)
+                if reference:
+                    self.find_motor(written_in, reference, node)
 
     # -- mounts -----------------------------------------------------------------------
 

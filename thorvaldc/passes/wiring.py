@@ -37,16 +37,6 @@ class Wiring:
             can = leaf.type.document.get("can") if leaf.type is not None else None
             if can is not None:
                 devices.append(self._device(leaf, can))
-                continue
-            for key in ("can", "channels"):
-                node = leaf.can if key == "can" else leaf.entry.get(key)
-                if node is not None:
-                    self.report.add(
-                        "can-without-device",
-                        f"`{leaf.path}` is no device on a bus",
-                        node.where,
-                        hint=f"leave `{key}` out",
-                    )
         actuators = list(self.actuators.values())
         return build_buses(devices, self._specs(), actuators, period, self.report)
 
