@@ -9,6 +9,7 @@ from typing import Any
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema import faults
 from thorvaldc.schema.documents import Kind, inlined
+from thorvaldc.schema.gate import passes
 from thorvaldc.source.node import Node
 from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 
@@ -23,7 +24,8 @@ def check(node: Node, kind: Kind, report: Report) -> bool:
     # A scalar that the reader found fault with has only a likely meaning.
     known = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     found = False
-    for error in _validator(kind).iter_errors(node.plain()):
+    plain = node.plain()
+    for error in () if passes(schema, plain) else _validator(kind).iter_errors(plain):
         found = True
         faults.explain(error, node, kind, known, report)
     for span, fault in _quantity_faults(node, schema, kind):

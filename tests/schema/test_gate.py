@@ -1,0 +1,93 @@
+"""The quick look and jsonschema agree, on our documents and on what a mistake makes of them."""
+
+from __future__ import annotations
+
+import copy
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from thorvaldc.diagnostics import Report
+from thorvaldc.schema import gate
+from thorvaldc.schema.checker import _validator
+from thorvaldc.schema.documents import KINDS, Kind, inlined
+from thorvaldc.source.reader import read_text
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES: dict[Kind, list[Path]] = {
+    "module": sorted(ROOT.glob("modules/*/*/module.yaml")),
+    "robot": sorted([*ROOT.glob("templates/robot/*.yaml"), *ROOT.glob("examples/*/robot.yaml")]),
+    "fleet": sorted(ROOT.glob("examples/*/fleet.yaml")),
+}
+ODD = [None, True, 1, 1.0, -3, 1e9, "", "x", "1 m", "${a}", "A b", [], [1], [0, 0, 0], {}, {"x": 1}]
+
+
+def plain(path: Path) -> Any:
+    text = path.read_text(encoding="utf-8").replace("@NAME@", "mine")
+    node = read_text(text.encode(), path.name, Report())
+    assert node is not None
+    return node.plain()
+
+
+def places(value: Any) -> list[tuple[Any, Any]]:
+    """Every place in a document: its container and its key."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value)
+    found = [(value, key) for key, _ in entries]
+    for inner in value.values() if isinstance(value, dict) else value:
+        if isinstance(inner, dict | list):
+            found += places(inner)
+    return found
+
+
+def mutate(document: Any, chance: random.Random) -> Any:
+    """One mistake: something gone, something odd, something too much, a key with a slip."""
+    changed = copy.deepcopy(document)
+    container, key = chance.choice(places(changed))
+    kind = chance.randrange(4)
+    if kind == 0:
+        del container[key]
+    elif kind == 1:
+        container[key] = copy.deepcopy(chance.choice(ODD))
+    elif isinstance(container, list):
+        container.insert(key, chance.choice(ODD))
+    elif kind == 2:
+        container[chance.choice(["odd", "modules", "links", "mass", "Port"])] = chance.choice(ODD)
+    else:
+        container[f"{key}x"] = container.pop(key)
+    return changed
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_good_documents_pass(kind: Kind) -> None:
+    for path in FILES[kind]:
+        assert gate.passes(inlined(kind), plain(path)), path
+
+
+@pytest.mark.parametrize("kind", ["robot", "module"])
+def test_it_agrees_with_jsonschema(kind: Kind) -> None:
+    validator = _validator(kind)
+    chance = random.Random(1)
+    documents = [plain(path) for path in FILES[kind]]
+    refused = 0
+    for turn in range(600):
+        document = mutate(documents[turn % len(documents)], chance)
+        valid = validator.is_valid(document)
+        refused += not valid
+        assert gate.passes(inlined(kind), document) == valid, document
+    assert 200 < refused < 590
+
+
+def test_a_keyword_it_does_not_know_is_left_to_jsonschema() -> None:
+    assert gate.passes({"type": "object"}, {})
+    assert not gate.passes({"type": "object", "unevaluatedProperties": False}, {})
+    assert not gate.passes({"properties": {"a": {"not": {"contains": {}}}}}, {"a": []})
+
+
+@pytest.mark.parametrize("value", [True, False, 0, 1, 1.0, "1", None])
+@pytest.mark.parametrize("schema", [{"const": 1}, {"enum": [True, "1"]}, {"minimum": 1}])
+def test_booleans_are_no_numbers(value: Any, schema: dict[str, Any]) -> None:
+    from jsonschema import Draft202012Validator
+
+    assert gate.passes(schema, value) == Draft202012Validator(schema).is_valid(value)
