@@ -654,16 +654,6 @@ def test_motor_on_two_channels(bench: Bench) -> None:
     assert [(f.span, f.labels[0].span) for f in faults] == [(line(2), line(1))] * 2
 
 
-def test_two_motors_on_one_channel(bench: Bench) -> None:
-    bench.drive(1)
-    device = bench.devices[0]
-    extra = Wire("propulsion", MOTORS[2], None, None, line(7))
-    bench.devices[0] = dataclasses.replace(device, wires=(*device.wires, extra))
-    bench.build(motors=MOTORS[:2])
-    fault = bench.fault("channel-conflict")
-    assert (fault.span, fault.labels[0].span) == (line(7), line(1))
-
-
 def test_role_of_the_channel(bench: Bench) -> None:
     bench.add(DRIVE, 1, {"propulsion": MOTORS[1]})
     bench.build()

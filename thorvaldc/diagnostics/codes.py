@@ -257,7 +257,6 @@ _TABLE: tuple[Code, ...] = (
     ),
     Code("TV532", "can-load", "warning", "the periodic frames take more than half of the bus"),
     Code("TV540", "channel-unknown", "error", "a controller has no channel of that name"),
-    Code("TV541", "channel-conflict", "error", "two motors are on one channel"),
     Code("TV542", "motor-conflict", "error", "one motor is on two channels"),
     Code("TV543", "channel-role", "error", "a channel is for another kind of motor"),
     Code("TV544", "motor-without-controller", "warning", "a motor is on no controller's channel"),

@@ -51,7 +51,6 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
     owners: dict[str, tuple[Device, Wire]] = {}
     for device in devices:
         roles = _roles(device)
-        used: dict[str, Wire] = {}
         for wire in device.wires:
             motor = wire.actuator
             if wire.channel not in roles:
@@ -62,17 +61,6 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                     hint=did_you_mean(wire.channel, roles, listed(roles)),
                 )
                 continue
-            if wire.channel in used:
-                report.add(
-                    "channel-conflict",
-                    f"the channel `{wire.channel}` of `{device.path}` has two motors, "
-                    f"`{used[wire.channel].actuator.name}` and `{motor.name}`",
-                    wire.span,
-                    labels=[Label(used[wire.channel].span, "first used here")],
-                    hint="a channel drives one motor; take another channel or another controller",
-                )
-                continue
-            used[wire.channel] = wire
             if motor.name in owners:
                 other, first = owners[motor.name]
                 report.add(

@@ -286,6 +286,11 @@ class Resolver:
         if found is None:
             return None
         part, rest = found
+        if not rest and part.parent is not None and part.parent is not inside:
+            # A part may have the name of what its assembly offers: `fl.steering` is a motor.
+            name = reference.rpartition(".")[2]
+            if part.parent.type is not None and name in part.parent.type.section(section):
+                part, rest = part.parent, [name]
         offered = part.type.section(section) if part.type is not None else {}
         if len(rest) != 1:
             first = next(iter(offered), None)
