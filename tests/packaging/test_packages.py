@@ -71,7 +71,7 @@ def test_wheel_holds_the_data(packages: tuple[Path, Path]) -> None:
     names = zipfile.ZipFile(packages[1]).namelist()
     for part in ("modules/drive/standard/module.yaml", "templates/robot/4wd4ws.yaml"):
         assert f"thorvaldc/_data/{part}" in names
-    assert any(name.startswith("thorvaldc/_data/docs/diagnostics/TV") for name in names)
+    assert any(name.startswith("thorvaldc/_data/diagnostics/TV") for name in names)
     assert any(name.startswith("thorvaldc/schema/") and name.endswith(".json") for name in names)
     assert not [name for name in names if name.startswith(("tests/", "bench/", "build/"))]
 

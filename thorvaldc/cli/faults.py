@@ -68,9 +68,11 @@ class Faults:
             if found:
                 print(f"{' and '.join(found)} in {count(self._files, 'file')}", file=self.stream)
         else:
-            from thorvaldc.diagnostics import render
+            from thorvaldc.diagnostics.render import render
 
-            print(render.render(self._all, self.format, self._sources, builds=builds))
+            text = render(self._all, self.format, self._sources, builds=builds)
+            if text:
+                print(text)
         return INPUT if errors or (strict and warnings) else DONE
 
 

@@ -41,14 +41,13 @@ def show_schema(kind: str) -> int:
 
 
 def explain(code: str) -> int:
-    from thorvaldc.diagnostics.explain import UnknownCode
-    from thorvaldc.diagnostics.explain import explain as page_of
+    from thorvaldc.diagnostics import explain as pages
 
     try:
-        print(page_of(code), end="")
-    except UnknownCode as unknown:
-        hint = f"; {unknown.hint}" if unknown.hint else ""
-        raise typer.BadParameter(f"{unknown}{hint}", param_hint="CODE") from None
+        print(pages.explain(code), end="")
+    except pages.UnknownCode as fault:
+        hint = f"; {fault.hint}" if fault.hint else ""
+        raise typer.BadParameter(f"{fault}{hint}", param_hint="CODE") from None
     return DONE
 
 
