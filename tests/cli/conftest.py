@@ -22,8 +22,8 @@ modules:
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
 """
-# Three faults of different stages.
-BAD = GOOD.replace("can: 2", "can: 1").replace("name: good", "name: Bad").replace("1.1 m", "1.1 kg")
+# Two faults.
+BAD = GOOD.replace("name: good", "name: Bad").replace("can: 2", "cam: 2")
 # A warning: the centre of mass is nearly over the edge.
 SHAKY = GOOD.replace("name: good", "name: shaky\ndesign: {minimum_tip_over_angle: 60 deg}")
 

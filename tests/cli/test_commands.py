@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -50,8 +51,8 @@ def test_version(thorvaldc: Command) -> None:
         (["sim", "good.yaml", "--duration", "-1"], "not between"),
         (["new", "Bad Name"], "no name for a robot"),
         (["new", "mine", "--preset", "3wd"], "1wd1ws, 2wd0ws, 4wd4ws"),
-        (["explain", "TV99999"], "no code 'TV99999'"),
-        (["explain", "can-id-duplicat"], "did you mean 'can-id-duplicate'?"),
+        (["explain", "TV99999"], "no code `TV99999`"),
+        (["explain", "can-id-duplicat"], "did you mean `can-id-duplicate`?"),
         (["schema", "car"], "none of robot, module, fleet"),
         (["modules", "show", "drive/standart"], "did you mean 'drive/standard'?"),
         (["modules", "check", "nowhere"], "no folder 'nowhere'"),
@@ -78,7 +79,7 @@ def test_check_of_a_bad_file_tells_all_on_stdout(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("check", "good.yaml", "bad.yaml")
     assert (status, err) == (1, "")
     assert "bad.yaml:2:7" in out
-    assert "bad.yaml:4:57" in out
+    assert re.search(r"^bad\.yaml:6:\d+: error\[TV\d+\]", out, re.M)
     assert out.rstrip().endswith("in 2 files")
     assert "\033" not in out
 
@@ -338,9 +339,8 @@ def test_modules_check(thorvaldc: Command) -> None:
 
 
 def test_modules_of_the_user_are_found_by_the_option(thorvaldc: Command) -> None:
-    source = Path(__file__).parents[2] / "modules/wheel/passive/module.yaml"
-    Path("lib/wheel/mine").mkdir(parents=True)
-    Path("lib/wheel/mine/module.yaml").write_text(source.read_text())
+    source = Path(__file__).parents[2] / "modules/wheel/agri_200"
+    shutil.copytree(source, "lib/wheel/mine")
     assert "wheel/mine" in thorvaldc("modules", "list", "--library", "lib").out
     Path("robot.yaml").write_text(
         GOOD.replace("modules:\n", "defaults: {assembly: {wheel: wheel/mine}}\nmodules:\n")
