@@ -1,0 +1,160 @@
+"""Driving a robot's own files with joint commands straight from its geometry.
+
+No calculator and no driver: what is measured here is the model in MuJoCo alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from thorvaldc.model import Robot, Wheel
+
+SPEED = 0.7  # m/s
+RAMP = 1.0  # s
+SETTLING = 6.0  # s until casters have swung round
+MEASURED = 3.0  # s
+
+
+@dataclass(frozen=True)
+class Run:
+    """Path of ``base_link`` (m), its turn (rad), and both by the driven wheels alone."""
+
+    distance: float
+    wheel_distance: float
+    turn: float
+    wheel_turn: float
+    highest_jump: float
+
+
+def rolling(wheel: Wheel, centre: tuple[float, float] | None, along: float) -> tuple[float, float]:
+    """Steering angle and ground speed of a wheel (per unit of the robot's own).
+
+    ``centre`` is the point about which the robot turns at 1 rad/s, or ``None`` for a
+    straight run at 1 m/s in the direction ``along``.  The wheel's contact is ``trail`` ahead
+    and ``lateral_offset`` left of its axis a; it does not slip where the
+    rolling direction d has d . (c - a) = trail, and then rolls at n . (c - a) -
+    lateral_offset with n to the left of d.
+    """
+    if centre is None:
+        candidates = [along, along + math.pi]
+    else:
+        ux, uy = centre[0] - wheel.x, centre[1] - wheel.y
+        distance = math.hypot(ux, uy)
+        spread = math.acos(max(-1.0, min(1.0, wheel.trail / distance)))
+        candidates = [math.atan2(uy, ux) + spread, math.atan2(uy, ux) - spread]
+    best: tuple[float, float] | None = None
+    for direction in candidates:
+        angle = wheel.steering_sign * (direction - wheel.heading)
+        angle = math.remainder(angle, 2 * math.pi)
+        if best is None or abs(angle) < abs(best[0]) - 1e-9:
+            if centre is None:
+                speed = math.cos(direction - along)
+            else:
+                nx, ny = -math.sin(direction), math.cos(direction)
+                speed = nx * ux + ny * uy - wheel.lateral_offset
+            best = (angle, speed)
+    assert best is not None
+    return best
+
+
+def fixed_line(robot: Robot) -> tuple[float, float, float] | None:
+    """A point on the axle line of the wheels that do not turn, and their heading."""
+    fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
+    if not fixed:
+        return None
+    x = sum(w.x for w in fixed) / len(fixed)
+    y = sum(w.y for w in fixed) / len(fixed)
+    return x, y, fixed[0].heading
+
+
+def can_turn(robot: Robot) -> bool:
+    """Whether the wheels that do not turn have one axle line, so that nothing must skid."""
+    line = fixed_line(robot)
+    if line is None:
+        return True
+    x, y, heading = line
+    c, s = math.cos(heading), math.sin(heading)
+    return all(
+        abs(c * (w.x - x) + s * (w.y - y)) < 1e-6 and abs(math.sin(w.heading - heading)) < 1e-6
+        for w in robot.wheels
+        if w.steering_joint is None and w.swivel_joint is None
+    )
+
+
+def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
+    """Run straight (``radius`` ``None``) or on a circle of that radius in m, to the left.
+
+    Distances are measured after the ramp and after casters have settled.
+    """
+    prefix = f"{robot.namespace}/" if robot.namespace else ""
+    m = mujoco.MjModel.from_xml_path(str(scene))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    x, y, along = fixed_line(robot) or (0.0, 0.0, 0.0)
+    centre = None
+    rate = SPEED
+    if radius is not None:
+        centre = (x - radius * math.sin(along), y + radius * math.cos(along))
+        rate = SPEED / radius
+    speeds: list[tuple[int, int, float, float]] = []
+    for wheel in robot.wheels:
+        angle, speed = rolling(wheel, centre, along)
+        if wheel.steering_joint is None and wheel.swivel_joint is None and abs(angle) > 1.6:
+            angle, speed = angle - math.copysign(math.pi, angle), -speed
+        if wheel.steering_joint is not None:
+            joint = d.joint(prefix + wheel.steering_joint)
+            joint.qpos[0] = angle
+            actuator = robot.actuator_of(wheel.steering_joint)
+            assert actuator is not None
+            d.ctrl[m.actuator(prefix + actuator.name).id] = angle
+        actuator = robot.actuator_of(wheel.spin_joint)
+        if wheel.driven and actuator is not None:
+            spin = m.joint(prefix + wheel.spin_joint).qposadr[0]
+            speeds.append(
+                (m.actuator(prefix + actuator.name).id, int(spin), speed, wheel.radius)
+            )
+    base = m.joint(f"{prefix}floating_base").qposadr[0]
+    step = m.opt.timestep
+    start: tuple[Any, float, list[float]] | None = None
+    path, turned, highest = 0.0, 0.0, 0.0
+    last, heading = d.qpos[base : base + 2].copy(), _yaw(d.qpos[base + 3 : base + 7])
+    height = float(d.qpos[base + 2])
+    for i in range(round((SETTLING + MEASURED) / step)):
+        factor = rate * min(1.0, i * step / RAMP)
+        for actuator_id, _, speed, r in speeds:
+            d.ctrl[actuator_id] = factor * speed / r
+        mujoco.mj_step(m, d)
+        now, yaw = d.qpos[base : base + 2].copy(), _yaw(d.qpos[base + 3 : base + 7])
+        if start is not None:
+            path += float(np.linalg.norm(now - last))
+            turned += math.remainder(yaw - heading, 2 * math.pi)
+            highest = max(highest, abs(float(d.qpos[base + 2]) - height))
+        elif (i + 1) * step >= SETTLING:
+            start = (now, yaw, [float(d.qpos[q]) for _, q, _, _ in speeds])
+        last, heading = now, yaw
+    assert start is not None
+    # What each driven wheel says the robot's own motion was.
+    own = [
+        (float(d.qpos[q]) - begin) * r / speed
+        for (_, q, speed, r), begin in zip(speeds, start[2], strict=True)
+    ]
+    mean = sum(own) / len(own)
+    arm = math.hypot(*centre) if centre is not None else 0.0
+    return Run(
+        path,
+        mean if centre is None else mean * arm,
+        turned,
+        0.0 if centre is None else mean,
+        highest,
+    )
+
+
+def _yaw(quat: Any) -> float:
+    w, x, y, z = (float(v) for v in quat)
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
