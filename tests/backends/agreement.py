@@ -252,7 +252,7 @@ class _Check:
                 self.same(f"{name}: rolling radius", radius, wheel.radius, tolerance=1e-6)
                 self.same(f"{name}: contact in the middle", axis @ arm, 0.0, tolerance=5e-4)
                 mu = wheel.friction
-                friction = (mu, mu, mu * wheel.width / 4)
+                friction = (mu, mu, mu * wheel.width / 16)
                 self.same(f"{name}: friction", contact.friction[:3], friction)
                 self.same(f"{name}: contact dimensions", int(contact.dim), 4)
                 self.same(f"{name}: solref", contact.solref, (0.01, 1.0))

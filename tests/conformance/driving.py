@@ -46,6 +46,8 @@ def rolling(wheel: Wheel, centre: tuple[float, float] | None, along: float) -> t
     else:
         ux, uy = centre[0] - wheel.x, centre[1] - wheel.y
         distance = math.hypot(ux, uy)
+        if distance < 1e-6:  # the robot turns about this very wheel, which just scrubs
+            return 0.0, 0.0
         spread = math.acos(max(-1.0, min(1.0, wheel.trail / distance)))
         candidates = [math.atan2(uy, ux) + spread, math.atan2(uy, ux) - spread]
     best: tuple[float, float] | None = None
@@ -101,7 +103,7 @@ def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
     rate = SPEED
     if radius is not None:
         centre = (x - radius * math.sin(along), y + radius * math.cos(along))
-        rate = SPEED / radius
+        rate = SPEED / max(radius, 1.0)
     speeds: list[tuple[int, int, float, float]] = []
     for wheel in robot.wheels:
         angle, speed = rolling(wheel, centre, along)
@@ -143,6 +145,7 @@ def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
     own = [
         (float(d.qpos[q]) - begin) * r / speed
         for (_, q, speed, r), begin in zip(speeds, start[2], strict=True)
+        if abs(speed) > 0.05
     ]
     mean = sum(own) / len(own)
     arm = math.hypot(*centre) if centre is not None else 0.0

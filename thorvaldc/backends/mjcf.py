@@ -36,6 +36,12 @@ from thorvaldc.model import (
 from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
 
 TIMESTEP = 0.005
+# Torsional friction over mu times width.  A patch as wide as the tyre would resist
+# turning on the spot with mu N width/4; a tyre that rolls gives way and resists
+# less.  MuJoCo has one coefficient for both and takes spin out of the same
+# friction cone as slip, so that with 1/4 wheels drift outwards by up to 2.1 % of
+# the turn (two driven wheels and casters); with 1/16 by 0.4 %.
+TORSION = 1 / 16
 ROLLING_FRICTION = 0.0005  # MuJoCo's third coefficient; condim 4 does not use it
 DRIVE_FREQUENCY = 20.0  # rad/s, of the propulsion servo, critically damped
 DRIVE_DAMPING = 1.0
@@ -277,8 +283,7 @@ class _RobotWriter:
         center = Pose((shift * x, shift * y, shift * z), _z_to(axis)).clean()
         _place(geom, center)
         mu = wheel.friction
-        # A contact patch as wide as the tyre resists turning on the spot with mu N w/4.
-        geom.set(friction=(mu, clean(mu * wheel.width / 4), ROLLING_FRICTION))
+        geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
 
     # -- what is in and on the bodies -----------------------------------------------
 
