@@ -13,16 +13,33 @@ from tests.backends.agreement import differences
 from tests.backends.conftest import write
 from tests.backends.faults import FAULTS, Fault
 from tests.backends.plans import ROBOTS, Plan, build, graft, grafted
+from tests.examples import FLEETS, example_fleet, example_robot
+from tests.examples import ROBOTS as EXAMPLES
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
-from thorvaldc.model import Robot
+from thorvaldc.model import Fleet, Robot
 
 Written = Callable[[Robot], Path]
+WrittenFleet = Callable[[Fleet], Path]
 
 
 @pytest.mark.parametrize("name", sorted(ROBOTS))
 def test_formats_agree(name: str, written: Written) -> None:
     assert differences(written(ROBOTS[name]), ROBOTS[name]) == []
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_formats_agree_on_examples(name: str, written: Written) -> None:
+    robot = example_robot(name)
+    assert differences(written(robot), robot) == []
+
+
+@pytest.mark.parametrize("name", FLEETS)
+def test_formats_agree_in_fleets(name: str, written_fleet: WrittenFleet) -> None:
+    fleet = example_fleet(name)
+    folder = written_fleet(fleet)
+    for placement in fleet.placements:
+        assert differences(folder / placement.name, placement.robot) == []
 
 
 @pytest.mark.parametrize("seed", range(18))

@@ -9,27 +9,34 @@ from pathlib import Path
 import pytest
 
 from tests.backends.plans import ROBOTS, grafted
+from tests.examples import ROBOTS as EXAMPLES
+from tests.examples import example_robot
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Robot
 
 Written = Callable[[Robot], Path]
-SAMPLE = {"suspended": ROBOTS["suspended"], "casters": ROBOTS["casters"]} | {
+PLANNED = {"suspended": ROBOTS["suspended"], "casters": ROBOTS["casters"]} | {
     f"graft_{seed}": grafted(seed) for seed in (0, 4, 7)
 }
+SAMPLE = [*EXAMPLES, *PLANNED]
 
 
-@pytest.mark.parametrize("name", sorted(SAMPLE))
+def robot_of(name: str) -> Robot:
+    return PLANNED[name] if name in PLANNED else example_robot(name)
+
+
+@pytest.mark.parametrize("name", SAMPLE)
 def test_check_urdf_accepts(name: str, written: Written, check_urdf: str) -> None:
-    path = written(SAMPLE[name]) / "urdf" / "robot.urdf"
+    path = written(robot_of(name)) / "urdf" / "robot.urdf"
     done = subprocess.run([check_urdf, str(path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "Successfully Parsed XML" in done.stdout
     assert "error" not in done.stderr.lower(), done.stderr
 
 
-@pytest.mark.parametrize("name", sorted(SAMPLE))
+@pytest.mark.parametrize("name", SAMPLE)
 def test_sdformat_accepts(name: str, written: Written, ign: str) -> None:
-    path = written(SAMPLE[name]) / "urdf" / "robot.urdf"
+    path = written(robot_of(name)) / "urdf" / "robot.urdf"
     done = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)
     assert "Valid" in done.stdout, done.stderr
     assert "Error" not in done.stderr, done.stderr

@@ -118,9 +118,7 @@ def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
         actuator = robot.actuator_of(wheel.spin_joint)
         if wheel.driven and actuator is not None:
             spin = m.joint(prefix + wheel.spin_joint).qposadr[0]
-            speeds.append(
-                (m.actuator(prefix + actuator.name).id, int(spin), speed, wheel.radius)
-            )
+            speeds.append((m.actuator(prefix + actuator.name).id, int(spin), speed, wheel.radius))
     base = m.joint(f"{prefix}floating_base").qposadr[0]
     step = m.opt.timestep
     start: tuple[Any, float, list[float]] | None = None

@@ -1,0 +1,82 @@
+"""Every robot goes where its wheels say, in MuJoCo from its own files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.backends.conftest import write
+from tests.backends.plans import ROBOTS as PLANNED
+from tests.conformance.driving import can_turn, drive
+from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.model import Robot
+
+EVERY = [f"examples/{name}" for name in ROBOTS] + [f"planned/{name}" for name in sorted(PLANNED)]
+UPRIGHT = [name for name in EVERY if name != "planned/cambered"]
+
+
+def robot_of(name: str) -> Robot:
+    kind, _, own = name.partition("/")
+    return example_robot(own) if kind == "examples" else PLANNED[own]
+
+
+def scene_of(robot: Robot, folder: Path) -> Path:
+    return write(Mjcf().emit(robot), folder) / "mjcf" / "scene.xml"
+
+
+@pytest.mark.parametrize("name", UPRIGHT)
+def test_straight_distance_is_that_of_the_wheels(name: str, tmp_path: Path) -> None:
+    robot = robot_of(name)
+    run = drive(scene_of(robot, tmp_path), robot, radius=None)
+    assert run.distance > 1.5
+    assert abs(run.distance / run.wheel_distance - 1.0) < 1e-4
+    assert abs(run.turn) < 1e-3
+    assert run.highest_jump < 1e-3
+
+
+@pytest.mark.parametrize("radius", [0.5, 3.0])
+@pytest.mark.parametrize("name", EVERY)
+def test_turning_is_that_of_the_wheels(name: str, radius: float, tmp_path: Path) -> None:
+    robot = robot_of(name)
+    if not can_turn(robot):
+        pytest.skip("can turn only by skidding")
+    run = drive(scene_of(robot, tmp_path), robot, radius=radius)
+    assert run.turn > 0.5
+    assert abs(run.turn / run.wheel_turn - 1.0) < 1e-2
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_examples_stand_still_and_hold_on_a_slope(name: str, tmp_path: Path) -> None:
+    robot = example_robot(name)
+    m = mujoco.MjModel.from_xml_path(str(scene_of(robot, tmp_path)))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    base = slice(0, 3)
+    start = d.qpos[base].copy()
+    for _ in range(200):
+        mujoco.mj_step(m, d)
+    assert np.abs(d.qpos[base] - start).max() < 1e-4
+    # 10 degrees in the direction of travel, servos at zero speed.
+    m.opt.gravity[:] = (-9.81 * np.sin(np.radians(10)), 0, -9.81 * np.cos(np.radians(10)))
+    for _ in range(400):
+        mujoco.mj_step(m, d)
+    before = d.qpos[base].copy()
+    for _ in range(400):
+        mujoco.mj_step(m, d)
+    assert np.linalg.norm(d.qpos[base] - before) / 2.0 < 1e-3  # m/s
+
+
+@pytest.mark.parametrize("name", FLEETS)
+def test_fleets_stand_still(name: str, tmp_path: Path) -> None:
+    write(Mjcf().emit_fleet(example_fleet(name)), tmp_path)
+    m = mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf" / "scene.xml"))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    start = d.qpos.copy()
+    for _ in range(200):
+        mujoco.mj_step(m, d)
+    assert np.abs(d.qpos - start).max() < 1e-4
