@@ -12,10 +12,15 @@ PITCH = 1.3  # m, between wheels
 
 
 def robot(rows: int, columns: int) -> str:
-    """A frame with ``rows`` x ``columns`` steered drives, each with its controller."""
+    """A frame with ``rows`` x ``columns`` steered drives, each with its controller.
+
+    Nine drives take half of a bus, so there is a bus for every nine.
+    """
     lines = [
         "thorvaldc: 1",
         "name: grid",
+        "buses:",
+        *(f"  b{k}: {{bitrate: 500 kbit/s}}" for k in range((rows * columns + 8) // 9)),
         "modules:",
         "  frame: {type: frame/tube_rectangular, params: {length: 1.1, width: 0.9}}",
     ]
@@ -24,7 +29,8 @@ def robot(rows: int, columns: int) -> str:
         y = (i % columns - (columns - 1) / 2) * PITCH
         lines.append(
             f"  d{i}: {{type: assembly/steered_drive,"
-            f" mount: {{parent: frame, xyz: [{x:.3f}, {y:.3f}, 0]}}, can: {i + 1}}}"
+            f" mount: {{parent: frame, xyz: [{x:.3f}, {y:.3f}, 0]}},"
+            f" can: {{bus: b{i // 9}, id: {i % 9 + 1}}}}}"
         )
     return "\n".join(lines) + "\n"
 

@@ -8,6 +8,7 @@ import math
 import struct
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,9 @@ from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_b
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.model.robot import Bus, Frame, Node, Robot, Signal
+from thorvaldc.pipeline import compile_file
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -189,6 +193,40 @@ def test_a_robot_without_a_bus_has_an_empty_map() -> None:
     files = Can().emit(make_robot(FOUR_STEERED))
     assert list(files) == ["can/canmap.json"]
     assert json.loads(files["can/canmap.json"])["buses"] == []
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*/robot.yaml")), ids=lambda p: p.parent.name)
+def test_examples(path: Path) -> None:
+    """Every example's frames are decoded by cantools to what the model's scalings say."""
+    robot = compile_file(path).model
+    assert isinstance(robot, Robot)
+    files = Can().emit(robot)
+    assert not list(Can().unsupported(robot))
+    (bus,) = robot.buses
+    database = read_dbc(files["can/robot.dbc"])
+    driven = {
+        (channel["joint"], signal["unit"], signal["direction"])
+        for node in json.loads(files["can/canmap.json"])["buses"][0]["nodes"]
+        for channel in node["channels"]
+        if channel["actuator"]
+        for signal in channel["signals"]
+    }
+    for actuator in robot.actuators:
+        unit = "rad/s" if actuator.role == "propulsion" else "rad"
+        assert {(actuator.joint, unit, "command"), (actuator.joint, unit, "report")} <= driven
+    for frame in bus.frames:
+        data = bytes((37 * frame.cob_id + 101 * i) % 251 for i in range(frame.length))
+        if any(signal.multiplexer for signal in frame.signals):
+            data = data[:3] + b"\x02" + data[4:]
+        read = database.decode_message(frame.cob_id, data, decode_choices=False)
+        word = int.from_bytes(data, "little")
+        shown = [s for s in frame.signals if not s.selected_by or 2 in s.selected_by]
+        assert list(read) == [s.name for s in sorted(shown, key=lambda s: s.start)]
+        for signal in shown:
+            raw = word >> signal.start & ((1 << signal.length) - 1)
+            if signal.signed and raw >> (signal.length - 1):
+                raw -= 1 << signal.length
+            assert read[signal.name] == pytest.approx(raw * signal.scale + signal.offset, rel=1e-12)
 
 
 def test_output_repeats_and_neither_bus_library_nor_numpy_is_loaded() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -21,6 +22,9 @@ from thorvaldc.backends.ros2 import Ros2
 from thorvaldc.backends.ros2_parameters import ParameterError, parameter_file
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model.robot import Bus, CalculatorChoice, Robot
+from thorvaldc.pipeline import compile_file
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 FILES = ("base_driver", "twist_mux", "teleop_twist_joy", "robot_state_publisher")
 
@@ -173,6 +177,22 @@ def test_a_robot_without_wheels_has_no_empty_lists() -> None:
     robot = dataclasses.replace(make_robot(FOUR_STEERED), wheels=(), actuators=())
     driver = emit(robot)["/base_driver"]
     assert not [name for name in driver if name.startswith("wheels")]
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*/robot.yaml")), ids=lambda p: p.parent.name)
+def test_examples(path: Path) -> None:
+    """rcl takes every example's files, and every driven joint is a joint of the description."""
+    robot = compile_file(path).model
+    assert isinstance(robot, Robot)
+    nodes = emit(robot)
+    description = ElementTree.fromstring(nodes["/robot_state_publisher"]["robot_description"])
+    joints = {joint.get("name") for joint in description.iter("joint")}
+    driver = nodes["/base_driver"]
+    named = driver["wheels.propulsion_joints"] + driver["wheels.steering_joints"]
+    assert {name for name in named if name} <= joints
+    assert sum(driver["wheels.driven"]) == sum(a.role == "propulsion" for a in robot.actuators)
+    assert sum(driver["wheels.steered"]) == sum(a.role == "steering" for a in robot.actuators)
+    assert driver["max_linear_velocity"] > 0.0
 
 
 # -- the emitter ----------------------------------------------------------------------

@@ -17,12 +17,13 @@ from typing import Any
 from thorvaldc.backends import Backend
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import Robot
-from thorvaldc.model.robot import Bus, Channel, Frame, Node, Signal
+from thorvaldc.model.robot import Actuator, Bus, Channel, Frame, Joint, Node, Signal
 
 FORMAT = "thorvaldc-canmap"
 VERSION = 1
 DBC_ENCODING = "cp1252"  # what readers of DBC files take for granted
 JOINT_UNITS = ("rad", "rad/s")
+Motors = dict[str, tuple[Actuator, Joint]]
 _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 
 
@@ -78,17 +79,23 @@ def canmap_text(robot: Robot) -> str:
 
 
 def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
+    joints = {joint.name: joint for joint in robot.joints}
+    motors = {a.name: (a, joints[a.joint]) for a in robot.actuators}
+    frames: dict[str, list[Frame]] = {}
+    for frame in bus.frames:
+        for name in (frame.producer, *frame.consumers):
+            frames.setdefault(name, []).append(frame)
     return {
         "name": bus.name,
         "bitrate": bus.bitrate,
         "sync_period": bus.sync_period,
         "master": {"name": "master", "id": bus.master_id},
-        "nodes": [_node(robot, bus, node) for node in bus.nodes],
+        "nodes": [_node(node, motors, frames.get(node.name, [])) for node in bus.nodes],
         "frames": [_frame(frame) for frame in bus.frames],
     }
 
 
-def _node(robot: Robot, bus: Bus, node: Node) -> dict[str, Any]:
+def _node(node: Node, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
     return {
         "name": node.name,
         "module": node.module,
@@ -98,16 +105,15 @@ def _node(robot: Robot, bus: Bus, node: Node) -> dict[str, Any]:
         "vendor_id": node.vendor_id,
         "serial": node.serial,
         "properties": dict(node.properties),
-        "channels": [_channel(robot, bus, node, channel) for channel in node.channels],
+        "channels": [_channel(node, channel, motors, frames) for channel in node.channels],
     }
 
 
-def _channel(robot: Robot, bus: Bus, node: Node, channel: Channel) -> dict[str, Any]:
+def _channel(node: Node, channel: Channel, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
     plain: dict[str, Any] = {"name": channel.name, "role": channel.role, "actuator": None}
-    actuator = next((a for a in robot.actuators if a.name == channel.actuator), None)
-    if actuator is None:
+    if channel.actuator is None:
         return plain
-    joint = robot.joint(actuator.joint)
+    actuator, joint = motors[channel.actuator]
     return {
         **plain,
         "actuator": actuator.name,
@@ -128,8 +134,7 @@ def _channel(robot: Robot, bus: Bus, node: Node, channel: Channel) -> dict[str, 
                 "scale": signal.scale,
                 "offset": signal.offset,
             }
-            for frame in bus.frames
-            if node.name in (frame.producer, *frame.consumers)
+            for frame in frames
             for signal in frame.signals
             if signal.joint == actuator.joint and signal.unit in JOINT_UNITS
         ],
