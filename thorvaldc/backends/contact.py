@@ -28,7 +28,7 @@ forces balance.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.backends.tree import Tree
 from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
@@ -53,8 +53,7 @@ _MIN_COS_CAMBER = 0.2
 _MAX_ITERATIONS = 60
 
 
-@dataclass(frozen=True, slots=True)
-class WheelContact:
+class WheelContact(NamedTuple):
     """The ellipsoid that stands for a wheel on the ground, in the wheel link's frame.
 
     ``radius`` and ``half_width`` are its half axes in m, ``offset`` (m) is how far its
@@ -69,8 +68,7 @@ class WheelContact:
     force: float
 
 
-@dataclass(frozen=True, slots=True)
-class Rest:
+class Rest(NamedTuple):
     """A robot at rest on level ground.
 
     ``base`` is the pose of ``base_link``; ``positions`` holds the position of every
@@ -315,8 +313,7 @@ def inverse_weights(tree: Tree, links: list[int]) -> tuple[list[float], dict[str
 # -- the settled pose --------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Footing:
+class _Footing(NamedTuple):
     """A wheel in the common frame at home: which group carries it, where, and how it rolls."""
 
     group: int
@@ -457,8 +454,7 @@ class _Stance:
         return matrix.solve(forces.residual) if matrix.factor() else None
 
 
-@dataclass(frozen=True, slots=True)
-class _Forces:
+class _Forces(NamedTuple):
     residual: list[float]
     depths: list[float]
     tilts: list[float]

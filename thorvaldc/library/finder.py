@@ -7,15 +7,15 @@ project's own, in the order given.
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.schema.checker import check
 from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
@@ -66,8 +66,7 @@ class ModuleType:
         return self.document.get("modules") is not None
 
 
-@dataclass(frozen=True)
-class _Loaded:
+class _Loaded(NamedTuple):
     stamp: tuple[int, int]
     type: ModuleType | None
     report: Report
@@ -128,10 +127,11 @@ class Library:
                 module = _load(name, path, shown, report)
                 break
         else:
-            near = difflib.get_close_matches(name, self.names(), n=1, cutoff=0.5)
-            hint = f"did you mean `{near[0]}`?" if near else "`thorvaldc modules list` shows them"
             report.add(
-                "module-type-unknown", f"there is no module type `{name}`", asked.span, hint=hint
+                "module-type-unknown",
+                f"there is no module type `{name}`",
+                asked.span,
+                hint=did_you_mean(name, self.names()) or "`thorvaldc modules list` shows them",
             )
             return None
         self._found[name] = module

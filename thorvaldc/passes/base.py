@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.robot import Actuator, Joint, Link, Wheel
@@ -26,8 +26,7 @@ GRAVITY = 9.81
 UP: Vec3 = (0.0, 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class PlacedWheel:
+class PlacedWheel(NamedTuple):
     """A module's wheel in the robot, before its geometry is known."""
 
     name: str
@@ -92,8 +91,7 @@ def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
     return add(center, scale(radius / level, down))
 
 
-@dataclass(frozen=True)
-class _Chain:
+class _Chain(NamedTuple):
     spin: Joint
     steering: Joint | None
     swivel: Joint | None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -110,8 +110,7 @@ def _is_present(device: Device, report: Report) -> bool:
 # -- addresses ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Request:
+class _Request(NamedTuple):
     """What the robot says of a device's address; ``id`` is ``None`` for auto."""
 
     bus: str
@@ -154,7 +153,7 @@ def _place(
             )
             continue
         named = scope.with_names({"id": node_id, **channel_names(device)})
-        device_with_names = dataclasses.replace(device, scope=named)
+        device_with_names = device._replace(scope=named)
         placed.append(
             Placed(
                 device.path,

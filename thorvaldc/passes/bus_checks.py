@@ -6,7 +6,7 @@ Every fault between two parties names both places.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -27,8 +27,7 @@ STANDARD = ((0x100, "TIME"), (0x7E4, "LSS response"), (0x7E5, "LSS request"))
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
+class Placed(NamedTuple):
     """A device with its id: ``span`` is the place of its address in the robot's file.
 
     ``bitrates`` in bit/s that it can do, empty: any; ``module_span`` its `can` section.
@@ -196,8 +195,7 @@ def _check_restricted(placed: Sequence[Placed], report: Report) -> None:
                     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Claim:
+class _Claim(NamedTuple):
     cob_id: int
     what: str
     owner: str

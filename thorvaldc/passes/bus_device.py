@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.robot import Actuator
@@ -14,8 +14,7 @@ MASTER = "master"
 CANOPEN = "canopen"
 
 
-@dataclass(frozen=True, slots=True)
-class Wire:
+class Wire(NamedTuple):
     """A motor on a channel.  ``lower`` and ``upper`` (rad) limit its joint, if anything does.
 
     ``span`` is the place that connects the two.
@@ -28,8 +27,7 @@ class Wire:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Device:
+class Device(NamedTuple):
     """A module with a `can` section in its place, as the elaboration found it.
 
     ``can`` and ``channels`` are those sections of the module; ``address`` is what
@@ -47,8 +45,7 @@ class Device:
     origin: Span
 
 
-@dataclass(frozen=True, slots=True)
-class BusSpec:
+class BusSpec(NamedTuple):
     """A bus as the robot declares it: ``bitrate`` in bit/s."""
 
     name: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Robot, Wheel
@@ -14,8 +14,7 @@ WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
 DEFAULT_TIP_OVER = math.radians(15)
 
 
-@dataclass(frozen=True)
-class Design:
+class Design(NamedTuple):
     """What the file asks of the robot: ``slope`` to climb, ``tip_over_angle`` to keep, rad."""
 
     slope: float | None = None

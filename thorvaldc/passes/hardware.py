@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.library import ModuleType
@@ -25,8 +25,7 @@ from thorvaldc.source.node import Node
 from thorvaldc.source.units import UnitError, parse_any
 
 
-@dataclass(frozen=True)
-class LinkPart:
+class LinkPart(NamedTuple):
     """A link of a module; ``inertial`` is ``None`` for a massless one."""
 
     name: str
@@ -36,8 +35,7 @@ class LinkPart:
     span: Span
 
 
-@dataclass(frozen=True)
-class JointPart:
+class JointPart(NamedTuple):
     """A joint of a module; ``spring`` is stiffness and damping, ``None`` for none."""
 
     name: str
@@ -57,8 +55,7 @@ class JointPart:
     span: Span
 
 
-@dataclass(frozen=True)
-class MotorPart:
+class MotorPart(NamedTuple):
     """A motor; speeds in rad/s, torque in N m; limits at the joint."""
 
     name: str
@@ -74,8 +71,7 @@ class MotorPart:
     span: Span
 
 
-@dataclass(frozen=True)
-class WheelPart:
+class WheelPart(NamedTuple):
     link: str
     radius: float
     width: float
@@ -85,22 +81,19 @@ class WheelPart:
     span: Span
 
 
-@dataclass(frozen=True)
-class SensorPart:
+class SensorPart(NamedTuple):
     type: str
     link: str
     properties: tuple[tuple[str, Scalar], ...]
 
 
-@dataclass(frozen=True)
-class BatteryPart:
+class BatteryPart(NamedTuple):
     present: bool
     link: str
     properties: tuple[tuple[str, Scalar], ...]
 
 
-@dataclass(frozen=True)
-class Hardware:
+class Hardware(NamedTuple):
     """A module with its parameters filled in.  ``mount_link``/``mount_pose``: where it is held."""
 
     links: tuple[LinkPart, ...]

@@ -13,8 +13,8 @@ import math
 import re
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh, Vec3
@@ -34,15 +34,13 @@ _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
 _BELOW_32 = bytes(b for b in range(256) if b & 0x7F < 0x42)
 
 
-@dataclass(frozen=True, slots=True)
-class _Fault:
+class _Fault(NamedTuple):
     code: str
     text: str
     hint: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Loaded:
+class _Loaded(NamedTuple):
     mesh: Mesh
     suffix: str
     large: bool  # some coordinate may be 32 m or more: worth measuring

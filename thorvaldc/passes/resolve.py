@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import Library, ModuleType
@@ -63,8 +64,7 @@ class Instance:
             yield from child.leaves()
 
 
-@dataclass(frozen=True)
-class Mount:
+class Mount(NamedTuple):
     """``leaf`` and its ``link`` that carry a part; ``pose`` of the mount in that link."""
 
     leaf: Instance

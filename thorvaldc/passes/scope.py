@@ -7,12 +7,12 @@ fault is reported and a harmless value goes on, so that one run shows all faults
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.library import Library, ModuleType
 from thorvaldc.model.spatial import Pose, Vec3
 from thorvaldc.source.expressions import ExpressionError, evaluate
@@ -35,10 +35,8 @@ FAULT: Any = object()  # in place of a value whose fault is reported
 
 def nearest(word: str, known: list[str]) -> str:
     """A hint: the nearest of the known words, or all of them."""
-    near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    if near:
-        return f"did you mean `{near[0]}`?"
-    return "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
+    everything = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
+    return did_you_mean(word, known) or everything
 
 
 class ModuleChoice(Mapping[str, Any]):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Actuator, Bus, Joint
@@ -15,8 +15,7 @@ DEFAULT_BITRATE = 500_000  # bit/s
 DEFAULT_BUS = "main"
 
 
-@dataclass(frozen=True)
-class Wiring:
+class Wiring(NamedTuple):
     """Finds the devices of a robot and the motors on their channels.
 
     ``actuators`` and ``joints`` by name, as the elaboration made them; ``scope``

@@ -6,7 +6,7 @@ dimension of its own: it tells ``rad/s`` from ``Hz``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 Dimension = tuple[int, ...]
 """Exponents of m, kg, s, A, K, rad, bit."""
@@ -14,8 +14,7 @@ Dimension = tuple[int, ...]
 BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
+class Quantity(NamedTuple):
     """A kind of quantity: its dimensions, SI unit and an example in the language."""
 
     name: str
@@ -28,8 +27,7 @@ class Quantity:
         return f"{self.article} {self.name.replace('_', ' ')}"
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(NamedTuple):
     """One in SI is ``numerator / denominator * pi**pi_power`` (plus ``offset`` hundredths)."""
 
     dimension: Dimension
