@@ -1,0 +1,119 @@
+"""Every code is raised by its cases, at the line they say, and not by their neighbours.
+
+A case file ``TVnnn-name.yaml`` is a list of cases:
+
+- ``code``: the name of the code that must be raised;
+- ``line``: where, 0 for a fault without a place; ``file``: in which file (default: any);
+- ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
+- ``neighbour``: files that differ as little as may be and compile without errors;
+- ``entry``: the file to compile (default ``robot.yaml``); ``neighbour_entry`` where it differs;
+- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``) or ``import``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from thorvaldc.diagnostics import CODES, Diagnostic
+
+HERE = Path(__file__).parent
+PAGES = HERE.parent.parent / "docs" / "diagnostics"
+KEYS = {"code", "line", "file", "files", "neighbour", "entry", "neighbour_entry", "run", "targets"}
+
+
+def case_files() -> list[Path]:
+    return sorted(HERE.glob("*.yaml"))
+
+
+def cases() -> Iterator[Any]:
+    for path in case_files():
+        for number, case in enumerate(yaml.safe_load(path.read_text(encoding="utf-8"))):
+            yield pytest.param(case, id=f"{path.stem}[{number}]")
+
+
+def write(files: dict[str, Any], folder: Path) -> None:
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, dict):
+            content = content["repeat"] * content["times"]
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
+    """What is found in the files in the working folder."""
+    how = case.get("run", "compile")
+    if how == "import":
+        from thorvaldc.importer import import_file
+
+        return list(import_file(Path(entry)).report)
+    from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+
+    done = compile_file(entry)
+    if how == "emit" and done.model is not None:
+        emit(done.model, case.get("targets", DEFAULT_TARGETS), done.report)
+    return list(done.report)
+
+
+@pytest.mark.parametrize("case", list(cases()))
+def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert set(case) <= KEYS, "a case has no such key"
+    entry = case.get("entry", "robot.yaml")
+    write(case["files"], tmp_path)
+    monkeypatch.chdir(tmp_path)
+    found = faults(case, entry)
+    said = [(d.code.name, str(d.span), d.message) for d in found]
+    mine = [d for d in found if d.code.name == case["code"]]
+    assert mine, f"not raised; instead: {said}"
+    places = [(d.span.file, d.span.line) if d.span is not None else ("", 0) for d in mine]
+    if "file" not in case:
+        places = [(case.get("file", ""), line) for _, line in places]
+    assert (case.get("file", ""), case["line"]) in places, f"raised elsewhere: {said}"
+
+
+@pytest.mark.parametrize("case", list(cases()))
+def test_neighbour(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(case["neighbour"], tmp_path)
+    monkeypatch.chdir(tmp_path)
+    found = faults(case, case.get("neighbour_entry", case.get("entry", "robot.yaml")))
+    wrong = [
+        (d.code.name, str(d.span), d.message)
+        for d in found
+        if d.code.name == case["code"] or d.code.severity == "error"
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("code", list(CODES.values()), ids=lambda code: code.number)
+def test_every_code_has_cases_and_a_page(code: Any) -> None:
+    path = HERE / f"{code.number}-{code.name}.yaml"
+    assert path.is_file(), f"there is no case file {path.name}"
+    found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert found
+    for case in found:
+        assert case["code"] == code.name
+        assert case["neighbour"]
+    page = PAGES / f"{code.number}.md"
+    assert page.is_file(), f"there is no page {page.name}"
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert lines[0] == f"# {code.number} {code.name}"
+    assert len([line for line in lines if line.startswith("## ")]) >= 3
+    assert 10 <= len(lines) <= 30
+
+
+def test_files_belong_to_codes() -> None:
+    known = {f"{code.number}-{code.name}" for code in CODES.values()}
+    assert [path.stem for path in case_files() if path.stem not in known] == []
+    numbers = {code.number for code in CODES.values()}
+    assert [path.stem for path in sorted(PAGES.glob("TV*.md")) if path.stem not in numbers] == []
+
+
+def test_numbers_and_names_are_used_once() -> None:
+    codes = list(CODES.values())
+    assert len({code.number for code in codes}) == len(codes)
+    assert len({code.name for code in codes}) == len(codes)
