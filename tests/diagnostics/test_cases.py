@@ -6,8 +6,10 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``line``: where, 0 for a fault without a place; ``file``: in which file (default: any);
 - ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
 - ``neighbour``: files that differ as little as may be and compile without errors;
-- ``entry``: the file to compile (default ``robot.yaml``); ``neighbour_entry`` where it differs;
-- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``) or ``import``.
+- ``entry``: the file to compile (default ``robot.yaml``);
+- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``sim`` (with
+  ``twist`` for ``seconds``), ``demo`` (of the build folder ``entry``) or ``import``;
+- keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from thorvaldc.diagnostics import CODES, Diagnostic
 
 HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
-KEYS = {"code", "line", "file", "files", "neighbour", "entry", "neighbour_entry", "run", "targets"}
+KEYS = {"code", "line", "file", "files", "neighbour", "entry", "run", "targets", "twist", "seconds"}
+OWN = "neighbour_"
 
 
 def case_files() -> list[Path]:
@@ -52,17 +55,34 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         from thorvaldc.importer import import_file
 
         return list(import_file(Path(entry)).report)
+    if how == "demo":
+        from thorvaldc.diagnostics import Report
+        from thorvaldc.runtime.simulation import run_demo
+
+        report = Report()
+        run_demo(Path(entry), report)
+        return list(report)
     from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
 
     done = compile_file(entry)
     if how == "emit" and done.model is not None:
         emit(done.model, case.get("targets", DEFAULT_TARGETS), done.report)
+    if how == "sim" and done.model is not None:
+        from thorvaldc.runtime.faults import RuntimeFault
+        from thorvaldc.runtime.manoeuvre import parse_twist
+        from thorvaldc.runtime.simulation import Simulation
+
+        try:
+            simulation = Simulation(done.model, emit(done.model, ["mjcf"], done.report))
+            simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), done.report)
+        except RuntimeFault as fault:
+            done.report.put(fault.diagnostic)
     return list(done.report)
 
 
 @pytest.mark.parametrize("case", list(cases()))
 def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(case) <= KEYS, "a case has no such key"
+    assert {key.removeprefix(OWN) for key in case} <= KEYS, "a case has no such key"
     entry = case.get("entry", "robot.yaml")
     write(case["files"], tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -80,7 +100,8 @@ def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_neighbour(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(case["neighbour"], tmp_path)
     monkeypatch.chdir(tmp_path)
-    found = faults(case, case.get("neighbour_entry", case.get("entry", "robot.yaml")))
+    case = {**case, **{k.removeprefix(OWN): v for k, v in case.items() if k.startswith(OWN)}}
+    found = faults(case, case.get("entry", "robot.yaml"))
     wrong = [
         (d.code.name, str(d.span), d.message)
         for d in found

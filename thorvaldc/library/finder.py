@@ -79,7 +79,7 @@ _loaded: dict[tuple[str, str], _Loaded] = {}
 def _load(name: str, path: Path, display: str, report: Report) -> ModuleType | None:
     status = path.stat()
     stamp = (status.st_mtime_ns, status.st_size)
-    key = (str(path), display)
+    key = (str(path.absolute()), display)
     known = _loaded.get(key)
     if known is None or known.stamp != stamp:
         own = Report()
@@ -150,14 +150,19 @@ class Library:
         """Colour names of all library folders; the user's come before ours."""
         colors: dict[str, str] = {}
         for folder, _ in reversed(self.folders):
-            colors.update(_palette(str(folder / "palette.yaml")))
+            colors.update(_palette(folder / "palette.yaml"))
         return colors
 
 
-@cache
-def _palette(path: str) -> dict[str, str]:
-    if not os.path.isfile(path):
+def _palette(path: Path) -> dict[str, str]:
+    if not path.is_file():
         return {}
+    status = path.stat()
+    return _read_palette(str(path.absolute()), (status.st_mtime_ns, status.st_size))
+
+
+@cache
+def _read_palette(path: str, stamp: tuple[int, int]) -> dict[str, str]:
     node = read_file(Path(path), path, Report())
     plain = node.plain() if node is not None else {}
     return {str(k): str(v) for k, v in plain.items()} if isinstance(plain, dict) else {}

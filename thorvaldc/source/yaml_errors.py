@@ -48,6 +48,7 @@ _WORDS: tuple[tuple[str, str, str], ...] = (
         "",
     ),
     ("did not find expected node content", "a value is missing here", ""),
+    ("found unexpected ':'", "a space is missing after this `:`", "write `key: value`"),
     (
         "found undefined alias",
         "there is no anchor of this name",
@@ -106,7 +107,7 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
         )
         return
     line = lines[span.line - 1] if span.line <= len(lines) else ""
-    character = line[span.column - 1 : span.column]
+    character = _character(lines, span)
     tab = _tab(line, span)
     if tab is not None and ("token" in problem or "indentation" in problem or "tab" in problem):
         report.add(
@@ -132,10 +133,31 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
         else:
             message, hint = f"this is not YAML: {problem}", None
         if opened is not None and context.startswith("while parsing a flow"):
-            labels.append(Label(_span(opened, lines, file), "opened here"))
+            start = _span(opened, lines, file)
             if "${" in line:
                 hint = _EXPRESSION
+            if _is_outside(lines, start, span):
+                message = f"this `{_character(lines, start)}` is never closed"
+                labels.append(Label(span, "reading stopped here"))
+                span = start
+            else:
+                labels.append(Label(start, "opened here"))
     report.add("yaml-syntax", message, span, hint=hint, labels=labels)
+
+
+def _is_outside(lines: list[str], opened: Span, stopped: Span) -> bool:
+    """Whether reading stopped on a line that is no deeper than the one with the bracket."""
+
+    def indentation(number: int) -> int:
+        text = lines[number - 1] if number <= len(lines) else ""
+        return len(text) - len(text.lstrip())
+
+    return stopped.line > opened.line and indentation(stopped.line) <= indentation(opened.line)
+
+
+def _character(lines: list[str], span: Span) -> str:
+    line = lines[span.line - 1] if span.line <= len(lines) else ""
+    return line[span.column - 1 : span.column]
 
 
 def _span(mark: Any, lines: list[str], file: str) -> Span:
