@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLE = ROOT / "examples" / "4wd4ws" / "robot.yaml"
+EXAMPLE = ROOT / "examples" / "4wd4ws_wide" / "robot.yaml"
 
 
 @dataclass(frozen=True)

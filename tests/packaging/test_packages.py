@@ -79,7 +79,7 @@ def test_wheel_holds_the_data(packages: tuple[Path, Path]) -> None:
 def test_sdist_holds_what_a_build_and_the_tests_need(packages: tuple[Path, Path]) -> None:
     with tarfile.open(packages[0]) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    for part in ("Makefile", "LICENSE", "modules/palette.yaml", "examples/4wd4ws/robot.yaml"):
+    for part in ("Makefile", "LICENSE", "modules/palette.yaml", "examples/4wd4ws_wide/robot.yaml"):
         assert part in names
     assert not [name for name in names if name.startswith((".venv", "build/"))]
 

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +68,7 @@ def _progress(done: int, all_: int) -> None:
 def _drive(job: tuple[str, str, bool]) -> Outcome:
     from thorvaldc import __version__
     from thorvaldc.diagnostics import Report
+    from thorvaldc.model import Fleet
     from thorvaldc.pipeline import compile_file, emit
     from thorvaldc.runtime.simulation import run_demo as drive
     from thorvaldc.writer import WriteError, write_build
@@ -96,9 +97,15 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
         except WriteError as fault:
             raise OutsideError(str(fault)) from None
         rows = drive(folder, run)
+        if isinstance(done.model, Fleet):
+            rows = [_of_fleet(row, done.model.name) for row in rows]
     faults.add(done.report, done.sources)
     faults.add(run, done.sources)
     return Outcome(rows, text.getvalue(), faults.finish() == DONE)
+
+
+def _of_fleet(row: DemoRow, fleet: str) -> DemoRow:
+    return replace(row, run=replace(row.run, name=f"{fleet}/{row.run.name}"))
 
 
 def _import(file: str, output: str, faults: Faults) -> str:
