@@ -1,7 +1,7 @@
 """Writes the library's meshes: ``python tools/make_meshes.py [--check]``.
 
-Each module's meshes go to ``modules/<type>/meshes/``.  ``--check`` writes nothing
-and exits with 1 where a file differs from what would be written.
+A module's meshes go to ``modules/<type>/meshes/``, an example's to its own.  ``--check``
+writes nothing and exits with 1 where a file differs from what would be written.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from mesh_frames import (
     imu,
     lidar,
     portal,
+    sensor_hood,
     sheet_metal,
 )
 from mesh_solids import Meshes, to_stl
 from mesh_wheels import agricultural_tyre, greenhouse_wheel, passive_wheel, rim, spokes, wheel_bolts
 
-MODULES = Path(__file__).resolve().parent.parent / "modules"
+ROOT = Path(__file__).resolve().parent.parent
 
 LIBRARY: dict[str, Callable[[], Meshes]] = {
     "wheel/agri_200": lambda: {
@@ -54,11 +55,18 @@ LIBRARY: dict[str, Callable[[], Meshes]] = {
 }
 
 
+EXAMPLES: dict[str, Callable[[], Meshes]] = {
+    "4wd2ws_tall": sensor_hood,
+}
+
+
 def make_all() -> dict[str, bytes]:
-    """Every mesh file by its path under ``modules/``."""
+    """Every mesh file by its path from the top of the repository."""
+    folders = {f"modules/{name}": make for name, make in LIBRARY.items()}
+    folders |= {f"examples/{name}": make for name, make in EXAMPLES.items()}
     return {
-        f"{module}/meshes/{name}.stl": to_stl(solid)
-        for module, make in LIBRARY.items()
+        f"{folder}/meshes/{name}.stl": to_stl(solid)
+        for folder, make in folders.items()
         for name, solid in make().items()
     }
 
@@ -67,7 +75,7 @@ def main(arguments: list[str]) -> int:
     """Write the meshes, or compare them with what is there."""
     stale = 0
     for path, data in make_all().items():
-        file = MODULES / path
+        file = ROOT / path
         if file.is_file() and file.read_bytes() == data:
             continue
         stale += 1

@@ -167,6 +167,27 @@ def sheet_metal() -> Meshes:
     }
 
 
+def sensor_hood() -> Meshes:
+    """A hood that is open below, its middle the origin, with eyes for its two rods."""
+    outer = rounded_rectangle(0.30, 0.44, 0.03, 4)
+    inner = rounded_rectangle(0.27, 0.41, 0.02, 4)
+    top = rounded_rectangle(0.22, 0.36, 0.03, 4)
+    rings = [
+        (inner, 0.05),
+        (inner, -0.12),
+        (outer, -0.12),
+        (outer, 0.07),
+        (top, 0.12),
+    ]
+    shell = loft([np.array([(x, y, z) for x, y in outline]) for outline, z in rings])
+    eye = cylinder(0.022, 0.03, 20, 0.004)
+    lamp = revolve([(0.045, 0.03), (0.05, 0.0), (0.062, -0.02), (0.062, -0.03)], 28)
+    return {
+        "hood": join([shell, *(eye.moved(y=y, z=0.125) for y in (-0.16, 0.16))]),
+        "lamp": lamp,
+    }
+
+
 def lidar() -> Meshes:
     base = join(
         [

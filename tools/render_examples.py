@@ -58,7 +58,7 @@ VIEWS = {
     "4wd4ws_slim": View(twist=(1.0, 0.4, 0.0)),
     "9wd9ws": View(elevation=-24.0, twist=(1.0, 0.0, 0.35)),
     "6wd6ws_asymmetric": View(elevation=-22.0, twist=(1.0, 0.3, 0.3)),
-    "fleet_of_four": View(azimuth=145.0, elevation=-20.0),
+    "fleet_of_four": View(azimuth=150.0, elevation=-27.0),
 }
 
 
