@@ -46,6 +46,7 @@ def side_by_side(
     The first round fills the disk's and the bytecode's caches and does not count.
     """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     taken: list[list[float]] = [[] for _ in commands]
     for turn in range(rounds + 1):
         for command, times in zip(commands, taken, strict=True):

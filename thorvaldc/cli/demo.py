@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import multiprocessing
 import os
@@ -33,6 +34,7 @@ class Outcome:
 
 def run_demo(files: Sequence[str], originals: Sequence[str], output: str) -> int:
     started = time.monotonic()
+    gc.enable()
     jobs = [(file, output, False) for file in files] + [(file, output, True) for file in originals]
     outcomes: list[Outcome] = []
     with multiprocessing.Pool(min(2, os.cpu_count() or 1), initializer=_deaf) as pool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -40,6 +41,9 @@ def protect(work: Callable[[], int]) -> int:
 
 def run() -> None:
     """The ``thorvaldc`` command."""
+    # A command makes a few megabytes, keeps most of them and ends: to look for garbage
+    # would take a sixth of its time.  Commands that run for long switch it on again.
+    gc.disable()
     for stream in (sys.stdout, sys.stderr):
         # A name in another alphabet must not fail on a terminal that cannot show it.
         if stream is not None and hasattr(stream, "reconfigure"):

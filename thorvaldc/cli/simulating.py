@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json as json_format
 import math
 import sys
@@ -31,6 +32,7 @@ def simulate(
     from thorvaldc.runtime.manoeuvre import default_manoeuvre, parse_twist
     from thorvaldc.runtime.simulation import DemoRow, Simulation, demo_table
 
+    gc.enable()
     report = Report()
     faults = Faults("text", sys.stderr)
     try:
