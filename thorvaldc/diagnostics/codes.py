@@ -315,6 +315,15 @@ _TABLE: tuple[Code, ...] = (
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),
     Code("TV903", "file-unreadable", "error", "a file cannot be read"),
+    Code("TV930", "import-not-original", "error", "a file is none of the original system's"),
+    Code("TV931", "import-value", "error", "a value of an original file is not what it must be"),
+    Code("TV932", "import-missing", "error", "an original file lacks what is needed"),
+    Code("TV933", "import-node-duplicate", "error", "an original file gives a node id twice"),
+    Code("TV934", "import-reference", "error", "an original file names a drive that is not there"),
+    Code("TV935", "import-unknown-key", "warning", "a key of an original file is not known"),
+    Code("TV936", "import-left-out", "note", "a value of an original file has no place"),
+    Code("TV937", "import-assumed", "warning", "an original file left something open"),
+    Code("TV938", "import-duplicate-key", "warning", "a key occurs twice in an original file"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

@@ -54,6 +54,23 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
     ``file`` is the name for spans.  Faults go to ``report``; a node may come
     back although there were some.
     """
+    root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
+    if root is None:
+        return None
+    try:
+        return _Reader(file, report).node(root, None)
+    except _Refused as refused:
+        report.add(refused.code, refused.message, _point(refused.mark, file), hint=refused.hint)
+        return None
+
+
+def compose(
+    data: bytes, file: str, report: Report, *, hint_if_empty: str | None = None
+) -> Any | None:
+    """PyYAML's tree of the document in ``data``, within bounds; ``None`` with the fault reported.
+
+    What the scalars mean is left to the caller: only explicit tags are set.
+    """
     text = _decode(data, file, report)
     if text is None:
         return None
@@ -69,13 +86,9 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
     finally:
         loader.dispose()
     if root is None or (root.id == "scalar" and root.value == "" and not root.style):
-        report.add("yaml-empty", f"`{file}` is empty", Span(file), hint=_EMPTY_HINT)
+        report.add("yaml-empty", f"`{file}` is empty", Span(file), hint=hint_if_empty)
         return None
-    try:
-        return _Reader(file, report).node(root, None)
-    except _Refused as refused:
-        report.add(refused.code, refused.message, _point(refused.mark, file), hint=refused.hint)
-        return None
+    return root
 
 
 _EMPTY_HINT = "a document begins with `thorvaldc: 1`"

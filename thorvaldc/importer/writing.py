@@ -1,0 +1,145 @@
+"""The text of a robot.yaml, with comments that tell where its values come from."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import unicodedata
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from thorvaldc.model.spatial import clean
+
+Value = bool | int | float | str | list["Value"] | dict[str, "Value"]
+
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*( [A-Za-z0-9_./^]+)*")
+_WORDS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
+_WIDTH = 96
+# Letters of the neighbourhood that Unicode does not take apart.
+_LETTERS = str.maketrans(
+    {"ø": "o", "æ": "ae", "œ": "oe", "ß": "ss", "đ": "d", "ð": "d", "ł": "l", "þ": "th"}
+)
+
+
+@dataclass
+class Module:
+    """A module of the robot that is written; ``comments`` stand above it."""
+
+    name: str
+    type: str
+    mount: dict[str, Value] | None = None
+    params: dict[str, Value] = field(default_factory=dict)
+    can: int | None = None
+    channels: dict[str, Value] = field(default_factory=dict)
+    comments: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Robot:
+    """What is written, in the order of robot.yaml."""
+
+    name: str
+    comments: list[str] = field(default_factory=list)
+    namespace: str = ""
+    base_calculator: str = "general"
+    driver: dict[str, Value] = field(default_factory=dict)
+    defaults: dict[str, Value] = field(default_factory=dict)
+    modules: list[Module] = field(default_factory=list)
+
+
+def render(robot: Robot) -> str:
+    """The document."""
+    lines = [*_comments(robot.comments, ""), "thorvaldc: 1", f"name: {robot.name}"]
+    if robot.namespace:
+        lines.append(f"namespace: {robot.namespace}")
+    lines.append(f"base_calculator: {robot.base_calculator}")
+    if robot.driver:
+        lines.append(f"driver: {flow(robot.driver)}")
+    if robot.defaults:
+        lines += ["defaults:", "  # the same for every drive of the original", "  assembly:"]
+        lines += _entries(robot.defaults, "    ")
+    lines.append("modules:")
+    for module in robot.modules:
+        lines += _comments(module.comments, "  ")
+        entry: dict[str, Value] = {"type": module.type}
+        if module.mount is not None:
+            entry["mount"] = module.mount
+        if module.can is not None:
+            entry["can"] = module.can
+        if module.params:
+            entry["params"] = dict(module.params)
+        if module.channels:
+            entry["channels"] = module.channels
+        short = f"  {module.name}: {flow(entry)}"
+        if len(short) <= _WIDTH:
+            lines.append(short)
+        else:
+            lines.append(f"  {module.name}:")
+            lines += _entries(entry, "    ")
+    return "\n".join(lines) + "\n"
+
+
+def _comments(comments: Iterable[str], indent: str) -> list[str]:
+    return [f"{indent}# {' '.join(comment.split())}".rstrip() for comment in comments]
+
+
+def _entries(values: dict[str, Value], indent: str) -> list[str]:
+    lines: list[str] = []
+    for key, value in values.items():
+        line = f"{indent}{key}: {flow(value)}"
+        if len(line) > _WIDTH and isinstance(value, dict):
+            lines.append(f"{indent}{key}:")
+            lines += _entries(value, indent + "  ")
+        else:
+            lines.append(line)
+    return lines
+
+
+def flow(value: Value) -> str:
+    """A value on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        value = clean(value)
+        return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, list):
+        return f"[{', '.join(flow(v) for v in value)}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}: {flow(v)}" for k, v in value.items()) + "}"
+    if _PLAIN.fullmatch(value) and value.lower() not in _WORDS:
+        return value
+    if re.fullmatch(r"-?[0-9.]+ [a-z/^0-9]+", value):
+        return value  # a quantity
+    return json.dumps(value, ensure_ascii=False)
+
+
+def angle(radians: float) -> Value:
+    """An angle for a document: in whole degrees where it is that, else in rad."""
+    degrees = math.degrees(radians)
+    return f"{round(degrees)} deg" if degrees and abs(degrees - round(degrees)) < 1e-9 else radians
+
+
+class Names:
+    """Ids for names of the original, each once."""
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self._taken = dict.fromkeys(taken)
+
+    def make(self, text: str, fallback: str) -> str:
+        """An id near ``text``: lower case, other letters by their base, a number if taken."""
+        name = as_id(text) or fallback
+        unique, count = name, 2
+        while unique in self._taken:
+            unique, count = f"{name}_{count}", count + 1
+        self._taken[unique] = None
+        return unique
+
+
+def as_id(text: str) -> str:
+    """``text`` as an id ``[a-z][a-z0-9_]*``; empty where nothing of it is left."""
+    text = text.lower().translate(_LETTERS)
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    return re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_")
