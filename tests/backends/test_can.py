@@ -159,17 +159,44 @@ def test_multiplexed_frame_is_read_by_its_selector(
 
 
 def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
-    signal = Signal("x", 0, 8, unit='"', description='ends with \\ and "quotes"\nand ; \u0394')
+    signal = Signal(
+        "x",
+        0,
+        8,
+        unit='"',
+        choices=((1, 'a "b"'),),
+        description='ends with \\ and "quotes"\nand ; \u0394',
+    )
     frame = Frame(
         "odd", 0x101, "relay", "master", ("battery",), 1, None, None, (signal,), SPAN, "\u0394"
     )
     robot = with_frame(frame)
     message = read_dbc(Can().emit(robot)["can/robot.dbc"]).get_message_by_name("odd")
     assert message.comment == "?"
+    assert str(message.signals[0].choices[1]) == "a 'b'"
     assert message.signals[0].comment == "ends with / and 'quotes' and ; ?"
     (warning,) = Can().unsupported(robot)
     assert warning.code.name == "dbc-text"
     assert "\u0394" in warning.message
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        ({}, (None, None)),
+        ({"minimum": 5.0}, (5.0, 12.7)),
+        ({"maximum": -5.0}, (-12.8, -5.0)),
+        ({"minimum": -1.0, "maximum": 1.0}, (-1.0, 1.0)),
+    ],
+)
+def test_limits_of_a_signal(given: dict[str, float], read: tuple[float, float]) -> None:
+    signal = Signal("x", 0, 8, signed=True, scale=0.1, **given)
+    frame = Frame("odd", 0x181, "pdo", "master", ("battery",), 1, None, None, (signal,), SPAN)
+    message = read_dbc(Can().emit(with_frame(frame))["can/robot.dbc"]).get_message_by_name("odd")
+    (found,) = message.signals
+    assert (found.minimum, found.maximum) == (
+        read if read[0] is None else pytest.approx(read, rel=1e-12)
+    )
 
 
 def test_long_names_survive() -> None:

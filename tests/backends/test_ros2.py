@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.backends.rcl_parameters import RclError, read, value_of
@@ -218,6 +218,10 @@ def test_any_text_stays_text(text: str) -> None:
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
+@example(1e-05)
+@example(1e22)
+@example(-0.0)
+@example(5e-324)
 def test_any_real_stays_that_real(value: float) -> None:
     made = parameter_file({"node": {"a": value}})
     expected = value if abs(value) >= sys.float_info.min else 0.0

@@ -480,6 +480,11 @@ def simple(
         ("{a: {start: 9, length: 8}}", 2, "can-signal-bounds"),
         ("{a: {start: 8, length: 8}}", 2, ""),
         ("{a: {start: 0, length: 0}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: 0, signed: true}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: -3, signed: true}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: 1000000000000}}", 2, "can-signal-bounds"),
+        ("{a: {start: -1, length: 2}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: '${8 / 3}'}}", 2, "wrong-type"),
         ("{a: {start: 0, length: 8}}", 9, "can-frame-length"),
         ("{a: {start: 0, length: 8, choices: {on_: 255}}}", 8, ""),
         ("{a: {start: 0, length: 8, choices: {on_: 256}}}", 8, "can-choice-range"),
@@ -505,6 +510,20 @@ def simple(
             8,
             "can-multiplexer",
         ),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " a: {start: 8, length: 8, selected_by: [1]},"
+            " b: {start: 12, length: 8}}",
+            8,
+            "can-signal-overlap",
+        ),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " b: {start: 12, length: 8},"
+            " a: {start: 8, length: 8, selected_by: [1]}}",
+            8,
+            "can-signal-overlap",
+        ),
         ("{a: {start: 8, length: 8, selected_by: [1]}}", 8, "can-multiplexer"),
         (
             "{m: {start: 0, length: 8, multiplexer: true},"
@@ -519,6 +538,35 @@ def test_layout(bench: Bench, signals: str, length: int, code: str) -> None:
     bench.add("my/a", 6, text=simple(signals, length=length), wires={"motor": MOTORS[0]})
     bench.build()
     assert " ".join(d.code.name for d in bench.report) == code
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (("length: 8}}", "length: 0, signed: true}}"), "can-signal-bounds"),
+        (("0x190 + id", "0x9000"), "can-cob-id-range"),
+        (("0x190 + id", "1 / 0"), "expression-value"),
+        (("on_demand", "'${nothing}'"), "expression-name"),
+    ],
+)
+def test_a_fault_of_a_module_used_twice_is_one_fault(
+    bench: Bench, change: tuple[str, str], code: str
+) -> None:
+    text = simple().replace("cob_id: 400", "cob_id: '${0x190 + id}'").replace(*change)
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
+    bench.add("my/a", 7, text=text, wires={"motor": MOTORS[2]})
+    bench.build()
+    assert {d.code.name for d in bench.report} == {code}
+    assert len({d.span for d in bench.report}) == 1
+
+
+def test_many_signals_take_no_time(bench: Bench) -> None:
+    signals = ", ".join(f"s{i}: {{start: 32, length: 32, selected_by: [{i}]}}" for i in range(5000))
+    text = simple(f"{{which: {{start: 0, length: 16, multiplexer: true}}, {signals}}}")
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    assert len(frame(bus, "d1_a").signals) == 5001
 
 
 def test_overlap_is_found_among_signals_of_unwired_channels(bench: Bench) -> None:

@@ -252,6 +252,7 @@ def dbc_text(bus: Bus) -> str:
 def _dbc_signal(db: Any, frame: Frame, signal: Signal) -> Any:
     selector = next((s.name for s in frame.signals if s.multiplexer), None)
     conversion = importlib.import_module(f"{db.__name__}.conversion").BaseConversion
+    low, high = _limits(signal)
     comment = signal.description
     if signal.joint is not None:
         comment = f"{comment} Joint {signal.joint}.".strip()
@@ -261,16 +262,34 @@ def _dbc_signal(db: Any, frame: Frame, signal: Signal) -> Any:
         signal.length,
         is_signed=signal.signed,
         conversion=conversion.factory(
-            _number(signal.scale), _number(signal.offset), dict(signal.choices) or None
+            _number(signal.scale),
+            _number(signal.offset),
+            {raw: _plain(name) for raw, name in signal.choices} or None,
         ),
-        minimum=signal.minimum,
-        maximum=signal.maximum,
+        minimum=low,
+        maximum=high,
         unit=_plain(signal.unit) or None,
         comment=_plain(comment) or None,
         receivers=list(frame.consumers),
         is_multiplexer=signal.multiplexer,
         multiplexer_ids=list(signal.selected_by) or None,
         multiplexer_signal=selector if signal.selected_by else None,
+    )
+
+
+def _limits(signal: Signal) -> tuple[float | None, float | None]:
+    """Both limits or none: a DBC has 0 for one that is missing beside one that is not."""
+    if signal.minimum is None and signal.maximum is None:
+        return None, None
+    first, last = (
+        (-1 << signal.length - 1, 1 << signal.length - 1)
+        if signal.signed
+        else (0, 1 << signal.length)
+    )
+    ends = sorted(raw * signal.scale + signal.offset for raw in (first, last - 1))
+    return (
+        ends[0] if signal.minimum is None else signal.minimum,
+        ends[1] if signal.maximum is None else signal.maximum,
     )
 
 

@@ -69,7 +69,11 @@ def integer(scope: Scope, node: Node | None, default: int) -> int:
         return default
     if type(node.value) is int:
         return node.value
-    return round(scope.quantity(node, "ratio", default))
+    value = scope.quantity(node, "ratio", default)
+    if not value.is_integer():
+        scope.report.add("wrong-type", f"a whole number is wanted, not `{value:g}`", node.span)
+        return default
+    return int(value)
 
 
 def listed(known: Iterable[str]) -> str:

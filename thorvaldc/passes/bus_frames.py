@@ -179,19 +179,22 @@ def _is_wired(device: Device, channel: str | None) -> bool:
 
 def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None:
     node = frame.get("cob_id") or frame
-    faults = len(report)
-    cob_id = integer(device.scope, node, -1)
-    if 0 <= cob_id <= 0x7FF:
-        return cob_id
-    if len(report) == faults:
+    value = device.scope.quantity(node, "ratio", math.nan)
+    if 0 <= value <= 0x7FF and value.is_integer():
+        return int(value)
+    if not math.isnan(value):  # else its fault is reported
         report.add(
             "can-cob-id-range",
-            f"the frame `{key}` of `{device.path}` has the identifier {cob_id:#x}; "
+            f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
             "a standard frame has 0x0 to 0x7ff",
             node.span,
             labels=[Label(device.origin, "this device has it")],
         )
     return None
+
+
+def _hexadecimal(value: float) -> str:
+    return f"{int(value):#x}" if value.is_integer() and abs(value) < 1 << 32 else f"{value:g}"
 
 
 def _period(device: Device, frame: Node, sync_period: float, report: Report) -> float | None:
@@ -205,11 +208,10 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 
 def _time(device: Device, node: Node, report: Report) -> float | None:
     """A time that is positive, or ``None`` with the fault reported."""
-    faults = len(report)
-    time = device.scope.quantity(node, "time")
+    time = device.scope.quantity(node, "time", math.nan)
     if time > 0.0:
         return time
-    if len(report) == faults:
+    if not math.isnan(time):  # else its fault is reported
         report.add(
             "can-period",
             f"a frame of `{device.path}` has the period {time:g} s; it must be positive",

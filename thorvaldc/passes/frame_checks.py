@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
-from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Signal
 from thorvaldc.passes.bus_device import Device, Wire, entries, listed
@@ -35,7 +34,6 @@ def check_layout(
     report: Report,
 ) -> bool:
     """Whether the signals lie in the frame, apart from each other, and are selected rightly."""
-    before = len(report)
     if not 0 <= length <= 8:
         place = frame.get("length") or frame
         report.add(
@@ -45,75 +43,111 @@ def check_layout(
         )
         return False
     span_of = {name: node.where for name, node in entries(frame.get("signals"))}
-    selector: Signal | None = None
+    inside: list[Signal] = []
     for signal, _ in signals:
-        here = span_of[signal.name]
-        if signal.length < 1 or signal.start < 0 or signal.start + signal.length > 8 * length:
+        if signal.length > 0 <= signal.start and signal.start + signal.length <= 8 * length:
+            inside.append(signal)
+        else:
             report.add(
                 "can-signal-bounds",
-                f"the signal `{signal.name}` has the bits {signal.start} to "
-                f"{signal.start + signal.length - 1}; the frame has 0 to {8 * length - 1}",
-                here,
+                f"the signal `{signal.name}` starts at bit {signal.start} and has {signal.length}; "
+                f"the frame has the bits 0 to {8 * length - 1}",
+                span_of[signal.name],
             )
+    return all(
+        (
+            len(inside) == len(signals),
+            _choices_fit(inside, span_of, report),
+            _selectors_fit(inside, span_of, report),
+            _bits_are_apart(inside, span_of, report),
+        )
+    )
+
+
+def _choices_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    fits = True
+    for signal in signals:
         low, high = raw_range(signal)
         for raw, choice in signal.choices:
             if not low <= raw <= high:
+                fits = False
                 report.add(
                     "can-choice-range",
                     f"`{choice}` is {raw}; the {signal.length} bits of `{signal.name}` "
                     f"can say {low} to {high}",
-                    here,
+                    span_of[signal.name],
                 )
-        if signal.multiplexer and selector is not None:
-            report.add(
-                "can-multiplexer",
-                f"the frame has two multiplexers, `{selector.name}` and `{signal.name}`",
-                here,
-                labels=[Label(span_of[selector.name], "the first")],
-            )
-        elif signal.multiplexer:
-            selector = signal
-    for signal, _ in signals:
-        if signal.selected_by and (selector is None or selector is signal):
+    return fits
+
+
+def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    selectors = [signal for signal in signals if signal.multiplexer]
+    fits = len(selectors) < 2
+    for other in selectors[1:]:
+        report.add(
+            "can-multiplexer",
+            f"the frame has two multiplexers, `{selectors[0].name}` and `{other.name}`",
+            span_of[other.name],
+            labels=[Label(span_of[selectors[0].name], "the first")],
+        )
+    for signal in signals:
+        if not signal.selected_by:
+            continue
+        if not selectors or signal.multiplexer:
+            fits = False
             report.add(
                 "can-multiplexer",
                 f"`{signal.name}` is selected by a multiplexer, but the frame has none",
                 span_of[signal.name],
                 hint="mark the signal that selects with `multiplexer: true`",
             )
-        elif selector is not None:
-            low, high = raw_range(selector)
-            for value in signal.selected_by:
-                if not low <= value <= high:
-                    report.add(
-                        "can-multiplexer",
-                        f"`{signal.name}` is selected by {value}; `{selector.name}` "
-                        f"can say {low} to {high}",
-                        span_of[signal.name],
-                    )
-    for (first, _), (second, _) in itertools.combinations(signals, 2):
-        if _overlap(first, second):
-            report.add(
-                "can-signal-overlap",
-                f"the signals `{first.name}` (bits {first.start} to "
-                f"{first.start + first.length - 1}) and `{second.name}` (bits {second.start} to "
-                f"{second.start + second.length - 1}) share bits",
-                span_of[second.name],
-                labels=[Label(span_of[first.name], "first used here")],
-            )
-    return len(report) == before
+            continue
+        low, high = raw_range(selectors[0])
+        for value in signal.selected_by:
+            if not low <= value <= high:
+                fits = False
+                report.add(
+                    "can-multiplexer",
+                    f"`{signal.name}` is selected by {value}; `{selectors[0].name}` "
+                    f"can say {low} to {high}",
+                    span_of[signal.name],
+                )
+    return fits
 
 
-def _overlap(a: Signal, b: Signal) -> bool:
-    if a.start + a.length <= b.start or b.start + b.length <= a.start:
-        return False
-    if not a.selected_by or not b.selected_by:
-        return True
-    return any(value in b.selected_by for value in a.selected_by)
+def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    """No two signals that are there at the same time have a bit in common."""
+    always: dict[int, Signal] = {}
+    selected: dict[int, dict[int, Signal]] = {}  # by bit and value of the multiplexer
+    pairs: dict[tuple[str, str], tuple[Signal, Signal]] = {}
+    for signal in signals:
+        for bit in range(signal.start, signal.start + signal.length):
+            there = selected.setdefault(bit, {})
+            others = [always[bit]] if bit in always else []
+            if signal.selected_by:
+                others += [there[value] for value in signal.selected_by if value in there]
+                for value in signal.selected_by:
+                    there.setdefault(value, signal)
+            else:
+                others += there.values()
+                always.setdefault(bit, signal)
+            for other in others:
+                if other is not signal:
+                    pairs.setdefault((other.name, signal.name), (other, signal))
+    for first, second in pairs.values():
+        report.add(
+            "can-signal-overlap",
+            f"the signals `{first.name}` (bits {first.start} to "
+            f"{first.start + first.length - 1}) and `{second.name}` (bits {second.start} to "
+            f"{second.start + second.length - 1}) share bits",
+            span_of[second.name],
+            labels=[Label(span_of[first.name], "first used here")],
+        )
+    return not pairs
 
 
 def raw_range(signal: Signal) -> tuple[int, int]:
-    """Smallest and largest raw value of the field."""
+    """Smallest and largest raw value of a field that lies in a frame."""
     if signal.signed:
         return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
     return 0, (1 << signal.length) - 1
