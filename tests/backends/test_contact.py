@@ -73,7 +73,7 @@ def test_home_is_at_rest(name: str, written: Written) -> None:
     robot = ROBOTS[name]
     m, d = load(written(robot))
     start = d.qpos.copy()
-    stance = rest(robot)
+    stance = rest(Tree(robot))
     assert stance.settled
     mujoco.mj_forward(m, d)
     depths = {m.geom(max(c.geom)).name: -c.dist for c in d.contact}
@@ -93,7 +93,7 @@ def test_home_is_at_rest(name: str, written: Written) -> None:
 
 def test_loads_of_a_suspended_robot_are_the_static_ones() -> None:
     robot = ROBOTS["suspended"]
-    stance = rest(robot)
+    stance = rest(Tree(robot))
     for wheel in robot.wheels:
         assert stance.wheels[wheel.name].force == pytest.approx(wheel.load, rel=1e-3)
         assert abs(stance.positions[str(wheel.suspension_joint)]) < 1e-4
@@ -106,7 +106,7 @@ def test_a_lifted_wheel_carries_nothing() -> None:
         replace(j, pose=replace(j.pose, xyz=(0.0, 0.0, -0.45))) if j.name == "w4_axle" else j
         for j in robot.joints
     ]
-    stance = rest(replace(robot, joints=tuple(lifted)))
+    stance = rest(Tree(replace(robot, joints=tuple(lifted))))
     assert stance.settled
     assert stance.wheels["w4"].penetration == 0.0
     assert sum(w.force for w in stance.wheels.values()) == pytest.approx(
@@ -116,7 +116,7 @@ def test_a_lifted_wheel_carries_nothing() -> None:
 
 def test_a_robot_that_falls_over_is_left_where_it_is() -> None:
     robot = build([Plan(0.0, 0.4, "fixed"), Plan(0.0, -0.4, "fixed")], body_com=(0.2, 0.0, 0.0))
-    stance = rest(robot)
+    stance = rest(Tree(robot))
     assert not stance.settled
     assert stance.base.xyz == (0.0, 0.0, 0.0)
     assert all(math.isfinite(w.radius) and w.radius > 0.0 for w in stance.wheels.values())

@@ -31,7 +31,7 @@ import math
 from typing import NamedTuple
 
 from thorvaldc.backends.tree import Tree
-from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
+from thorvaldc.model import Joint, Pose, Vec3, Wheel
 from thorvaldc.model.spatial import (
     add,
     clean,
@@ -530,9 +530,9 @@ def _ellipsoid(wheel: Wheel, penetration: float, force: float, tilt: float) -> W
     return WheelContact(clean(a), half, clean(offset), clean(penetration), clean(force))
 
 
-def rest(robot: Robot) -> Rest:
-    """Let the robot settle on level ground under gravity."""
-    tree = Tree(robot)
+def rest(tree: Tree) -> Rest:
+    """Let the robot of ``tree`` (at joint positions 0) settle on level ground under gravity."""
+    robot = tree.robot
     wheel_links = [tree.index[wheel.link] for wheel in robot.wheels]
     weights, carried = inverse_weights(tree, wheel_links)
     weights = [max(w, 1e-9) for w in weights]
@@ -553,27 +553,29 @@ def rest(robot: Robot) -> Rest:
         axis = pose.rotate(spin_axis(tree, wheel))
         group = stance.group_of_lump[tree.lump[link]]
         footings.append(_Footing(group, pose.xyz, axis, wheel.radius, weight))
-    depths = [
-        penetration_under(wheel.load, weight)
-        for wheel, weight in zip(robot.wheels, weights, strict=True)
-    ]
-    tilts = [footing.axis[2] for footing in footings]
-    base = Pose()
     found = None
     if footings and stance.weight > 0.0:
-        found = _settle(stance, sum(depths) / len(depths) / 2)
+        n = len(footings)
+        sink = penetration_under(stance.weight / n, sum(weights) / n) / 2
+        found = _settle(stance, sink)
     if found is not None:
         base, s, forces = found
         base = base.clean()
         positions |= {j.name: clean(q) for j, q in zip(compliant, s, strict=True)}
         depths, tilts = forces.depths, forces.tilts
+    else:
+        base = Pose()
+        tilts = [footing.axis[2] for footing in footings]
+        depths = [
+            penetration_under(wheel.load, weight)
+            for wheel, weight in zip(robot.wheels, weights, strict=True)
+        ]
     wheels = {}
-    for wheel, footing, depth, tilt in zip(robot.wheels, footings, depths, tilts, strict=True):
+    for wheel, weight, depth, tilt in zip(robot.wheels, weights, depths, tilts, strict=True):
         p = max(depth, 0.0)
-        force = normal_force(p, footing.inverse_weight)
         # The body leans by some 1e-5 rad; a wheel that is upright is to stay so in the file.
         lean = tilt if abs(tilt) > 1e-4 else 0.0
-        wheels[wheel.name] = _ellipsoid(wheel, p, force, lean)
+        wheels[wheel.name] = _ellipsoid(wheel, p, normal_force(p, weight), lean)
     return Rest(base, positions, carried, wheels, found is not None)
 
 

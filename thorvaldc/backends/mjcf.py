@@ -25,12 +25,14 @@ from thorvaldc.model import (
     Fleet,
     Joint,
     Link,
+    Mesh,
     MeshShape,
     Pose,
     Robot,
     Sensor,
     Shape,
     Vec3,
+    Visual,
     Wheel,
 )
 from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
@@ -60,13 +62,14 @@ class Mjcf(Backend):
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
-        settled = rest(robot)
+        tree = Tree(robot)
+        settled = rest(tree)
         writer = _Writer(robot.name, [robot], ["../meshes"])
-        writer.add_robot(robot, 0, settled, None)
+        writer.add_robot(tree, 0, settled, None)
         scene = Element("mujoco", model=f"{robot.name} scene")
         scene.add("include", file="robot.xml")
         _add_surroundings(scene, [robot], [Pose()])
-        _add_home(scene, [robot], [settled], [Pose()])
+        _add_home(scene, [tree], [settled], [Pose()])
         return {
             "mjcf/robot.xml": to_bytes(writer.root()),
             "mjcf/scene.xml": to_bytes(scene),
@@ -79,13 +82,13 @@ class Mjcf(Backend):
         poses = [placement.pose for placement in fleet.placements]
         folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
         writer = _Writer(fleet.name, robots, folders)
-        settled = []
-        for i, placement in enumerate(fleet.placements):
-            settled.append(rest(placement.robot))
-            writer.add_robot(placement.robot, i, settled[i], placement.pose)
+        trees = [Tree(robot) for robot in robots]
+        settled = [rest(tree) for tree in trees]
+        for i, tree in enumerate(trees):
+            writer.add_robot(tree, i, settled[i], poses[i])
         scene = writer.root()
         _add_surroundings(scene, robots, poses)
-        _add_home(scene, robots, settled, poses)
+        _add_home(scene, trees, settled, poses)
         files["mjcf/scene.xml"] = to_bytes(scene)
         return files
 
@@ -110,6 +113,7 @@ class _Writer:
         for material, color in self.palette.entries():
             self.asset.add("material", name=material, rgba=color)
         self.meshes: dict[tuple[str, Vec3], str] = {}
+        self.taken: dict[str, str] = {}
 
     def root(self) -> Element:
         root = Element("mujoco", model=self.model)
@@ -142,37 +146,46 @@ class _Writer:
         root.children += [section for section in sections if section.children]
         return root
 
-    def add_robot(self, robot: Robot, number: int, settled: Rest, pose: Pose | None) -> None:
-        _RobotWriter(self, robot, number, settled).write(pose)
+    def add_robot(self, tree: Tree, number: int, settled: Rest, pose: Pose | None) -> None:
+        """Add a robot, its base at ``pose``; ``number`` tells robots of a scene apart."""
+        _RobotWriter(self, tree, number, settled).write(pose)
 
-    def mesh(self, robot: Robot, number: int, shape: MeshShape) -> str:
+    def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
         """Name of the asset for a mesh at a scale; equal files are one asset."""
-        mesh = next(m for m in robot.meshes if m.name == shape.mesh)
-        key = (mesh.sha256, shape.scale)
-        if key not in self.meshes:
-            same = sum(1 for sha256, _ in self.meshes if sha256 == mesh.sha256)
-            stem = mesh.name.rsplit(".", 1)[0]
-            name = _prefix(robot) + (stem if same == 0 else f"{stem}_{same + 1}")
+        key = (mesh.sha256, scale)
+        name = self.meshes.get(key)
+        if name is None:
+            # Files may differ in their ending only, or be used at several scales.
+            name = stem = prefix + mesh.name.rsplit(".", 1)[0]
+            for count in range(2, len(self.meshes) + 2):
+                if name not in self.taken:
+                    break
+                name = f"{stem}_{count}"
+            self.taken[name] = mesh.name
             self.meshes[key] = name
             self.asset.add(
                 "mesh",
                 name=name,
                 file=f"{self.folders[number]}/{mesh.name}",
-                scale=None if shape.scale == (1.0, 1.0, 1.0) else shape.scale,
+                scale=None if scale == (1.0, 1.0, 1.0) else scale,
                 # Masses are explicit; the default fails on an open or a flat mesh.
                 inertia="shell",
             )
-        return self.meshes[key]
+        return name
 
 
 class _RobotWriter:
-    def __init__(self, writer: _Writer, robot: Robot, number: int, settled: Rest) -> None:
+    def __init__(self, writer: _Writer, tree: Tree, number: int, settled: Rest) -> None:
+        robot = tree.robot
         self.writer = writer
         self.robot = robot
         self.number = number
         self.settled = settled
         self.prefix = _prefix(robot)
-        self.tree = Tree(robot)
+        self.tree = tree
+        self.meshes = {mesh.name: mesh for mesh in robot.meshes}
+        # Modules of one kind have the same visuals.
+        self.seen: dict[Visual, Element] = {}
         self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
         self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
         self.actuated = {actuator.joint for actuator in robot.actuators}
@@ -248,9 +261,12 @@ class _RobotWriter:
                 fullinertia=link.inertial.inertia,
             )
         for visual in link.visuals:
-            geom = body.add("geom", class_="visual")
-            self._shape(geom, visual.shape, visual.pose)
-            geom.set(material=self.writer.palette.name(visual.color))
+            geom = self.seen.get(visual)
+            if geom is None:
+                geom = self.seen[visual] = Element("geom", class_="visual")
+                self._shape(geom, visual.shape, visual.pose)
+                geom.set(material=self.writer.palette.name(visual.color))
+            body.append(geom)
         wheel = self.wheel_of_link.get(link.name)
         if wheel is not None:
             self._add_tread(body, wheel, self.settled.wheels[wheel.name])
@@ -266,8 +282,9 @@ class _RobotWriter:
                 geom.set(type="box", size=(x / 2, y / 2, z / 2))
             case Cylinder(radius, length):
                 geom.set(type="cylinder", size=(radius, length / 2))
-            case MeshShape():
-                geom.set(type="mesh", mesh=self.writer.mesh(self.robot, self.number, shape))
+            case MeshShape(file, scale):
+                mesh = self.writer.mesh(self.prefix, self.number, self.meshes[file], scale)
+                geom.set(type="mesh", mesh=mesh)
             case _:
                 geom.set(type="sphere", size=shape.radius)
         _place(geom, pose)
@@ -420,16 +437,16 @@ def _add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) ->
     world.add("geom", name="ground", type="plane", size=(0, 0, 1), material="ground")
 
 
-def _add_home(scene: Element, robots: list[Robot], settled: list[Rest], poses: list[Pose]) -> None:
+def _add_home(scene: Element, trees: list[Tree], settled: list[Rest], poses: list[Pose]) -> None:
     """The key frame in which every robot stands still, with its servos at their targets."""
     qpos: list[float] = []
     ctrl: list[float] = []
     act: list[float] = []
-    for robot, stance, pose in zip(robots, settled, poses, strict=True):
+    for tree, stance, pose in zip(trees, settled, poses, strict=True):
         base = (pose * stance.base).clean()
         qpos += [*base.xyz, *base.quat]
-        qpos += [stance.positions[joint.name] for joint in Tree(robot).moving]
-        for actuator in robot.actuators:
+        qpos += [stance.positions[joint.name] for joint in tree.moving]
+        for actuator in tree.robot.actuators:
             position = stance.positions[actuator.joint]
             if actuator.role == "steering":
                 ctrl.append(position)

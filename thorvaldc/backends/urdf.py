@@ -5,7 +5,7 @@ from __future__ import annotations
 from thorvaldc.backends import Backend
 from thorvaldc.backends.appearance import Palette, mesh_files
 from thorvaldc.backends.xml_writer import Element, number, parse, to_bytes
-from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
+from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Visual, Wheel
 from thorvaldc.model.spatial import clean
 
 # URDF has no word for "no limit" on revolute and prismatic joints.
@@ -44,8 +44,9 @@ def _robot(robot: Robot) -> Element:
     palette = Palette(robot)
     for name, color in palette.entries():
         root.add("material", name=name).add("color", rgba=color)
+    seen: dict[Visual, Element] = {}
     for link in robot.links:
-        _add_link(root, link, prefix, palette)
+        _add_link(root, link, prefix, palette, seen)
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
@@ -78,7 +79,10 @@ def _add_geometry(parent: Element, shape: Shape) -> None:
             geometry.add("sphere", radius=shape.radius)
 
 
-def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
+def _add_link(
+    root: Element, link: Link, prefix: str, palette: Palette, seen: dict[Visual, Element]
+) -> None:
+    """Add a link.  ``seen`` keeps visuals: modules of one kind have the same ones."""
     element = root.add("link", name=prefix + link.name)
     if link.inertial is not None:
         xx, yy, zz, xy, xz, yz = link.inertial.inertia
@@ -88,10 +92,13 @@ def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
         inertial.add("mass", value=link.inertial.mass)
         inertial.add("inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
     for visual in link.visuals:
-        part = element.add("visual")
-        _add_origin(part, visual.pose)
-        _add_geometry(part, visual.shape)
-        part.add("material", name=palette.name(visual.color))
+        part = seen.get(visual)
+        if part is None:
+            part = seen[visual] = Element("visual")
+            _add_origin(part, visual.pose)
+            _add_geometry(part, visual.shape)
+            part.add("material", name=palette.name(visual.color))
+        element.append(part)
     for collision in link.collisions:
         part = element.add("collision")
         _add_origin(part, collision.pose)

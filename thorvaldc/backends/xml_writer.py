@@ -7,15 +7,22 @@ and faster than ``xml.etree``, and a build need not import that.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 Number = float | int
 Value = str | Number | bool | tuple[Number, ...]
 
-_TEXT = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
-_ATTRIBUTE = {**_TEXT, '"': "&quot;", "\n": "&#10;", "\t": "&#9;", "\r": "&#13;"}
-_TO_TEXT = str.maketrans(_TEXT)
-_TO_ATTRIBUTE = str.maketrans(_ATTRIBUTE)
+_ESCAPES = {
+    "&": "&amp;",
+    "<": "&lt;",
+    ">": "&gt;",
+    '"': "&quot;",
+    "\n": "&#10;",
+    "\t": "&#9;",
+    "\r": "&#13;",
+}
+_SPECIAL = re.compile('[&<>"\n\t\r]')
 
 
 class XmlValueError(ValueError):
@@ -24,14 +31,14 @@ class XmlValueError(ValueError):
 
 def number(value: Number) -> str:
     """Shortest text that reads back as the same number: ``0``, ``0.1``, ``1e-09``."""
-    if isinstance(value, int):
-        return str(int(value))
-    if value == 0.0:
+    if value == 0:
         return "0"
-    if value - value != 0.0:
-        raise XmlValueError(f"{value} has no place in XML")
     text = repr(value)
-    return text[:-2] if text.endswith(".0") else text
+    if text.endswith(".0"):
+        return text[:-2]
+    if text[-1] in "nf":  # nan, inf
+        raise XmlValueError(f"{text} has no place in XML")
+    return text
 
 
 def numbers(values: Iterable[Number]) -> str:
@@ -39,9 +46,16 @@ def numbers(values: Iterable[Number]) -> str:
     return " ".join([number(value) for value in values])
 
 
+def escape(text: str) -> str:
+    """The text as it stands in an attribute or between tags."""
+    if _SPECIAL.search(text) is None:
+        return text
+    return _SPECIAL.sub(lambda found: _ESCAPES[found[0]], text)
+
+
 def _format(value: Value) -> str:
     if isinstance(value, str):
-        return value
+        return value if _SPECIAL.search(value) is None else escape(value)
     if isinstance(value, tuple):
         return " ".join([number(v) for v in value])
     if isinstance(value, bool):
@@ -50,26 +64,33 @@ def _format(value: Value) -> str:
 
 
 class Element:
-    """A tag with attributes and either children or text."""
+    """A tag with attributes and either children or text.
+
+    ``attributes`` is their text as it will stand in the file.
+    """
 
     __slots__ = ("attributes", "children", "tag", "text")
 
     def __init__(self, tag: str, /, **attributes: Value | None) -> None:
         self.tag = tag
-        self.attributes: dict[str, str] = {}
+        self.attributes = ""
         self.children: list[Element] = []
         self.text = ""
-        self.set(**attributes)
+        if attributes:
+            self.set(**attributes)
 
     def set(self, **attributes: Value | None) -> None:
         """Add attributes; one of value ``None`` is left out.
 
         A trailing underscore is dropped, for names that are Python's own (``class_``).
         """
-        own = self.attributes
-        for name, value in attributes.items():
-            if value is not None:
-                own[name.rstrip("_")] = value if type(value) is str else _format(value)
+        self.attributes += "".join(
+            [
+                f' {name.rstrip("_")}="{_format(value)}"'
+                for name, value in attributes.items()
+                if value is not None
+            ]
+        )
 
     def add(self, tag: str, /, **attributes: Value | None) -> Element:
         """Append a child and return it."""
@@ -95,7 +116,8 @@ def parse(text: str) -> Element:
 
     def start(tag: str, attributes: list[str]) -> None:
         child = Element(tag)
-        child.attributes.update(zip(attributes[::2], attributes[1::2], strict=True))
+        for name, value in zip(attributes[::2], attributes[1::2], strict=True):
+            child.attributes += f' {name}="{escape(value)}"'
         stack.append(stack[-1].append(child))
 
     def end(tag: str) -> None:
@@ -130,18 +152,15 @@ def to_bytes(root: Element) -> bytes:
             lines.append(item)
             continue
         element, indent = item
-        parts = [indent, "<", element.tag]
-        for name, value in element.attributes.items():
-            parts += [" ", name, '="', value.translate(_TO_ATTRIBUTE), '"']
+        head = f"{indent}<{element.tag}{element.attributes}"
         if element.children:
-            parts.append(">")
+            lines.append(head + ">")
             todo.append(f"{indent}</{element.tag}>")
             inner = indent + "  "
             todo += [(child, inner) for child in reversed(element.children)]
         elif element.text:
-            parts += [">", element.text.translate(_TO_TEXT), "</", element.tag, ">"]
+            lines.append(f"{head}>{escape(element.text)}</{element.tag}>")
         else:
-            parts.append("/>")
-        lines.append("".join(parts))
+            lines.append(head + "/>")
     lines.append("")
     return "\n".join(lines).encode("utf-8")
