@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 
 from tests.backends.plans import ROBOTS, Plan, build, grafted, square
-from thorvaldc.backends.contact import (
-    inverse_weights,
-    normal_force,
-    penetration_under,
-    rest,
-)
+from thorvaldc.backends.contact import normal_force, penetration_under
+from thorvaldc.backends.mass_matrix import inverse_weights
+from thorvaldc.backends.stance import rest
 from thorvaldc.backends.tree import Tree
 from thorvaldc.model import Robot
 
