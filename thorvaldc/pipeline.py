@@ -18,7 +18,7 @@ from thorvaldc.passes.elaborate import elaborate
 from thorvaldc.passes.library_check import check_module
 from thorvaldc.passes.resolve import Resolver
 from thorvaldc.passes.scope import Scope
-from thorvaldc.schema.checker import check
+from thorvaldc.schema.checker import check, sound
 from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
 
@@ -47,18 +47,24 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
     Every fault that the file holds is in the report; nothing is raised for bad input.
     """
     path = Path(path)
-    report = Report()
+    shape, report = Report(), Report()
     done = Compilation()
     files = {path.name: path}
-    document = read_file(path, path.name, report)
+    document = read_file(path, path.name, shape)
     if document is not None:
-        if isinstance(document.value, dict) and "robots" in document.value:
-            if check(document, "fleet", report):
-                done.model = _fleet(document, path, library, report, done)
-        elif check(document, "robot", report):
-            done.model = _robot(document, path, library, report, files)
+        fleet = _is_fleet(document)
+        check(document, "fleet" if fleet else "robot", shape)
+        modules = document.get("modules")
+        whole = modules is None or not _lies_in(modules.span, shape)
+        # The next stages go on with what is sound: one run shows the faults of all.
+        document = sound(document, shape)
+        if fleet:
+            done.model = _fleet(document, path, library, report, done)
+        elif (modules := document.get("modules")) is not None and modules.value:
+            done.model = _robot(document, path, library, report, files, whole)
         done.source_sha256 = _sha256(files)
-    done.report.extend(_with_paths(report, path.parent, files))
+    for part in (shape, _without_places_of(shape, report)):
+        done.report.extend(_with_paths(part, path.parent, files))
     for name, file in files.items():
         done.sources[name if name.startswith(OWN) else str(file)] = file
     if done.report.has_errors:
@@ -104,7 +110,12 @@ def emit(model: Robot | Fleet, targets: Sequence[str], report: Report) -> dict[s
 
 
 def _robot(
-    document: Node, path: Path, library: Sequence[Path], report: Report, files: dict[str, Path]
+    document: Node,
+    path: Path,
+    library: Sequence[Path],
+    report: Report,
+    files: dict[str, Path],
+    whole: bool,
 ) -> Robot | None:
     base = path.parent
     folders: list[tuple[Path, str]] = []
@@ -117,7 +128,7 @@ def _robot(
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
     folders.extend((folder, folder.name) for folder in library)
     modules = Library(folders)
-    robot = elaborate(document, Resolver(modules, report), base, report, files)
+    robot = elaborate(document, Resolver(modules, report), base, report, files, whole=whole)
     files.update(modules.files)
     if robot is not None and not report.has_errors:
         check_robot(robot, _design(document, modules, report), report)
@@ -134,7 +145,7 @@ def _design(document: Node, library: Library, report: Report) -> Design:
     slope, angle = node.get("slope"), node.get("minimum_tip_over_angle")
     return Design(
         scope.quantity(slope, "angle") if slope is not None else None,
-        scope.quantity(angle, "angle", Design.tip_over_angle),
+        scope.quantity(angle, "angle", Design().tip_over_angle),
     )
 
 
@@ -167,18 +178,20 @@ def _fleet(
                 "fleet-robot-missing", f"there is no file `{file_node.value}`", file_node.span
             )
             continue
-        if file not in compiled:
-            compiled[file] = compile_file(file, library=library)
-            done.report.extend(compiled[file].report)
-            done.sources.update(compiled[file].sources)
-        robot = compiled[file].model
-        if isinstance(robot, Fleet):
+        if file not in compiled and _is_fleet(read_file(file, file.name, Report())):
+            # Before it is compiled: a fleet might name itself.
             report.add(
                 "fleet-in-fleet",
                 f"`{file_node.value}` is a fleet; a robot is wanted",
                 file_node.span,
             )
-        elif robot is not None:
+            continue
+        if file not in compiled:
+            compiled[file] = compile_file(file, library=library)
+            done.report.extend(compiled[file].report)
+            done.sources.update(compiled[file].sources)
+        robot = compiled[file].model
+        if isinstance(robot, Robot):
             x, y, z = scope.vector(node.get("xyz"), "length")
             yaw = scope.quantity(node.get("yaw"), "angle")
             pose = Pose.from_xyz_rpy((x, y, z), (0.0, 0.0, math.remainder(yaw, 2 * math.pi)))
@@ -186,6 +199,31 @@ def _fleet(
     return Fleet(
         scope.text(document.get("name")), scope.text(document.get("description")), tuple(placements)
     )
+
+
+def _is_fleet(document: Node | None) -> bool:
+    return document is not None and document.get("robots") is not None
+
+
+def _lies_in(span: Span, report: Report) -> bool:
+    """Whether a value in that place is at fault."""
+    start, end = (span.line, span.column), (span.end_line, span.end_column)
+    return any(
+        d.span is not None
+        and d.code.name != "unknown-key"
+        and start <= (d.span.line, d.span.column) < end
+        for d in report.errors
+    )
+
+
+def _without_places_of(earlier: Report, report: Report) -> Report:
+    """What is said of places that nothing was said of before."""
+    known = {d.span for d in earlier.errors if d.span is not None}
+    out = Report()
+    for diagnostic in report:
+        if diagnostic.span not in known:
+            out.put(diagnostic)
+    return out
 
 
 def _sha256(files: dict[str, Path]) -> str:

@@ -134,6 +134,34 @@ class Elaborator:
             urdf_extensions=extensions,
         )
 
+    def find_faults(self, robot: Instance) -> None:
+        """Report what is wrong in a robot that is not whole: hardware, names, the bus.
+
+        Nothing about its geometry, which would be that of another robot; and of the
+        bus only errors, since what is missing there may be missing by an earlier fault.
+        """
+        parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
+        hardware = {
+            leaf.path: hardware_of(leaf.type, leaf.scope, self.report)
+            for leaf in robot.leaves()
+            if leaf.type is not None
+        }
+        for leaf in robot.leaves():
+            self._place(leaf, hardware, parts)
+        self._check_names(parts)
+        found = Report()
+        wiring = Wiring(
+            self.document,
+            self.resolver,
+            self.scope,
+            {a.name: a for a in parts.actuators},
+            {joint.name: joint for joint in parts.joints},
+            found,
+        )
+        wiring.buses(robot, 1.0 / DEFAULT_RATE)
+        for fault in found.errors:
+            self.report.put(fault)
+
     # -- links, joints, motors ------------------------------------------------------------
 
     def _place(self, leaf: Instance, hardware: dict[str, Hardware], parts: _Parts) -> None:
@@ -444,14 +472,24 @@ def _turn_z_to(axis: Vec3) -> tuple[float, float, float, float]:
 
 
 def elaborate(
-    document: Node, resolver: Resolver, base_dir: Path, report: Report, files: dict[str, Path]
+    document: Node,
+    resolver: Resolver,
+    base_dir: Path,
+    report: Report,
+    files: dict[str, Path],
+    *,
+    whole: bool = True,
 ) -> Robot | None:
-    """Resolve and elaborate a checked robot document; ``None`` with the faults reported.
+    """Resolve and elaborate a robot document; ``None`` with the faults reported.
 
     ``files`` gets the files that were read besides, by their names in spans.
+    ``whole`` is false where values had to be left out of the document's modules:
+    then only faults that do not follow from that are looked for.
     """
     instance = resolver.resolve(document)
-    if instance is None or report.has_errors:
+    elaborator = Elaborator(document, resolver, base_dir, report, files)
+    if report.has_errors or not whole:
+        elaborator.find_faults(instance)
         return None
-    robot = Elaborator(document, resolver, base_dir, report, files).elaborate(instance)
+    robot = elaborator.elaborate(instance)
     return robot if not report.has_errors else None

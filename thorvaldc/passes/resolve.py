@@ -82,8 +82,8 @@ class Resolver:
         self._defaults: dict[str, dict[str, Node]] = {}
         self._used_defaults: set[tuple[str, str]] = set()
 
-    def resolve(self, document: Node) -> Instance | None:
-        """The robot as an instance, its parts mounted; ``None`` if it has no root."""
+    def resolve(self, document: Node) -> Instance:
+        """The robot as an instance, its parts mounted as far as they can be."""
         scope = Scope(None, {}, self.library, self.report, None)
         robot = Instance("", None, scope, document, document.span, None)
         defaults = document.get("defaults")
@@ -95,9 +95,8 @@ class Resolver:
         root = self._root_part(robot, document.get("modules") or document)
         self._mount_parts(robot)
         self._check_devices(robot)
-        if root is None:
-            return None
-        self._check_reached(robot, root)
+        if root is not None:
+            self._check_reached(robot, root)
         return robot
 
     # -- expansion ------------------------------------------------------------------

@@ -49,28 +49,24 @@ def _validator(kind: Kind) -> Any:
 
 
 def sound(node: Node, report: Report) -> Node:
-    """The document without the values that the report has errors at.
+    """The document with nothing in place of each value that the report has an error at.
 
     What is left can be given to the next stages, so that their faults are found
-    in the same run.
+    in the same run.  A place keeps its key and its span.
     """
     spans = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
-    return _without(node, spans) or Node({}, node.span, node.key_span)
+    return _blanked(node, spans) if spans else node
 
 
-def _without(node: Node, spans: set[Span]) -> Node | None:
+def _blanked(node: Node, spans: set[Span]) -> Node:
+    value = node.value
     if node.span in spans:
-        return None
-    if isinstance(node.value, dict):
-        entries = {k: kept for k, v in node.value.items() if (kept := _without(v, spans))}
-        return Node(entries, node.span, node.key_span)
-    if isinstance(node.value, tuple):
-        items = [kept for v in node.value if (kept := _without(v, spans))]
-        # A vector with an element missing is no vector.
-        return (
-            Node(tuple(items), node.span, node.key_span) if len(items) == len(node.value) else None
-        )
-    return node
+        value = None
+    elif isinstance(value, dict):
+        value = {key: _blanked(entry, spans) for key, entry in value.items()}
+    elif isinstance(value, tuple):
+        value = tuple(_blanked(item, spans) for item in value)
+    return Node(value, node.span, node.key_span, node.quoted)
 
 
 # -- quantities -----------------------------------------------------------------------
