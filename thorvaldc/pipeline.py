@@ -150,15 +150,16 @@ def _design(document: Node, library: Library, report: Report) -> Design:
 
 
 def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
-    """Whether the chosen calculator is there, takes the options and can drive the robot."""
-    from thorvaldc.runtime.calculators import for_robot
+    """That there is such a calculator, that its options are right and that it suits the robot."""
+    from thorvaldc.runtime import calculators
     from thorvaldc.runtime.faults import RuntimeFault
 
+    node = document.get("base_calculator")
+    named = node.get("name") if node is not None else None
     try:
-        for_robot(robot)
+        calculators.for_robot(robot)
     except RuntimeFault as fault:
-        node = document.get("base_calculator") or document
-        report.put(replace(fault.diagnostic, span=node.span))
+        report.put(replace(fault.diagnostic, span=(named or node or document).span))
 
 
 def _fleet(

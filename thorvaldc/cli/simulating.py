@@ -29,7 +29,7 @@ def simulate(
     from thorvaldc.diagnostics import Report
     from thorvaldc.pipeline import emit
     from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.manoeuvre import default_manoeuvre, parse_twist
+    from thorvaldc.runtime.manoeuvre import parse_twist
     from thorvaldc.runtime.simulation import DemoRow, Simulation, demo_table
 
     gc.enable()
@@ -40,10 +40,7 @@ def simulate(
         if twist:
             result = simulation.run(seconds or SECONDS, parse_twist(twist), report)
         else:
-            plans = {name: default_manoeuvre(robot) for name, robot in simulation.robots}
-            longest = max(end for _, end in plans.values())
-            manoeuvres = {name: plan for name, (plan, _) in plans.items()}
-            result = simulation.run(seconds or longest, manoeuvres, report)
+            result = simulation.demonstrate(report, seconds or None)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
         faults.add(report, done.sources)

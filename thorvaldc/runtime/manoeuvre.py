@@ -44,7 +44,7 @@ def parse_twist(text: str) -> Twist:
         return Twist(*numbers)
     raise RuntimeFault(
         "twist-invalid",
-        f"{text!r} is not a twist of three finite numbers",
+        f"`{text}` is not a twist of three finite numbers",
         hint="give forward m/s, leftward m/s and turning rad/s, such as 1,0,0.3",
     )
 

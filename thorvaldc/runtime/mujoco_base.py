@@ -86,7 +86,7 @@ class MujocoScene:
         if found < 0:
             raise RuntimeFault(
                 "simulation-scene",
-                f"the scene has no {kind} {name!r}, which {robot.name} has",
+                f"the scene has no {kind} `{name}`, which {robot.name} has",
                 robot.origin,
                 hint="model.json and the MJCF files come from different builds: build again",
             )
@@ -113,7 +113,7 @@ class MujocoBase(BaseHandle):
         if free < 0 or int(model.body_dofnum[body]) != 6:
             raise RuntimeFault(
                 "simulation-scene",
-                f"the body {prefix + robot.links[0].name!r} of the scene has no free joint",
+                f"the body `{prefix + robot.links[0].name}` of the scene has no free joint",
                 robot.origin,
             )
         self._base = int(model.jnt_qposadr[free])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import difflib
+import json
 import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -124,6 +125,9 @@ class BaseCalculator(abc.ABC):
             self.estimator.check(states)
 
 
+_KINDS = {bool: "true or false,", int: "a whole number", float: "a number", str: "text"}
+
+
 def names() -> list[str]:
     """All calculators, built in and from outside, in alphabetical order."""
     from importlib.metadata import entry_points
@@ -161,10 +165,10 @@ def for_robot(robot: Robot, radii: str | None = None) -> BaseCalculator:
     except KeyError:
         known = names()
         near = difflib.get_close_matches(choice.name, known, 1)
-        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
         raise RuntimeFault(
             "calculator-unknown",
-            f"there is no base calculator {choice.name!r}",
+            f"there is no base calculator `{choice.name}`",
             robot.origin,
             hint=hint,
         ) from None
@@ -173,7 +177,7 @@ def for_robot(robot: Robot, radii: str | None = None) -> BaseCalculator:
     if reason is not None:
         raise RuntimeFault(
             "calculator-unsuited",
-            f"base calculator {cls.name!r} cannot drive {robot.name}: {reason}",
+            f"base calculator `{cls.name}` cannot drive {robot.name}: {reason}",
             robot.origin,
             hint="use base_calculator: general, which drives any arrangement of wheels"
             if cls.name != "general"
@@ -188,12 +192,12 @@ def _options(cls: type[BaseCalculator], robot: Robot) -> Any:
     for key, value in robot.calculator.options:
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
-            hint = f"did you mean {near[0]}?" if near else None
+            hint = f"did you mean `{near[0]}`?" if near else None
             if hint is None:
                 hint = f"its options: {', '.join(known)}" if known else "it has no options"
             raise RuntimeFault(
                 "calculator-option",
-                f"base calculator {cls.name!r} has no option {key!r}",
+                f"base calculator `{cls.name}` has no option `{key}`",
                 robot.origin,
                 hint=hint,
             )
@@ -203,8 +207,8 @@ def _options(cls: type[BaseCalculator], robot: Robot) -> Any:
         if type(value) is not type(default):
             raise RuntimeFault(
                 "calculator-option",
-                f"option {key!r} of base calculator {cls.name!r} is {value!r}; "
-                f"expected a {type(default).__name__} such as {default!r}",
+                f"option `{key}` of base calculator `{cls.name}` is {json.dumps(value)}; "
+                f"expected {_KINDS[type(default)]} such as {json.dumps(default)}",
                 robot.origin,
             )
         given[key] = value
@@ -212,5 +216,5 @@ def _options(cls: type[BaseCalculator], robot: Robot) -> Any:
         return cls.Options(**given)
     except ValueError as fault:
         raise RuntimeFault(
-            "calculator-option", f"base calculator {cls.name!r}: {fault}", robot.origin
+            "calculator-option", f"base calculator `{cls.name}`: {fault}", robot.origin
         ) from fault

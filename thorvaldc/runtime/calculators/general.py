@@ -209,7 +209,7 @@ class General(BaseCalculator):
             for i in steering.wheels:
                 wheel = wheels[i]
                 angle = states.angles[i]
-                if abs(angle - steering.target) > _ALIGNED:
+                if steering.unreachable or abs(angle - steering.target) > _ALIGNED:
                     aligned = False
                 direction = wheel.heading + wheel.sign * angle
                 c, s = math.cos(direction), math.sin(direction)

@@ -149,11 +149,14 @@ class Steering:
         if error == 0.0 and self.rate == 0.0:
             return
         change = self._max_rate_change * dt
-        fastest = min(self._max_rate * share, abs(error) / dt)
-        if change < math.inf:
-            # The speed from which the joint still stops at the target in whole ticks.
-            stop = math.sqrt(change * change / 4.0 + 2.0 * self._max_rate_change * abs(error))
-            fastest = min(fastest, stop - change / 2.0)
+        fastest = abs(error) / dt
+        if change < fastest:
+            # The rate from which the joint still stops at the target, braking in whole
+            # ticks, of which the last is a partial one.
+            left = abs(error) - change * dt / 8.0
+            stop = math.sqrt(change * change / 4.0 + 2.0 * self._max_rate_change * left)
+            fastest = min(fastest, max(stop - change / 2.0, change))
+        fastest = min(fastest, self._max_rate * share)
         wanted = math.copysign(fastest, error)
         rate = min(max(wanted, self.rate - change), self.rate + change)
         after = self.angle + rate * dt
