@@ -17,6 +17,10 @@ SCENE = "mjcf/scene.xml"
 HOME = "home"
 
 
+def _ignore(message: str) -> None:
+    """A warning of MuJoCo's that is counted elsewhere."""
+
+
 class MujocoScene:
     """A compiled scene and its time.  Several robots may move in it.
 
@@ -38,7 +42,7 @@ class MujocoScene:
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
-        # MuJoCo's own reset on divergence would hide it (and write a log file).
+        # MuJoCo's own reset on divergence would hide it.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.steps = 0
         self.reset()
@@ -62,7 +66,14 @@ class MujocoScene:
         """Step to ``now`` in one call, to the nearest whole step; never back."""
         steps = round(now / self.timestep) - self.steps
         if steps > 0 and not self.diverged:
-            self._mujoco.mj_step(self.model, self.data, steps)
+            # Its warnings would be printed and logged to a file; `diverged` reads the counts.
+            mujoco = self._mujoco
+            before = mujoco.get_mju_user_warning()
+            mujoco.set_mju_user_warning(_ignore)
+            try:
+                mujoco.mj_step(self.model, self.data, steps)
+            finally:
+                mujoco.set_mju_user_warning(before)
             self.steps += steps
 
     @property

@@ -96,10 +96,14 @@ class TwistEstimator:
         """Raise ``NotFiniteError`` or ``ValueError`` where the joints cannot be used."""
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
-        total = math.fsum(states.speeds) + math.fsum(states.angles) + math.fsum(states.angle_rates)
+        positions = states.positions if states.positions is not None else states.speeds
+        if len(positions) != self._n:
+            raise ValueError(f"joint states of {len(positions)} wheels for {self._n}")
+        total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates) + sum(positions)
         if math.isfinite(total):
             return
         for values, what in (
+            (positions, "position"),
             (states.speeds, "speed"),
             (states.angles, "steering angle"),
             (states.angle_rates, "steering rate"),

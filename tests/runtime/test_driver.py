@@ -1,0 +1,233 @@
+"""The driver's loop: watchdog, ramps, bad values, odometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.model import DriverSettings
+from thorvaldc.runtime.base import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
+from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
+from thorvaldc.runtime.sim_base import SimBase
+
+ROBOT = make_robot(FOUR_STEERED)
+DT = 1.0 / ROBOT.driver.rate
+
+
+class Faulty(BaseHandle):
+    """A base that can be told to report a NaN, and that keeps what was asked of it."""
+
+    def __init__(self) -> None:
+        self.inner = SimBase(ROBOT)
+        self.bad: str | None = None
+        self.written: list[JointCommands] = []
+
+    def read(self, now: float) -> JointStates:
+        states = self.inner.read(now)
+        if self.bad == "short":
+            return replace(states, speeds=states.speeds[:-1])
+        if self.bad is not None:
+            values = [*getattr(states, self.bad)]
+            values[1] = math.nan
+            return replace(states, **{self.bad: values})
+        return states
+
+    def write(self, commands: JointCommands, now: float) -> None:
+        self.written.append(commands)
+        self.inner.write(commands, now)
+
+
+def run(driver: BaseDriver, twist: Twist | None, start: float, end: float) -> list[DriverState]:
+    states = []
+    for k in range(round(start / DT), round(end / DT)):
+        if twist is not None:
+            assert driver.command(twist, k * DT)
+        states.append(driver.tick(k * DT))
+    return states
+
+
+def made(**settings: float) -> BaseDriver:
+    chosen = replace(ROBOT.driver, **settings)
+    return BaseDriver(ROBOT, SimBase(ROBOT), settings=chosen)
+
+
+def test_drives_as_asked() -> None:
+    driver = made()
+    states = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 4.0)
+    last = states[-1]
+    assert last.mode is DriveMode.DRIVING
+    assert last.odometry.twist == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
+    # One tick of delay, and half of the way while ramping up to 0.5 m/s at 1.5 m/s^2.
+    assert last.pose.x == pytest.approx(0.5 * (4.0 - 0.5 / 1.5 / 2), abs=0.03)
+    assert last.odometry.rank == 3
+
+
+def test_ramp_keeps_the_accelerations_and_the_direction() -> None:
+    driver = made(max_linear_acceleration=1.0, max_angular_acceleration=0.5)
+    before = ZERO_TWIST
+    asked = Twist(0.6, 0.3, 0.5)
+    run(driver, asked, 0.0, 0.02)
+    for state in run(driver, asked, 0.02, 3.0):
+        now = state.ramped
+        assert math.hypot(now.vx - before.vx, now.vy - before.vy) <= 1.0 * DT + 0.1
+        assert abs(now.wz - before.wz) <= 0.5 * DT + 0.2
+        assert now.vy * asked.vx == pytest.approx(asked.vy * now.vx, abs=1e-3)
+        before = now
+    assert before == pytest.approx(asked)
+
+
+def test_twist_limits_keep_the_curve() -> None:
+    driver = made(max_linear_velocity=0.4, max_angular_velocity=0.2)
+    last = run(driver, Twist(1.0, 0.0, 1.0), 0.0, 4.0)[-1]
+    assert last.ramped == pytest.approx((0.2, 0.0, 0.2))
+
+
+def test_silence_ramps_to_zero_with_the_steering_held() -> None:
+    driver = made()
+    driving = run(driver, Twist(0.4, 0.2, 0.3), 0.0, 3.0)[-1]
+    assert driving.joints is not None
+    angles = driving.joints.angles
+    last_command = 3.0 - DT
+    states = run(driver, None, 3.0, 5.0)
+    for state in states:
+        quiet = state.time - last_command
+        if quiet <= 0.5 + 1e-9:
+            assert state.mode is DriveMode.DRIVING
+        else:
+            assert state.mode is DriveMode.TIMED_OUT
+        assert state.joints is not None
+        assert list(state.joints.angles) == pytest.approx(list(angles), abs=1e-3)
+    assert states[-1].ramped == ZERO_TWIST
+    assert states[-1].joints is not None
+    assert not any(states[-1].joints.speeds)
+    # Ramped, not cut: it takes the time that the acceleration needs.
+    stopping = [s for s in states if s.mode is DriveMode.TIMED_OUT and s.ramped != ZERO_TWIST]
+    assert 0.15 <= len(stopping) * DT <= 0.5
+    assert run(driver, Twist(0.4, 0.0, 0.0), 5.0, 6.0)[-1].mode is DriveMode.DRIVING
+
+
+def test_a_bad_twist_is_refused_and_the_last_good_stays() -> None:
+    driver = made()
+    run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
+    for bad in (math.nan, math.inf, -math.inf):
+        assert not driver.command(Twist(0.0, bad, 0.0), 1.0)
+    state = driver.tick(1.0)
+    assert state.asked == Twist(0.5, 0.0, 0.0)
+    # A refused command does not feed the watchdog.
+    for k in range(51, 90):
+        driver.command(Twist(math.nan, 0.0, 0.0), k * DT)
+        state = driver.tick(k * DT)
+    assert state.mode is DriveMode.TIMED_OUT
+
+
+@pytest.mark.parametrize("what", ["speeds", "angles", "angle_rates", "positions", "short"])
+def test_bad_joint_states_stop_the_robot_and_keep_what_is_known(what: str) -> None:
+    base = Faulty()
+    driver = BaseDriver(ROBOT, base)
+    good = run(driver, Twist(0.5, 0.0, 0.2), 0.0, 2.0)[-1]
+    base.bad = what
+    bad = run(driver, Twist(0.5, 0.0, 0.2), 2.0, 3.0)
+    assert all(s.mode is DriveMode.FAULT for s in bad)
+    assert all(s.fault for s in bad)
+    assert bad[-1].pose == good.pose
+    assert bad[-1].odometry == good.odometry
+    assert bad[-1].ramped == ZERO_TWIST
+    for commands in base.written:
+        assert all(math.isfinite(v) for v in (*commands.speeds, *commands.angles))
+    base.bad = None
+    after = run(driver, Twist(0.5, 0.0, 0.2), 3.0, 5.0)[-1]
+    assert after.mode is DriveMode.DRIVING
+    assert after.fault == ""
+    assert after.odometry.twist == pytest.approx((0.5, 0.0, 0.2), abs=1e-6)
+
+
+def test_time_that_stands_or_goes_back_does_nothing() -> None:
+    driver = made()
+    last = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)[-1]
+    assert driver.tick(last.time) is last
+    assert driver.tick(last.time - 5.0) is last
+    assert driver.tick(math.nan) is last
+
+
+def test_a_gap_keeps_the_pose_and_grows_its_covariance() -> None:
+    driver = made()
+    last = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 2.0)[-1]
+    after = driver.tick(last.time + 3.0)
+    assert after.pose == last.pose
+    assert after.pose_covariance[0][0] >= last.pose_covariance[0][0] + 1.0
+    assert after.mode is DriveMode.TIMED_OUT
+
+
+def test_the_pose_can_be_set() -> None:
+    driver = made()
+    run(driver, Twist(0.5, 0.0, 0.0), 0.0, 2.0)
+    driver.reset_pose(Pose2(5.0, 1.0, math.pi / 2))
+    last = run(driver, Twist(0.5, 0.0, 0.0), 2.0, 4.0)[-1]
+    assert last.pose == pytest.approx((5.0, 2.0, math.pi / 2), abs=0.02)
+    assert last.pose_covariance[0][0] < 1e-3
+
+
+def test_covariance_grows_with_the_way() -> None:
+    driver = made()
+    states = run(driver, Twist(0.5, 0.0, 0.1), 0.0, 6.0)
+    sizes = [s.pose_covariance[0][0] + s.pose_covariance[1][1] for s in states[::50]]
+    assert sizes == sorted(sizes)
+    assert sizes[0] == 0.0 < sizes[-1] < 0.01
+
+
+def test_without_turn_counts_the_speeds_are_integrated() -> None:
+    class SpeedsOnly(SimBase):
+        def read(self, now: float) -> JointStates:
+            return replace(super().read(now), positions=None)
+
+    driver = BaseDriver(ROBOT, SpeedsOnly(ROBOT))
+    last = run(driver, Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
+    same = run(made(), Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
+    assert last.pose == pytest.approx(same.pose, abs=2e-3)
+
+
+def test_after_waiting_for_the_wheels_the_robot_does_not_jump() -> None:
+    """From standing with the wheels forward, a command sideways: no wheel outruns the limit."""
+    driver = made(max_linear_acceleration=0.5)
+    before = 0.0
+    for state in run(driver, Twist(0.0, 0.8, 0.0), 0.0, 4.0):
+        assert state.command is not None
+        speed = state.command.twist.speed
+        assert speed - before <= 0.5 * DT + 0.1
+        before = speed
+    assert before == pytest.approx(0.8)
+
+
+def test_ideal_joints_ramp_and_slew() -> None:
+    base = SimBase(ROBOT)
+    base.read(0.0)
+    base.write(JointCommands([5.0] * 4, [1.0] * 4), 0.0)
+    states = base.read(0.1)
+    # 7.5 rad/s^2 and 4 rad/s.
+    assert states.speeds == pytest.approx([0.75] * 4)
+    assert states.angles == pytest.approx([0.4] * 4)
+    assert states.angle_rates == pytest.approx([4.0] * 4)
+    assert states.positions == pytest.approx([0.75 * 0.1 / 2] * 4)
+    states = base.read(0.5)
+    assert states.angles == pytest.approx([1.0] * 4)
+    base.write(JointCommands([99.0] * 4, [9.0] * 4), 0.5)
+    before = base.read(1.0)
+    gap = base.read(1.6)
+    assert gap.speeds == before.speeds
+    assert gap.positions == before.positions
+    for k in range(1, 30):
+        states = base.read(1.6 + 0.1 * k)
+    assert states.speeds == pytest.approx([7.48] * 4)
+    assert max(states.angles) == pytest.approx(3.078027759)
+
+
+def test_settings_of_the_robot_are_the_default() -> None:
+    settings = DriverSettings(50.0, 0.2, 0.3, 1.0, 1.0, 1.0)
+    driver = BaseDriver(replace(ROBOT, driver=settings), SimBase(ROBOT))
+    assert run(driver, Twist(1.0, 0.0, 0.0), 0.0, 2.0)[-1].ramped.vx == pytest.approx(0.3)
+    states = run(driver, None, 2.0, 2.4)
+    assert states[-1].mode is DriveMode.TIMED_OUT
