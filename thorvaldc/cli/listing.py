@@ -59,7 +59,7 @@ def list_modules(library: Sequence[str], json: bool) -> int:
         ]
         print(json_format.dumps(found, indent=1, ensure_ascii=False))
     else:
-        print_table((t.name, t.document.plain().get("description", "")) for t in types)
+        print_table((t.name, _sentence(t.document.plain())) for t in types)
     return status
 
 
@@ -95,6 +95,12 @@ def _module_types(library: Sequence[str], name: str | None) -> tuple[list[Module
     return [t for t in types if t is not None], faults.finish()
 
 
+def _sentence(document: dict[str, Any]) -> str:
+    """The description's first sentence."""
+    text = " ".join(str(document.get("description", "")).split())
+    return text.split(". ")[0].rstrip(".") + "."
+
+
 def _about(document: dict[str, Any]) -> dict[str, Any]:
     """What a user of the module needs to know of its document."""
     return {
@@ -106,8 +112,8 @@ def _about(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _print_module(name: str, document: dict[str, Any]) -> None:
-    print(f"{name}: {document.get('description', '')}")
-    facts = []
+    print(name)
+    facts = [("what", str(document.get("description", "")))]
     kinds = (document.get("mount") or {}).get("kinds", [])
     if kinds:
         facts.append(("mounts on", ", ".join(kinds)))
@@ -127,14 +133,18 @@ def _print_module(name: str, document: dict[str, Any]) -> None:
 
 
 def _param(declared: dict[str, Any]) -> str:
-    kind = declared.get("quantity") or declared.get("type") or "number"
-    words = [str(kind)]
-    words.append(f"default {declared['default']}" if "default" in declared else "required")
-    words += [
-        f"{key} {declared[key]}" for key in ("minimum", "maximum", "choices") if key in declared
-    ]
+    words = [str(declared.get("quantity") or declared.get("type") or "number").replace("_", " ")]
+    words.append(f"default {_word(declared['default'])}" if "default" in declared else "required")
+    for key, says in (("minimum", "from"), ("maximum", "to"), ("choices", "one of")):
+        if key in declared:
+            words.append(f"{says} {_word(declared[key])}")
     text = f"{', '.join(words)}. {declared.get('description', '')}"
     return text + (f" [{declared['source']}]" if "source" in declared else "")
+
+
+def _word(value: Any) -> str:
+    """A value as it stands in a YAML file."""
+    return value if isinstance(value, str) else json_format.dumps(value, ensure_ascii=False)
 
 
 def _near(word: str, known: Iterable[str]) -> str:
@@ -150,7 +160,7 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
     indent = max((len(name) for name, _ in rows), default=0) + 2
     width = max(width_of(sys.stdout), indent + 30)
     for name, text in rows:
-        lines = textwrap.wrap(text, width - indent) or [""]
+        lines = textwrap.wrap(text, width - indent, break_on_hyphens=False) or [""]
         print(f"{name:<{indent}}{lines[0]}".rstrip())
         for line in lines[1:]:
             print(" " * indent + line)
