@@ -10,7 +10,6 @@ import importlib
 import importlib.util
 import json
 import sys
-import types
 from collections.abc import Iterable
 from typing import Any
 
@@ -236,13 +235,13 @@ def dbc_text(bus: Bus) -> str:
         )
         for frame in bus.frames
     ]
-    specifics = importlib.import_module(f"{can.__name__}.formats.dbc.dbc_specifics")
+    dbc = importlib.import_module(f"{can.__name__}.formats.dbc")
     database = can.Database(
         messages=messages,
         nodes=nodes,
         buses=[can.Bus(bus.name, None, bus.bitrate)],
         version="",
-        dbc_specifics=specifics.DbcSpecifics(),
+        dbc_specifics=dbc.DbcSpecifics(),
         sort_signals=None,
     )
     text: str = database.as_dbc_string(sort_signals=None)
@@ -306,19 +305,18 @@ def _cantools_database() -> Any:
     """The package ``cantools.database``, without what ``import cantools`` brings along.
 
     The top package also imports its bus tester and with it python-can, asyncio
-    and ssl: two thirds of the time, and a bus library in a compiler.  The part
-    that is wanted here does not need them, so it is imported under an empty
-    parent, which is taken away again.
+    and ssl: two thirds of the time, and a bus library in a compiler.  So it is
+    put in place unexecuted, and runs when someone asks it for something else.
     """
-    if "cantools" in sys.modules or "cantools.database" in sys.modules:
-        return importlib.import_module("cantools.database")
-    found = importlib.util.find_spec("cantools")
-    if found is None or found.submodule_search_locations is None:
-        return importlib.import_module("cantools.database")  # says what is missing
-    parent = types.ModuleType("cantools")
-    parent.__path__ = list(found.submodule_search_locations)
-    sys.modules["cantools"] = parent
-    try:
-        return importlib.import_module("cantools.database")
-    finally:
-        del sys.modules["cantools"]
+    spec = importlib.util.find_spec("cantools") if "cantools" not in sys.modules else None
+    if spec is not None and spec.loader is not None:
+        loader, package = spec.loader, importlib.util.module_from_spec(spec)
+
+        def load_the_rest(name: str) -> Any:
+            vars(package).pop("__getattr__", None)
+            loader.exec_module(package)
+            return getattr(package, name)
+
+        vars(package)["__getattr__"] = load_the_rest
+        sys.modules["cantools"] = package
+    return importlib.import_module("cantools.database")
