@@ -57,11 +57,12 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
         modules = document.get("modules")
         whole = modules is None or not _lies_in(modules.span, shape)
         # The next stages go on with what is sound: one run shows the faults of all.
-        document = sound(document, shape)
+        sound_part = sound(document, shape)
         if fleet:
-            done.model = _fleet(document, path, library, report, done)
-        elif (modules := document.get("modules")) is not None and modules.value:
-            done.model = _robot(document, path, library, report, files, whole)
+            done.model = _fleet(sound_part, path, library, report, done)
+        elif (modules := sound_part.get("modules")) is not None and modules.value:
+            lost = sorted(_module_names(document) - _module_names(sound_part))
+            done.model = _robot(sound_part, path, library, report, files, lost, whole)
         done.source_sha256 = _sha256(files)
     for part in (shape, _without_places_of(shape, report)):
         done.report.extend(_with_paths(part, path.parent, files))
@@ -115,8 +116,10 @@ def _robot(
     library: Sequence[Path],
     report: Report,
     files: dict[str, Path],
+    lost: Sequence[str],
     whole: bool,
 ) -> Robot | None:
+    """The robot of a document; of a faulty one, its further faults are found as well."""
     base = path.parent
     folders: list[tuple[Path, str]] = []
     own = document.get("library")
@@ -128,13 +131,18 @@ def _robot(
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
     folders.extend((folder, folder.name) for folder in library)
     modules = Library(folders)
-    robot = elaborate(document, Resolver(modules, report), base, report, files, whole=whole)
+    robot = elaborate(document, Resolver(modules, report), base, report, files, lost, whole=whole)
     files.update(modules.files)
-    if robot is not None and not report.has_errors:
+    if robot is not None:
         check_robot(robot, _design(document, modules, report), report)
         if robot.calculator != CalculatorChoice():
             _check_calculator(robot, document, report)
     return robot
+
+
+def _module_names(document: Node) -> set[str]:
+    modules = document.get("modules")
+    return set(modules.value) if modules is not None and isinstance(modules.value, dict) else set()
 
 
 def _design(document: Node, library: Library, report: Report) -> Design:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -79,20 +80,32 @@ class Elaborator:
         self.report = report
         self.scope = Scope(None, {}, resolver.library, report, None)
 
-    def elaborate(self, robot: Instance) -> Robot | None:
-        """The robot, or ``None`` where its tree is not whole (reported)."""
+    def elaborate(self, robot: Instance, whole: bool) -> Robot | None:
+        """The robot, or ``None`` where its tree is not whole (reported).
+
+        Then nothing is said about its geometry, which would be that of another
+        robot; the bus is checked in either case.
+        """
         parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
         hardware: dict[str, Hardware] = {}
         for leaf in robot.leaves():
-            if leaf.type is not None:
-                hardware[leaf.path] = hardware_of(leaf.type, leaf.scope, self.report)
-        if self.report.has_errors:
+            own = hardware_of(leaf.type, leaf.scope, self.report) if leaf.type else None
+            if own is not None:
+                hardware[leaf.path] = own
+        if self.report.has_errors or not whole:
+            for leaf in robot.leaves():
+                if leaf.path in hardware:
+                    self._place_joints(leaf, hardware[leaf.path], parts)
+            self._check_bus(robot, parts)
             return None
         for leaf in robot.leaves():
-            self._place(leaf, hardware, parts)
+            if leaf.is_mechanical:
+                self._place(leaf, hardware, parts)
+                self._place_joints(leaf, hardware[leaf.path], parts)
         self._check_names(parts)
         extensions = self._add_extras(robot, hardware, parts)
         if self.report.has_errors:
+            self._check_bus(robot, parts)
             return None
         tree = Tree(parts.links, parts.joints)
         lift = clean(ground_height(tree, parts.wheels, self.report))
@@ -105,16 +118,11 @@ class Elaborator:
         loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
         wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
         joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
+        sound = not self.report.has_errors
         driver = self._driver(wheels, actuated)
-        wiring = Wiring(
-            self.document,
-            self.resolver,
-            self.scope,
-            {a.name: a for a in parts.actuators},
-            {joint.name: joint for joint in joints},
-            self.report,
-        )
-        buses = wiring.buses(robot, 1.0 / driver.rate)
+        buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate)
+        if not sound:
+            return None
         return Robot(
             name=self.scope.text(self.document.get("name")),
             namespace=self.scope.text(self.document.get("namespace")),
@@ -134,40 +142,22 @@ class Elaborator:
             urdf_extensions=extensions,
         )
 
-    def find_faults(self, robot: Instance) -> None:
-        """Report what is wrong in a robot that is not whole: hardware, names, the bus.
+    # -- links, joints, motors ------------------------------------------------------------
 
-        Nothing about its geometry, which would be that of another robot; and of the
-        bus only errors, since what is missing there may be missing by an earlier fault.
-        """
-        parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
-        hardware = {
-            leaf.path: hardware_of(leaf.type, leaf.scope, self.report)
-            for leaf in robot.leaves()
-            if leaf.type is not None
-        }
-        for leaf in robot.leaves():
-            self._place(leaf, hardware, parts)
-        self._check_names(parts)
+    def _wiring(self, parts: _Parts, report: Report) -> Wiring:
+        actuators = {a.name: a for a in parts.actuators}
+        joints = {joint.name: joint for joint in parts.joints}
+        return Wiring(self.document, self.resolver, self.scope, actuators, joints, report)
+
+    def _check_bus(self, robot: Instance, parts: _Parts) -> None:
+        """The bus of a robot that is at fault already; warnings would be about its holes."""
         found = Report()
-        wiring = Wiring(
-            self.document,
-            self.resolver,
-            self.scope,
-            {a.name: a for a in parts.actuators},
-            {joint.name: joint for joint in parts.joints},
-            found,
-        )
-        wiring.buses(robot, 1.0 / DEFAULT_RATE)
+        self._wiring(parts, found).buses(robot, 1.0 / DEFAULT_RATE)
         for fault in found.errors:
             self.report.put(fault)
 
-    # -- links, joints, motors ------------------------------------------------------------
-
     def _place(self, leaf: Instance, hardware: dict[str, Hardware], parts: _Parts) -> None:
         own = hardware[leaf.path]
-        if not leaf.is_mechanical:
-            return
         prefix = flat(leaf.path)
         for mesh in own.meshes:
             parts.meshes[mesh.name] = mesh
@@ -182,8 +172,25 @@ class Elaborator:
                     leaf.origin,
                 )
             )
-        if own.links:
-            parts.joints.append(self._mount_joint(leaf, own, hardware, prefix))
+        parts.joints.append(self._mount_joint(leaf, own, hardware, prefix))
+        if own.wheel is not None:
+            parts.wheels.append(
+                PlacedWheel(prefix, leaf.path, f"{prefix}_{own.wheel.link}", own.wheel, leaf.origin)
+            )
+        if own.sensor is not None:
+            s = own.sensor
+            parts.sensors.append(
+                Sensor(prefix, leaf.path, s.type, f"{prefix}_{s.link}", s.properties, leaf.origin)
+            )
+        if own.battery is not None:
+            b = own.battery
+            node = prefix if b.present else None
+            parts.batteries.append(
+                Battery(prefix, leaf.path, f"{prefix}_{b.link}", node, b.properties, leaf.origin)
+            )
+
+    def _place_joints(self, leaf: Instance, own: Hardware, parts: _Parts) -> None:
+        prefix = flat(leaf.path)
         armatures = {motor.joint: motor for motor in own.motors}
         for joint in own.joints:
             motor = armatures.get(joint.name)
@@ -230,21 +237,6 @@ class Elaborator:
                     channel=None,
                     origin=leaf.origin,
                 )
-            )
-        if own.wheel is not None:
-            parts.wheels.append(
-                PlacedWheel(prefix, leaf.path, f"{prefix}_{own.wheel.link}", own.wheel, leaf.origin)
-            )
-        if own.sensor is not None:
-            s = own.sensor
-            parts.sensors.append(
-                Sensor(prefix, leaf.path, s.type, f"{prefix}_{s.link}", s.properties, leaf.origin)
-            )
-        if own.battery is not None:
-            b = own.battery
-            node = prefix if b.present else None
-            parts.batteries.append(
-                Battery(prefix, leaf.path, f"{prefix}_{b.link}", node, b.properties, leaf.origin)
             )
 
     def _mount_joint(
@@ -477,19 +469,16 @@ def elaborate(
     base_dir: Path,
     report: Report,
     files: dict[str, Path],
+    lost: Iterable[str] = (),
     *,
     whole: bool = True,
 ) -> Robot | None:
-    """Resolve and elaborate a robot document; ``None`` with the faults reported.
+    """Resolve and elaborate a robot document; ``None`` where its tree is not whole.
 
-    ``files`` gets the files that were read besides, by their names in spans.
-    ``whole`` is false where values had to be left out of the document's modules:
-    then only faults that do not follow from that are looked for.
+    There may be a robot although the report has errors: of its bus, say.
+    ``files`` gets the files that were read besides, by their names in spans;
+    ``lost`` names modules that were taken out of the document for their faults;
+    ``whole`` is false where any value of its modules was.
     """
-    instance = resolver.resolve(document)
-    elaborator = Elaborator(document, resolver, base_dir, report, files)
-    if report.has_errors or not whole:
-        elaborator.find_faults(instance)
-        return None
-    robot = elaborator.elaborate(instance)
-    return robot if not report.has_errors else None
+    instance = resolver.resolve(document, lost)
+    return Elaborator(document, resolver, base_dir, report, files).elaborate(instance, whole)

@@ -20,7 +20,7 @@ from thorvaldc.model.robot import (
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3, combine, norm, scale
 from thorvaldc.passes.parts import PartReader
-from thorvaldc.passes.scope import Scope, nearest
+from thorvaldc.passes.scope import FAULT, Scope, nearest
 from thorvaldc.source.node import Node
 from thorvaldc.source.units import UnitError, parse_any
 
@@ -108,9 +108,15 @@ class Hardware(NamedTuple):
     height_above_ground: float | None
 
 
-def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware:
-    """The hardware of a leaf module; kept by the values of its parameters."""
+def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | None:
+    """The hardware of a leaf module; kept by the values of its parameters.
+
+    ``None`` where a parameter is at fault (reported): what the module is made
+    of is not known.
+    """
     key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.evaluate_all())
+    if any(value is FAULT for value in key):
+        return None
     known = module.elaborated.get(key)
     if known is None:
         own = Report()

@@ -7,7 +7,7 @@ hardware of their own), each with the leaf, link and pose that it is mounted on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -82,10 +82,15 @@ class Resolver:
         self._defaults: dict[str, dict[str, Node]] = {}
         self._used_defaults: set[tuple[str, str]] = set()
 
-    def resolve(self, document: Node) -> Instance:
-        """The robot as an instance, its parts mounted as far as they can be."""
+    def resolve(self, document: Node, lost: Iterable[str] = ()) -> Instance:
+        """The robot as an instance, with its parts mounted as far as they can be.
+
+        ``lost`` names modules of the file that are at fault already and not in
+        ``document``.
+        """
         scope = Scope(None, {}, self.library, self.report, None)
         robot = Instance("", None, scope, document, document.span, None)
+        robot.failed.update(lost)
         defaults = document.get("defaults")
         for category, node in _entries(defaults).items():
             self._defaults[category] = _entries(node)
@@ -119,6 +124,7 @@ class Resolver:
             return
         type_node = entry.get("type")
         if type_node is None:
+            parent.failed.add(name)
             return
         value = scope.read(type_node)
         given: dict[str, tuple[Node, Scope]] = {}
@@ -193,6 +199,8 @@ class Resolver:
         if assembly.can is None:
             return
         child = assembly.children.get(name)
+        if child is None and name in assembly.failed:
+            return
         if child is None:
             self.report.add(
                 "can-without-device",

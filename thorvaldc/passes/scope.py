@@ -170,8 +170,7 @@ class Scope(Mapping[str, Any]):
             value = scope._typed(node, declared)
             # An assembly may hand on that there is no value; that is as left out.
             if value is not None or _kind(declared) == "module":
-                self._check_range(name, declared, node, value)
-                return value
+                return self._in_range(name, declared, node, value)
         default = declared.get("default")
         if default is None:
             if self._place is not None and self.module is not None:
@@ -183,8 +182,7 @@ class Scope(Mapping[str, Any]):
                 )
             return FAULT
         value = self._typed(default, declared, is_default=True)
-        self._check_range(name, declared, default, value)
-        return value
+        return self._in_range(name, declared, default, value)
 
     def _typed(self, node: Node, declared: Node, *, is_default: bool = False) -> Any:
         kind = _kind(declared)
@@ -267,9 +265,10 @@ class Scope(Mapping[str, Any]):
             return FAULT
         return ModuleChoice(module, params, self)
 
-    def _check_range(self, name: str, declared: Node, node: Node, value: Any) -> None:
+    def _in_range(self, name: str, declared: Node, node: Node, value: Any) -> Any:
+        """The value, or ``FAULT`` where it is none of the choices or beyond a limit."""
         if value is None or value is FAULT:
-            return
+            return value
         choices = declared.get("choices")
         if choices is not None and isinstance(choices.value, tuple):
             known = [self.evaluate(c) for c in choices.value]
@@ -280,9 +279,10 @@ class Scope(Mapping[str, Any]):
                     node.span,
                     hint=nearest(str(value), [str(k) for k in known]),
                 )
-            return
+                return FAULT
+            return value
         if not isinstance(value, int | float) or isinstance(value, bool):
-            return
+            return value
         for key, word, sign in (("minimum", "at least", 1.0), ("maximum", "at most", -1.0)):
             limit_node = declared.get(key)
             if limit_node is None:
@@ -292,12 +292,16 @@ class Scope(Mapping[str, Any]):
                 shown = limit_node.value if isinstance(limit_node.value, str) else f"{limit:g}"
                 if isinstance(shown, str) and shown.startswith("${"):
                     shown = f"{limit:g}"
+                computed = isinstance(node.value, str) and node.value.startswith("${")
+                found = f"{value:g}" if computed else _found(node)
                 self.report.add(
                     "param-range",
-                    f"`{name}` is {_found(node)}; it must be {word} {shown}",
+                    f"`{name}` is {found}; it must be {word} {shown}",
                     node.span,
                     labels=[Label(limit_node.span, "the limit is stated here")],
                 )
+                return FAULT
+        return value
 
     # -- scalars --------------------------------------------------------------------
 
