@@ -52,9 +52,9 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     """What is found in the files in the working folder."""
     how = case.get("run", "compile")
     if how == "import":
-        from thorvaldc.importer import import_file
+        from thorvaldc.importer import import_original
 
-        return list(import_file(Path(entry)).report)
+        return list(import_original(Path(entry))[1])
     if how == "demo":
         from thorvaldc.diagnostics import Report
         from thorvaldc.runtime.simulation import run_demo

@@ -372,7 +372,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
         ("<xacro:if value='maybe'>\n<link name='a'/></xacro:if>", "extra-expansion", 3, "maybe"),
         ("\n<xacro:lazer name='a'/>", "extra-expansion", 4, "lazer"),
         ("\n<xacro:include filename='none.xacro'/>", "extra-expansion", 4, "none.xacro"),
-        ("<link name='$(arg size)'/>", "extra-argument", 3, "'size'"),
+        ("<link name='$(arg size)'/>", "extra-argument", 3, "`size`"),
         ("<link name='$(env HOME)'/>", "extra-expansion", 3, "HOME"),
         ("<link name='${open(1)}'/>", "extra-expansion", 3, "open"),
         ("<link/>", "extra-element", 3, "name"),
@@ -384,7 +384,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
             4,
             "capsule",
         ),
-        ("<link name='a'/><link name='a'/>", "extra-name-duplicate", 3, "'a'"),
+        ("<link name='a'/><link name='a'/>", "extra-name-duplicate", 3, "`a`"),
         (f"<link name='frame_body'>\n{BOX}</link>", "extra-name-duplicate", 3, "frame_body"),
         (joint(ENDS, name="frame_mount"), "extra-name-duplicate", 4, "frame_mount"),
         (joint("<child link='a'/>"), "extra-element", 4, "parent"),
@@ -394,7 +394,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
             4,
             "frame_boddy",
         ),
-        (joint(ENDS + "<mimic joint='x'/>", "continuous"), "extra-link-unknown", 4, "'x'"),
+        (joint(ENDS + "<mimic joint='x'/>", "continuous"), "extra-link-unknown", 4, "`x`"),
         (
             joint("<parent link='a'/><child link='frame_body'/>"),
             "extra-two-parents",
@@ -405,7 +405,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
             joint(ENDS) + f"\n<joint name='k' type='fixed'>{ENDS}</joint>",
             "extra-two-parents",
             6,
-            "'a'",
+            "`a`",
         ),
         (joint("<parent link='a'/><child link='a'/>"), "extra-cycle", 4, "a -> a"),
         (joint(ENDS, "floating"), "extra-joint-type", 4, "floating"),
@@ -438,7 +438,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
         (link_with(inertia("1", izz="2.1")), "extra-inertia", 5, "2.1"),
         (link_with(inertia("1", ixy="1.5")), "extra-inertia", 5, "negative"),
         (link_with(inertia("0")), "extra-inertia", 4, "no mass"),
-        (link_with(inertia("x")), "extra-number", 4, "'x'"),
+        (link_with(inertia("x")), "extra-number", 4, "`x`"),
         (link_with('<mass value="1"/>'), "extra-element", 3, "inertia"),
         (joint(ENDS, "continuous").replace(INERTIAL, ""), "extra-massless", 3, "no mass"),
         ("<link name='a'>\n<visul/></link>", "extra-left-out", 4, "visul"),
@@ -448,7 +448,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
             "<link name='a'>" + BOX.replace("</v", "<material name='x'/></v") + "</link>",
             "extra-material",
             3,
-            "'x'",
+            "`x`",
         ),
         (mesh("\nnone.stl"), "mesh-missing", 3, "none.stl"),
         (mesh("http://x.y/none.stl"), "mesh-missing", 3, "http"),
@@ -491,7 +491,7 @@ def test_a_broken_property_is_named_where_it_is_defined(tmp_path: Path) -> None:
     assert found.codes == ["extra-expansion"]
     assert found.only.span is not None
     assert found.only.span.line == 4
-    assert any(label.span.line == 3 and "'w'" in label.text for label in found.only.labels)
+    assert any(label.span.line == 3 and "`w`" in label.text for label in found.only.labels)
 
 
 def test_macros_alone_are_told_how_to_be_called(tmp_path: Path) -> None:
@@ -509,7 +509,7 @@ def test_a_misspelt_argument_is_noticed(tmp_path: Path) -> None:
         ", args: {heigth: 2}",
     )
     assert found.codes == ["extra-argument-unused"]
-    assert found.only.hint == "did you mean 'height'?"
+    assert found.only.hint == "did you mean `height`?"
     assert found.only.span is not None
     assert found.only.span.file == "robot.yaml"
 
@@ -522,7 +522,7 @@ def test_placement_of_a_file_that_places_itself_is_noticed(tmp_path: Path) -> No
 def test_an_unknown_parent(tmp_path: Path) -> None:
     found = one(tmp_path, '<link name="a"/>', ", parent: frame_boddy")
     assert found.codes == ["extra-parent"]
-    assert found.only.hint == "did you mean 'frame_body'?"
+    assert found.only.hint == "did you mean `frame_body`?"
 
 
 def test_a_missing_xacro_file_and_package_folder(tmp_path: Path) -> None:
@@ -549,7 +549,7 @@ def test_all_faults_of_all_files_in_one_run(tmp_path: Path) -> None:
         a_xacro=HEAD + "<link name='${x}'/></robot>",
         b_xacro=HEAD
         + link_with(inertia("-1"))
-        + joint(ENDS, "ball").replace("'a'", "'b'")
+        + joint(ENDS, "ball").replace("`a`", "`b`")
         + "</robot>",
         c_xacro=HEAD + "<link name='c'/></robot>",
     )

@@ -139,8 +139,8 @@ struct.pack_into("<f", NAN, 84 + 50 + 12 + 20, float("nan"))
 @pytest.mark.parametrize(
     ("name", "data", "code", "words"),
     [
-        ("a.step", b"ISO-10303-21;", "mesh-format", "'step'"),
-        ("a", b"", "mesh-format", "''"),
+        ("a.step", b"ISO-10303-21;", "mesh-format", "`step`"),
+        ("a", b"", "mesh-format", "``"),
         ("a.stl", b"", "mesh-invalid", "0 bytes"),
         ("a.stl", binary_stl([]), "mesh-invalid", "0 triangles"),
         ("a.stl", binary_stl(TETRAHEDRON)[:-1], "mesh-invalid", "cut off"),

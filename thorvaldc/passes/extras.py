@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Joint, Link, Mesh, Pose, Vec3
-from thorvaldc.passes.extras_join import Attach, Attachment, Joined, Placing, did_you_mean
+from thorvaldc.passes.extras_join import Attach, Attachment, Joined, Placing
 from thorvaldc.passes.meshes import load_mesh
 from thorvaldc.passes.urdf_reader import UrdfParts, read_urdf
 from thorvaldc.passes.xacro_expand import (
@@ -31,7 +33,8 @@ __all__ = ["Attach", "Attachment", "ExtraParts", "load_extras"]
 class ExtraParts:
     """What the extras add to a robot; parents come before their children.
 
-    ``files`` are the files that were read, by their names in spans.
+    ``files`` are the files that were read, by their names in spans; their paths begin
+    with the folder that was given.
     """
 
     links: tuple[Link, ...] = ()
@@ -58,7 +61,7 @@ def load_extras(
     """
     if not entries:
         return ExtraParts()
-    base_dir = base_dir.absolute()
+    given_dir, base_dir = base_dir, base_dir.absolute()
     display = str(Path(entries[0].span.file).parent)
     shown = Shown(base_dir, "" if display == "." else display, {})
     read = [_Entry.read(node, base_dir, shown, report) for node in entries]
@@ -67,7 +70,9 @@ def load_extras(
     expanded = expand([Request(e.file, e.args, e.packages) for e in wanted], shown)
     files: dict[str, Path] = {}
     for entry, expansion in zip(wanted, expanded, strict=True):
-        files.update(expansion.files)
+        for name, file in expansion.files.items():
+            installed = name.startswith("package://")
+            files[name] = file if installed else given_dir / os.path.relpath(file, base_dir)
         parts = _read(entry, expansion, report)
         if parts is not None:
             joined.add(entry.place(), parts)
@@ -114,7 +119,7 @@ class _Entry:
         if not found:
             report.add(
                 "extra-missing",
-                f"xacro file '{shown.name(str(file))}' does not exist",
+                f"xacro file `{shown.name(str(file))}` does not exist",
                 named.span,
                 hint="the path is relative to the robot's file",
             )
@@ -148,7 +153,7 @@ def _package_folders(
         if not path.is_dir():
             report.add(
                 "extra-package",
-                f"the folder '{shown.name(str(path))}' of package '{name}' does not exist",
+                f"the folder `{shown.name(str(path))}` of package `{name}` does not exist",
                 folder.span,
                 hint="the path is relative to the robot's file",
             )
@@ -195,13 +200,13 @@ _FAULTS = {
     ),
     "argument": (
         "extra-argument",
-        "the xacro file needs the argument '{text}', which is not given",
+        "the xacro file needs the argument `{text}`, which is not given",
         "add it to the entry: args: {{{text}: ...}}, or give it a default: "
         '<xacro:arg name="{text}" default="..."/>',
     ),
     "package": (
         "extra-package",
-        "the package '{text}' is not found",
+        "the package `{text}` is not found",
         "tell where it lies: packages: {{{text}: path/to/{text}}} in the extras entry",
     ),
     "expression": ("extra-expansion", "xacro: {text}", None),
@@ -231,7 +236,7 @@ def _read(entry: _Entry, expanded: Expanded, report: Report) -> UrdfParts | None
         known = [a for a in expanded.known_arguments if a not in entry.args]
         report.add(
             "extra-argument-unused",
-            f"the xacro file does not ask for the argument '{name}'",
+            f"the xacro file does not ask for the argument `{name}`",
             given.where if given is not None else entry.span,
             hint=did_you_mean(name, known) or f"it asks for {', '.join(known) or 'none'}",
         )
@@ -290,7 +295,7 @@ def _mesh_path(
         return None
     report.add(
         "mesh-missing",
-        f"mesh file '{name}' is not a file: '{scheme}' is not read",
+        f"mesh file `{name}` is not a file: `{scheme}` is not read",
         element.span,
         hint="use a path relative to the xacro file, package:// or file://",
     )
@@ -317,7 +322,7 @@ def _report_empty(entry: _Entry, macros: Sequence[Macro], report: Report) -> Non
     blocks = [p.lstrip("*") for p in macro.needed if p.startswith("*")]
     call = f"<xacro:{macro.name}{values}"
     call += f">{''.join(f'<{b} .../>' for b in blocks)}</xacro:{macro.name}>" if blocks else "/>"
-    names = ", ".join(f"'{m.name}'" for m in idle)
+    names = ", ".join(f"`{m.name}`" for m in idle)
     labels = [Label(macro.span, "defined here")] if macro.span is not None else []
     report.add(
         "extra-empty",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Joint, Link, Mesh, Pose
 from thorvaldc.passes.urdf_reader import UrdfParts
 from thorvaldc.source.node import Node
@@ -36,14 +37,6 @@ class Placing:
     parent: Node | None
     pose: Pose
     placed: Node | None
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str | None:
-    """A hint where a known name is near."""
-    from difflib import get_close_matches
-
-    near = get_close_matches(name, known, 1)
-    return f"did you mean '{near[0]}'?" if near else None
 
 
 class Joined:
@@ -101,7 +94,7 @@ class Joined:
             elif link.name in own or link.inertial or link.visuals or link.collisions:
                 self.report.add(
                     "extra-name-duplicate",
-                    f"there is already a link '{link.name}'",
+                    f"there is already a link `{link.name}`",
                     link.origin,
                     hint="rename it; many macros have a parameter for the name or a prefix",
                     labels=[Label(first, "first defined here")],
@@ -118,7 +111,7 @@ class Joined:
             if first is not None:
                 self.report.add(
                     "extra-name-duplicate",
-                    f"there is already a joint '{joint.name}'",
+                    f"there is already a joint `{joint.name}`",
                     joint.origin,
                     hint="rename it; many macros have a parameter for the name or a prefix",
                     labels=[Label(first, "first defined here")],
@@ -130,7 +123,7 @@ class Joined:
                     known = False
                     self.report.add(
                         "extra-link-unknown",
-                        f"joint '{joint.name}' names the {end} link '{name}', which does not exist",
+                        f"joint `{joint.name}` names the {end} link `{name}`, which does not exist",
                         joint.origin,
                         hint=did_you_mean(name, [*own, *self.links])
                         or "the robot's links are named <module>_<link>, as frame_body",
@@ -143,7 +136,7 @@ class Joined:
             if other is not None:
                 self.report.add(
                     "extra-two-parents",
-                    f"joint '{joint.name}' gives link '{joint.child}' a second parent",
+                    f"joint `{joint.name}` gives link `{joint.child}` a second parent",
                     joint.origin,
                     hint="a link hangs on one joint; a robot is a tree",
                     labels=[Label(other, "its first is here")],
@@ -171,7 +164,7 @@ class Joined:
         if place is None:
             self.report.add(
                 "extra-parent",
-                f"'{text}' is no module, port or link of the robot",
+                f"`{text}` is no module, port or link of the robot",
                 entry.parent.span if entry.parent is not None else entry.span,
                 hint=did_you_mean(text or "", list(self.links)),
             )
@@ -182,7 +175,7 @@ class Joined:
             if name in self.joints:
                 self.report.add(
                     "extra-name-duplicate",
-                    f"there is already a joint '{name}', the name of this link's mount",
+                    f"there is already a joint `{name}`, the name of this link's mount",
                     link.origin,
                     labels=[Label(self.joints[name], "first defined here")],
                 )
@@ -221,7 +214,7 @@ class Joined:
                 if joint.type != "fixed" and mass(joint.child, (joint.child,)) <= 0.0:
                     self.report.add(
                         "extra-massless",
-                        f"link '{joint.child}' moves on joint '{joint.name}' and has no mass",
+                        f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
                         own[joint.child].origin,
                         hint="give it an <inertial>, or make the joint fixed",
                         labels=[Label(joint.origin, "the joint")],
@@ -232,7 +225,7 @@ class Joined:
             if joint.mimic is not None and joint.mimic.joint not in self.joints:
                 self.report.add(
                     "extra-link-unknown",
-                    f"joint '{joint.name}' mimics '{joint.mimic.joint}', which does not exist",
+                    f"joint `{joint.name}` mimics `{joint.mimic.joint}`, which does not exist",
                     joint.origin,
                     hint=did_you_mean(joint.mimic.joint, list(self.joints)),
                 )

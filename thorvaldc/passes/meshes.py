@@ -65,7 +65,7 @@ def load_mesh(
     if suffix not in FORMATS:
         report.add(
             "mesh-format",
-            f"mesh file '{display}' has the format '{suffix}', which is not read",
+            f"mesh file `{display}` has the format `{suffix}`, which is not read",
             asked_by,
             hint=f"use one of {', '.join(FORMATS)}; STL and OBJ go along unchanged",
         )
@@ -78,14 +78,14 @@ def load_mesh(
     if missing:
         report.add(
             "mesh-missing",
-            f"mesh file '{display}' does not exist",
+            f"mesh file `{display}` does not exist",
             asked_by,
             hint="paths are relative to the file that names them; check spelling and case",
         )
         return None
     found = _read(path, status.st_mtime_ns, status.st_size)
     if isinstance(found, _Fault):
-        report.add(found.code, f"mesh file '{display}' {found.text}", asked_by, hint=found.hint)
+        report.add(found.code, f"mesh file `{display}` {found.text}", asked_by, hint=found.hint)
         return None
     if found.large or max(map(abs, scale)) > 1.0:
         size = _extent(found.mesh.data, found.suffix)
@@ -93,7 +93,7 @@ def load_mesh(
         if largest > MAX_EXTENT:
             report.add(
                 "mesh-size",
-                f"mesh file '{display}' is {largest:g} m long; over {MAX_EXTENT:g} m is "
+                f"mesh file `{display}` is {largest:g} m long; over {MAX_EXTENT:g} m is "
                 "taken for a mistake",
                 asked_by,
                 hint="meshes are in metres; for one in millimetres say scale 0.001",
@@ -244,7 +244,7 @@ def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Faul
     except ImportError:
         return _Fault(
             "mesh-format",
-            f"has the format '{suffix}', which needs trimesh, and that is not installed",
+            f"has the format `{suffix}`, which needs trimesh, and that is not installed",
             "install trimesh and pycollada, or convert the mesh to STL",
         )
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import (
     Box,
     Collision,
@@ -158,14 +159,10 @@ class _Reader:
         if tag in ("include", "macro", "property", "if", "unless", "arg"):
             hint = f"xacro's own elements have a prefix: <xacro:{tag} ...>"
         else:
-            from difflib import get_close_matches
-
             known = [c for c in _CONTENT.get(inside, ((), ()))[0] if not c.startswith("-")]
             if inside == "robot":
                 known = ["link", "joint", "material", *EXTENSIONS]
-            near = get_close_matches(tag, known, 1)
-            if near:
-                hint = f"did you mean <{near[0]}>?"
+            hint = did_you_mean(tag, known)
         self.fault(
             "extra-left-out", f"<{tag}> in <{inside}> is not known and left out", element, hint
         )
@@ -183,14 +180,11 @@ class _Reader:
                 self.unknown(child, child.tag, element.tag)
         for name in element.attributes:
             if name not in attributes and not name.startswith("xmlns"):
-                from difflib import get_close_matches
-
-                near = get_close_matches(name, attributes, 1)
                 self.fault(
                     "extra-left-out",
-                    f"attribute '{name}' of <{element.tag}> is not known and left out",
+                    f"attribute `{name}` of <{element.tag}> is not known and left out",
                     element,
-                    f"did you mean '{near[0]}'?" if near else None,
+                    did_you_mean(name, attributes),
                 )
 
     # -- values ------------------------------------------------------------------
@@ -201,7 +195,7 @@ class _Reader:
         """``count`` finite numbers of an attribute, or ``None`` with the fault reported."""
         text = element.attributes.get(name, default)
         if text is None:
-            self.fault("extra-element", f"<{element.tag}> has no attribute '{name}'", element)
+            self.fault("extra-element", f"<{element.tag}> has no attribute `{name}`", element)
             return None
         words = text.split()
         found: list[float] = []
@@ -213,7 +207,7 @@ class _Reader:
             if not math.isfinite(value) or "_" in word:
                 self.fault(
                     "extra-number",
-                    f"<{element.tag} {name}=\"{text}\">: '{word}' is not a finite number",
+                    f'<{element.tag} {name}="{text}">: `{word}` is not a finite number',
                     element,
                     "numbers are separated by spaces, in m, rad and kg, without a unit",
                 )
@@ -299,7 +293,7 @@ class _Reader:
         mass_element, inertia_element = element.find("mass"), element.find("inertia")
         if mass_element is None or inertia_element is None:
             missing = "mass" if mass_element is None else "inertia"
-            self.fault("extra-element", f"<inertial> of link '{link}' has no <{missing}>", element)
+            self.fault("extra-element", f"<inertial> of link `{link}` has no <{missing}>", element)
             return None
         self.check_content(mass_element)
         self.check_content(inertia_element)
@@ -319,7 +313,7 @@ class _Reader:
         if mass is None or len(good) != 6:
             return None
         if mass < 0.0:
-            self.fault("extra-inertia", f"link '{link}' has a mass of {mass:g} kg", mass_element)
+            self.fault("extra-inertia", f"link `{link}` has a mass of {mass:g} kg", mass_element)
             return None
         found = Inertial(
             mass, (0.0, 0.0, 0.0), (good[0], good[1], good[2], good[3], good[4], good[5])
@@ -327,7 +321,7 @@ class _Reader:
         low, middle, high = found.principal_moments()
         slack = 1e-6 * high + 1e-12
         if mass == 0.0 and high > slack:
-            self.fault("extra-inertia", f"link '{link}' has an inertia but no mass", mass_element)
+            self.fault("extra-inertia", f"link `{link}` has an inertia but no mass", mass_element)
             return None
         if low < -slack or high > low + middle + slack:
             moments = ", ".join(f"{m:.4g}" for m in (low, middle, high))
@@ -338,7 +332,7 @@ class _Reader:
             )
             self.fault(
                 "extra-inertia",
-                f"link '{link}' has principal moments of inertia {moments} kg m^2: {what}",
+                f"link `{link}` has principal moments of inertia {moments} kg m^2: {what}",
                 inertia_element,
                 "compute it from the shape; a box: ixx = m (y^2 + z^2) / 12 and so on",
             )
@@ -432,7 +426,7 @@ class _Reader:
             known = _COMMON_COLORS.get(name.lower().rpartition("/")[2])
             self.fault(
                 "extra-material",
-                f"material '{name}' is not defined; "
+                f"material `{name}` is not defined; "
                 + ("the usual colour of that name" if known else "grey")
                 + " is used",
                 material,
@@ -448,9 +442,9 @@ class _Reader:
         self.check_content(element)
         kind = element.attributes.get("type", "")
         if kind not in ("fixed", "revolute", "continuous", "prismatic"):
-            text = f"joint '{name}' has no type"
+            text = f"joint `{name}` has no type"
             if kind:
-                text = f"joint '{name}' has the type '{kind}', which the model does not have"
+                text = f"joint `{name}` has the type `{kind}`, which the model does not have"
             self.fault(
                 "extra-joint-type",
                 text,
@@ -501,7 +495,7 @@ class _Reader:
         if element is not None:
             self.check_content(element)
         if not link:
-            self.fault("extra-element", f"joint '{name}' names no {tag} link", element or joint)
+            self.fault("extra-element", f"joint `{name}` names no {tag} link", element or joint)
             return None
         return link
 
@@ -515,7 +509,7 @@ class _Reader:
             return None
         length = norm(axis)
         if length < 1e-9:
-            self.fault("extra-number", f"joint '{name}' has an axis of length 0", element)
+            self.fault("extra-number", f"joint `{name}` has an axis of length 0", element)
             return None
         return clean3(scale(1.0 / length, axis))
 
@@ -528,7 +522,7 @@ class _Reader:
                 return (None, None, None, None)
             self.fault(
                 "extra-joint-limits",
-                f"joint '{name}' is {kind} and has no <limit>",
+                f"joint `{name}` is {kind} and has no <limit>",
                 joint,
                 '<limit lower="" upper="" effort="" velocity=""/>, or the type continuous',
             )
@@ -545,7 +539,7 @@ class _Reader:
             if value < 0.0:
                 self.fault(
                     "extra-joint-limits",
-                    f"joint '{name}' has a limit {attribute}={value:g}; it must not be negative",
+                    f"joint `{name}` has a limit {attribute}={value:g}; it must not be negative",
                     element,
                 )
                 return None
@@ -558,7 +552,7 @@ class _Reader:
         if lower > upper:
             self.fault(
                 "extra-joint-limits",
-                f"joint '{name}' has the lower limit {lower:g} over the upper one {upper:g}",
+                f"joint `{name}` has the lower limit {lower:g} over the upper one {upper:g}",
                 element,
             )
             return None

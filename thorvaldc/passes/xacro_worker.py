@@ -152,10 +152,10 @@ class Expansion:
                 data = file.read(MAX_SOURCE_BYTES + 1)
         except OSError as fault:
             self.xacro.filestack.pop()  # as xacro does: the fault is the includer's
-            text = f"file '{filename}' cannot be read: {fault.strerror}"
+            text = f"file `{filename}` cannot be read: {fault.strerror}"
             raise self.xacro.XacroException(text, exc=fault) from fault
         if len(data) > MAX_SOURCE_BYTES:
-            raise Refused("limit", f"file '{filename}' has over {MAX_SOURCE_BYTES >> 20} MB")
+            raise Refused("limit", f"file `{filename}` has over {MAX_SOURCE_BYTES >> 20} MB")
         if filename not in self.files:
             self.files.append(filename)
         number = self.files.index(filename)
@@ -239,7 +239,7 @@ class Expansion:
             except Exception:
                 place = self.properties.get(key)
                 if place is not None:
-                    self.trail.append((place, f"property '{key}' is defined here"))
+                    self.trail.append((place, f"property `{key}` is defined here"))
                 raise
 
         return call
@@ -367,7 +367,8 @@ class Expansion:
                 "place": refused.place or self.fault,
             }
         if _first(fault, MemoryError) is not None:
-            return {"kind": "limit", "text": f"it needs over {MEMORY_BYTES >> 30} GB of memory"}
+            text = f"it needs over {MEMORY_BYTES >> 30} GB of memory"
+            return {"kind": "limit", "text": text, "place": self.fault}
         if _first(fault, RecursionError) is not None:
             text = "it calls itself without an end (a macro, a property or an include)"
             return {"kind": "expression", "text": text, "place": self.fault}
@@ -386,7 +387,7 @@ def _evaluate(function: Callable[..., Any]) -> Callable[..., Any]:
         try:
             return function(expression, symbols, more)
         except SyntaxError as fault:
-            raise ValueError(f"'{expression}' is not an expression: {fault.msg}") from fault
+            raise ValueError(f"`{expression}` is not an expression: {fault.msg}") from fault
 
     return call
 
