@@ -225,7 +225,7 @@ def dbc_text(bus: Bus) -> str:
             frame.cob_id,
             frame.name,
             frame.length,
-            [_dbc_signal(db, frame, signal) for signal in frame.signals],
+            _dbc_signals(db, frame),
             comment=_plain(frame.description) or None,
             senders=[frame.producer],
             # The attribute counts whole milliseconds; the CAN map has the exact period.
@@ -248,32 +248,36 @@ def dbc_text(bus: Bus) -> str:
     return text
 
 
-def _dbc_signal(db: Any, frame: Frame, signal: Signal) -> Any:
+def _dbc_signals(db: Any, frame: Frame) -> list[Any]:
     selector = next((s.name for s in frame.signals if s.multiplexer), None)
-    conversion = importlib.import_module(f"{db.__name__}.conversion").BaseConversion
-    low, high = _limits(signal)
-    comment = signal.description
-    if signal.joint is not None:
-        comment = f"{comment} Joint {signal.joint}.".strip()
-    return db.can.Signal(
-        signal.name,
-        signal.start,
-        signal.length,
-        is_signed=signal.signed,
-        conversion=conversion.factory(
-            _number(signal.scale),
-            _number(signal.offset),
-            {raw: _plain(name) for raw, name in signal.choices} or None,
-        ),
-        minimum=low,
-        maximum=high,
-        unit=_plain(signal.unit) or None,
-        comment=_plain(comment) or None,
-        receivers=list(frame.consumers),
-        is_multiplexer=signal.multiplexer,
-        multiplexer_ids=list(signal.selected_by) or None,
-        multiplexer_signal=selector if signal.selected_by else None,
-    )
+    made = []
+    for signal in frame.signals:
+        low, high = _limits(signal)
+        comment = signal.description
+        if signal.joint is not None:
+            comment = f"{comment} Joint {signal.joint}.".strip()
+        made.append(
+            db.can.Signal(
+                signal.name,
+                signal.start,
+                signal.length,
+                is_signed=signal.signed,
+                conversion=db.conversion.BaseConversion.factory(
+                    _number(signal.scale),
+                    _number(signal.offset),
+                    {raw: _plain(name) for raw, name in signal.choices} or None,
+                ),
+                minimum=low,
+                maximum=high,
+                unit=_plain(signal.unit) or None,
+                comment=_plain(comment) or None,
+                receivers=list(frame.consumers),
+                is_multiplexer=signal.multiplexer,
+                multiplexer_ids=list(signal.selected_by) or None,
+                multiplexer_signal=selector if signal.selected_by else None,
+            )
+        )
+    return made
 
 
 def _limits(signal: Signal) -> tuple[float | None, float | None]:
