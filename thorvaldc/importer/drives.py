@@ -12,9 +12,9 @@ from thorvaldc.importer.reading import Entry
 from thorvaldc.importer.writing import Module, Names, Value
 
 FRAME = "frame"
-# The library's modules from the frame clamp down to the top of the leg, and its shortest leg.
-_STEERING_HEIGHT = 0.16
-_SHORTEST_LEG = 0.1
+# What a drive needs over its wheel for its arm, and for its steering module too, m.
+_OVER_FIXED_WHEEL = 0.12
+_OVER_STEERED_WHEEL = 0.22
 _WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16
 NODES = (1, 127)
 # A tube nearer than this is what the drive's clamp holds.
@@ -170,10 +170,9 @@ def _mount(x: float, y: float, z: float) -> dict[str, Value]:
 
 
 def _steered(drive: Drive, height: float, tubes: Sequence[Segment]) -> Module:
-    leg = max(_SHORTEST_LEG, height - _STEERING_HEIGHT - drive.radius)
-    z = drive.radius + leg + _STEERING_HEIGHT - height
+    own = max(height, 2.0 * drive.radius + _OVER_STEERED_WHEEL)
     params: dict[str, Value] = dict(drive.params)
-    params["leg_drop"] = leg
+    params["height"] = own
     params["leg_side"] = "right" if drive.y >= 0.0 else "left"
     clamp = _nearest(drive.x, drive.y, tubes)
     if clamp is not None:
@@ -181,7 +180,7 @@ def _steered(drive: Drive, height: float, tubes: Sequence[Segment]) -> Module:
     return Module(
         drive.name,
         "assembly/steered_drive",
-        _mount(drive.x, drive.y, z),
+        _mount(drive.x, drive.y, own - height),
         params,
         can=drive.node,
         comments=[_comment(drive)],
@@ -189,11 +188,11 @@ def _steered(drive: Drive, height: float, tubes: Sequence[Segment]) -> Module:
 
 
 def _fixed(drive: Drive, height: float) -> Module:
-    leg = max(_SHORTEST_LEG, height - drive.radius)
+    own = max(height, 2.0 * drive.radius + _OVER_FIXED_WHEEL)
     params: dict[str, Value] = dict(drive.params)
-    params["leg_drop"] = leg
+    params["height"] = own
     params["leg_side"] = "right" if drive.y >= 0.0 else "left"
-    mount = _mount(drive.x, drive.y, drive.radius + leg - height)
+    mount = _mount(drive.x, drive.y, own - height)
     return Module(
         drive.name,
         "assembly/fixed_drive",

@@ -57,7 +57,7 @@ def render(robot: Robot) -> str:
     if robot.driver:
         lines.append(f"driver: {flow(robot.driver)}")
     if robot.defaults:
-        lines += ["defaults:", "  # the same for every drive of the original", "  assembly:"]
+        lines += ["defaults:", "  # the same for every drive of the original", "  drive:"]
         lines += _entries(robot.defaults, "    ")
     lines.append("modules:")
     for module in robot.modules:
