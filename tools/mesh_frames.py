@@ -10,7 +10,6 @@ from mesh_solids import (
     Meshes,
     Solid,
     along_x,
-    around,
     block,
     bolt,
     cylinder,
@@ -114,12 +113,6 @@ def portal() -> Meshes:
         "elbow": sweep(path, 0.16, 16),
         "gusset": gusset.turned("x", math.pi / 2),
         "end_cap": end_cap(),
-        "plate": join(
-            [
-                block(0.09, 0.09, 0.010, 0.003),
-                around(bolt(0.006, 0.006).moved(x=0.045, z=0.005), 4, start=math.pi / 4),
-            ]
-        ),
     }
 
 
@@ -150,7 +143,7 @@ def sheet_metal() -> Meshes:
     ]
     side_panels = [
         block(0.30, 0.006, 0.085, 0.002).moved(x=x, y=y, z=0.075)
-        for x in (-0.28, 0.02)
+        for x in (-0.28, 0.03)
         for y in (-width / 2, width / 2)
     ]
     screws = [

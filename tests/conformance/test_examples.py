@@ -1,0 +1,170 @@
+"""The examples: without a word from the compiler, and put together like machines."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.examples import FLEETS, FOLDER, ROBOTS, example_robot
+from thorvaldc.diagnostics import Report
+from thorvaldc.pipeline import compile_file, emit
+
+PAPER = {
+    "4wd4ws_wide": (4, 4),
+    "4wd2ws_tall": (4, 2),
+    "6wd6ws": (6, 6),
+    "1wd1ws_rear": (1, 1),
+    "2wd0ws_greenhouse": (2, 0),
+    "4wd4ws_slim": (4, 4),
+    "1wd1ws_front": (1, 1),
+    "9wd9ws": (9, 9),
+    "6wd6ws_asymmetric": (6, 6),
+}
+VISUAL = 2  # the group of what is seen
+
+
+@pytest.mark.parametrize("name", [*ROBOTS, *FLEETS])
+def test_builds_without_a_word(name: str) -> None:
+    file = next(
+        FOLDER / name / f for f in ("robot.yaml", "fleet.yaml") if (FOLDER / name / f).is_file()
+    )
+    done = compile_file(file)
+    assert done.model is not None
+    emit(done.model, ("urdf", "mjcf", "ros2", "can"), done.report)
+    assert not list(done.report), [d.message for d in done.report]
+
+
+@pytest.mark.parametrize("name", [*ROBOTS, *FLEETS])
+def test_is_shown_and_explained(name: str) -> None:
+    folder = FOLDER / name
+    picture = (folder / "picture.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert struct.unpack(">II", picture[16:24]) == (1000, 700)
+    assert len(picture) < 250_000
+    text = (folder / "README.md").read_text()
+    assert "picture.png" in text
+    assert "thorvaldc build" in text
+
+
+def test_the_papers_robots_are_there() -> None:
+    assert set(PAPER) <= set(ROBOTS)
+    for name, (driven, steered) in PAPER.items():
+        wheels = example_robot(name).wheels
+        assert (sum(w.driven for w in wheels), sum(w.steered for w in wheels)) == (driven, steered)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_wheel_stands_and_carries(name: str) -> None:
+    robot = example_robot(name)
+    assert all(abs(w.contact_height) < 1e-9 for w in robot.wheels)
+    assert min(w.load for w in robot.wheels) > 50.0
+    assert sum(w.load for w in robot.wheels) == pytest.approx(robot.inertial.mass * 9.81, rel=1e-3)
+
+
+class Scene:
+    """A robot's MJCF in its home pose, asked about distances of what is seen (convex hulls)."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        for path, data in emit(example_robot(name), ["mjcf"], Report()).items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        self.model = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        mujoco.mj_kinematics(self.model, self.data)
+        self.home = self.data.qpos.copy()
+        self.seen = [g for g in range(self.model.ngeom) if self.model.geom_group[g] == VISUAL]
+
+    def near(self, geom: int, others: Any, distance: float) -> list[int]:
+        """Those of ``others`` that are within ``distance`` of ``geom``."""
+        m, d = self.model, self.data
+        others = np.asarray(others)
+        apart = np.linalg.norm(d.geom_xpos[others] - d.geom_xpos[geom], axis=1)
+        close = others[apart < m.geom_rbound[others] + m.geom_rbound[geom] + distance]
+        return [
+            int(o)
+            for o in close
+            if mujoco.mj_geomDistance(m, d, geom, int(o), 0.05, None) < distance
+        ]
+
+    def body(self, geom: int) -> int:
+        return int(self.model.geom_bodyid[geom])
+
+    def name(self, geom: int) -> str:
+        return str(self.model.body(self.body(geom)).name)
+
+    def is_below(self, geom: int, body: int) -> bool:
+        """Whether the geom moves with the body."""
+        at = self.body(geom)
+        while at and at != body:
+            at = int(self.model.body_parentid[at])
+        return at == body
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_nothing_floats(name: str, tmp_path: Path) -> None:
+    scene = Scene(name, tmp_path)
+    reached, waiting = {scene.seen[0]}, [scene.seen[0]]
+    while waiting:
+        for found in scene.near(waiting.pop(), scene.seen, 0.002):
+            if found not in reached:
+                reached.add(found)
+                waiting.append(found)
+    assert sorted({scene.name(g) for g in scene.seen if g not in reached}) == []
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
+    """Over the whole steering range nothing below the axis meets anything beside it."""
+    scene = Scene(name, tmp_path)
+    m = scene.model
+    for wheel in example_robot(name).wheels:
+        turning = wheel.steering_joint or wheel.swivel_joint
+        if turning is None:
+            continue
+        joint = m.joint(turning)
+        body = int(joint.bodyid[0])
+        moving = [g for g in scene.seen if scene.is_below(g, body)]
+        holder = int(m.body_parentid[body])
+        fixed = [g for g in scene.seen if not scene.is_below(g, body) and scene.body(g) != holder]
+        limits = joint.range if joint.limited[0] else (-np.pi, np.pi)
+        for angle in np.linspace(*limits, 25):
+            scene.data.qpos[:] = scene.home
+            scene.data.qpos[joint.qposadr[0]] = angle
+            mujoco.mj_kinematics(m, scene.data)
+            met = [
+                (scene.name(g), scene.name(o)) for g in moving for o in scene.near(g, fixed, -1e-3)
+            ]
+            assert met == [], f"at {np.degrees(angle):.0f} deg"
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_tyres_run_clear(name: str, tmp_path: Path) -> None:
+    """A tyre meets neither its leg or fork nor anything else of the robot."""
+    scene = Scene(name, tmp_path)
+    m, d = scene.model, scene.data
+    for wheel in example_robot(name).wheels:
+        body = m.body(wheel.link).id
+        tyre = [g for g in scene.seen if scene.body(g) == body and "tyre" in _mesh(m, g)]
+        assert tyre
+        held = {body, int(m.body_parentid[body])} if wheel.driven else {body}
+        # The hull of a tyre has no hole: leave out what lies on the axle.
+        axle, across = d.xpos[body], d.xmat[body].reshape(3, 3)[:, 1]
+        others = [
+            g
+            for g in scene.seen
+            if scene.body(g) not in held
+            and np.linalg.norm(np.cross(d.geom_xpos[g] - axle, across)) > 1e-3
+        ]
+        met = {scene.name(o) for g in tyre for o in scene.near(g, others, -1e-3)}
+        assert met == set()
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> str:
+    mesh = int(model.geom_dataid[geom])
+    return str(model.mesh(mesh).name) if mesh >= 0 else ""

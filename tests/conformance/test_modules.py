@@ -1,0 +1,198 @@
+"""The library's module folders: sources, meshes, sizes, and each type in a small robot."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+import yaml
+
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import check_library, compile_file
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+MODULES = ROOT / "modules"
+NAMES = sorted(p.parent.relative_to(MODULES).as_posix() for p in MODULES.glob("*/*/module.yaml"))
+MESHES = sorted(p.relative_to(ROOT).as_posix() for p in ROOT.glob("*/**/meshes/*.stl"))
+MESHES = [m for m in MESHES if m.split("/")[0] in ("modules", "examples")]
+ORIGINS = ("datasheet:", "measured:", "published:", "estimated:", "chosen:", "derived:")
+MAX_BYTES = 300_000
+
+
+def document(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load((MODULES / name / "module.yaml").read_text())
+    return found
+
+
+def parts_of(name: str) -> Iterator[dict[str, Any]]:
+    for link in document(name).get("links", {}).values():
+        yield from link.get("parts", [])
+
+
+def compiled(folder: Path, modules: dict[str, Any]) -> Robot:
+    """A robot of these modules; fails on any diagnostic, warnings too."""
+    file = folder / "robot.yaml"
+    file.write_text(yaml.safe_dump({"thorvaldc": 1, "name": "small", "modules": modules}))
+    done = compile_file(file)
+    assert not list(done.report), [d.message for d in done.report]
+    assert isinstance(done.model, Robot)
+    return done.model
+
+
+PLACES = {"fl": (0.55, 0.45), "fr": (0.55, -0.45), "rl": (-0.55, 0.45), "rr": (-0.55, -0.45)}
+
+
+def on_four(wheel: dict[str, Any], root: str = "frame/tube_rectangular") -> dict[str, Any]:
+    """Four of the same on a frame, each with its own position."""
+    modules: dict[str, Any] = {"base": {"type": root}}
+    for name, (x, y) in PLACES.items():
+        modules[name] = {**wheel, "mount": {"parent": "base", "xyz": [x, y, 0]}}
+    return modules
+
+
+STEERED = {"type": "assembly/steered_drive"}
+NEEDED = {"frame/tube": {"length": "1 m"}, "frame/beam": {"length": "1 m"}}
+
+
+def small_robot(name: str) -> dict[str, Any]:
+    """The smallest sensible robot with that type in it, as the module ``it`` or ``fl``."""
+    found = document(name)
+    if "mount" not in found and "modules" not in found:
+        return on_four(STEERED, name)
+    if name.startswith("wheel/") and "drive_flange" in found["mount"]["kinds"]:
+        return on_four({"type": "assembly/steered_drive", "params": {"wheel": name}})
+    if "wheel" in found or "modules" in found:
+        return on_two({"type": name})
+    modules = on_four(STEERED)
+    mount = {"parent": "base", "xyz": [0, 0, 0.1]}
+    modules["it"] = {"type": name, "mount": mount, "params": NEEDED.get(name, {})}
+    if name == "controller/propulsion_steering":
+        modules["fl"]["params"] = {"controller": "none"}
+        modules["it"]["channels"] = {"propulsion": "fl.propulsion", "steering": "fl.steering"}
+    return modules
+
+
+def on_two(wheel: dict[str, Any]) -> dict[str, Any]:
+    """Two of the same in front; behind, what makes a robot of them that can turn."""
+    fixed = wheel["type"] == "assembly/fixed_drive"
+    modules = on_four({"type": "caster/swivel"} if fixed else STEERED)
+    for name in ("fl", "fr"):
+        modules[name] = {**modules[name], **wheel}
+        if wheel["type"] == "wheel/passive":  # on a stub of its own, at the height of its axle
+            modules[name]["mount"] = {"parent": "base", "xyz": [*PLACES[name], -0.5]}
+    if fixed:
+        channels = {"left": "fl.propulsion", "right": "fr.propulsion"}
+        modules["both"] = {"type": "controller/propulsion_propulsion", "channels": channels}
+    return modules
+
+
+# Tried with the assemblies that they are parts of.
+PARTS = (
+    "drive/standard",
+    "steering/standard",
+    "suspension/standard",
+    "controller/propulsion_propulsion",
+)
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in PARTS])
+def test_in_a_small_robot(name: str, tmp_path: Path) -> None:
+    robot = compiled(tmp_path, small_robot(name))
+    own = [link for link in robot.links if link.module.split(".")[0] in ("it", "fl", "base")]
+    assert own
+    assert all(wheel.load > 20.0 for wheel in robot.wheels)
+    assert all(abs(wheel.contact_height) < 1e-9 for wheel in robot.wheels)
+
+
+def test_the_library_checks_clean() -> None:
+    done = check_library(None)
+    assert done.names == NAMES
+    assert not list(done.report), [d.message for d in done.report]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_folder_is_light(name: str) -> None:
+    size = sum(p.stat().st_size for p in (MODULES / name).rglob("*") if p.is_file())
+    assert size < MAX_BYTES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_say_where_they_come_from(name: str) -> None:
+    found = document(name)
+    stated = [p for p in found.get("params", {}).values() if "default" in p]
+    stated += [part for part in parts_of(name) if "mass" in part]
+    stated += list(found.get("motors", {}).values()) if "links" in found else []
+    stated += [found["wheel"]] if "wheel" in found else []
+    for item in stated:
+        assert item.get("source", "").startswith(ORIGINS), item
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_meshes_are_used_and_exist(name: str) -> None:
+    used = {
+        part["shape"]["mesh"]["file"] for part in parts_of(name) if "mesh" in part.get("shape", {})
+    }
+    there = {f"meshes/{p.name}" for p in (MODULES / name / "meshes").glob("*")}
+    assert used == there
+
+
+@pytest.mark.parametrize("path", MESHES)
+def test_a_mesh_is_closed(path: str) -> None:
+    mesh = trimesh.load(io.BytesIO((ROOT / path).read_bytes()), file_type="stl", force="mesh")
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+    assert float(abs(mesh.bounds).max()) < 1.5  # unit shapes and single parts, in metres
+    assert len(mesh.faces) < 3000
+
+
+def test_meshes_are_what_the_generator_makes() -> None:
+    command = [sys.executable, str(ROOT / "tools" / "make_meshes.py"), "--check"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_the_palette_is_used_and_whole() -> None:
+    palette = yaml.safe_load((MODULES / "palette.yaml").read_text())
+    used = {part["color"] for name in NAMES for part in parts_of(name) if "color" in part}
+    assert {c for c in used if not c.startswith("#")} == set(palette)
+
+
+@pytest.mark.parametrize("radius", [0.12, 0.2, 0.21])
+@pytest.mark.parametrize("drive", ["steered_drive", "suspended_steered_drive"])
+def test_legs_fit_the_wheels(drive: str, radius: float, tmp_path: Path) -> None:
+    """The frame is at 0.65 m and the contact below the mount, whatever the wheel."""
+    wheel = {"type": "wheel/agri_200", "params": {"radius": radius}}
+    robot = compiled(tmp_path, on_four({"type": f"assembly/{drive}", "params": {"wheel": wheel}}))
+    assert robot.joint("base_mount").pose.xyz[2] == pytest.approx(0.65, abs=1e-9)
+    for name, (x, y) in PLACES.items():
+        (found,) = (w for w in robot.wheels if w.module.split(".")[0] == name)
+        assert (found.x, found.y, found.trail, found.lateral_offset) == pytest.approx((x, y, 0, 0))
+
+
+def test_a_leg_on_the_other_side_is_its_mirror_image(tmp_path: Path) -> None:
+    modules = on_four(STEERED)
+    modules["fl"]["params"] = {"leg_side": "right"}
+    modules["fr"]["params"] = {"leg_side": "left"}
+    robot = compiled(tmp_path, modules)
+    for part in ("steering_housing", "drive_leg", "drive_hub"):
+        left, right = robot.link(f"fl_{part}").inertial, robot.link(f"fr_{part}").inertial
+        assert left is not None
+        assert right is not None
+        x, y, z = left.com
+        assert right.com == pytest.approx((x, -y, z), abs=1e-12)
+        ixx, iyy, izz, ixy, ixz, iyz = left.inertia
+        assert right.inertia == pytest.approx((ixx, iyy, izz, -ixy, ixz, -iyz), abs=1e-12)
+
+
+def test_the_leg_weighs_what_is_known_of_it(tmp_path: Path) -> None:
+    """Drive and steering module together: 18.04 kg."""
+    robot = compiled(tmp_path, on_four(STEERED))
+    leg = [link for link in robot.links if link.module.startswith(("fl.drive", "fl.steering"))]
+    assert sum(link.inertial.mass for link in leg if link.inertial) == pytest.approx(18.04)
