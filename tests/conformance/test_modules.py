@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -35,10 +37,10 @@ def parts_of(name: str) -> Iterator[dict[str, Any]]:
         yield from link.get("parts", [])
 
 
-def compiled(folder: Path, modules: dict[str, Any]) -> Robot:
+def compiled(folder: Path, modules: dict[str, Any], **more: Any) -> Robot:
     """A robot of these modules; fails on any diagnostic, warnings too."""
     file = folder / "robot.yaml"
-    file.write_text(yaml.safe_dump({"thorvaldc": 1, "name": "small", "modules": modules}))
+    file.write_text(yaml.safe_dump({"thorvaldc": 1, "name": "small", "modules": modules, **more}))
     done = compile_file(file)
     assert not list(done.report), [d.message for d in done.report]
     assert isinstance(done.model, Robot)
@@ -196,3 +198,19 @@ def test_the_leg_weighs_what_is_known_of_it(tmp_path: Path) -> None:
     robot = compiled(tmp_path, on_four(STEERED))
     leg = [link for link in robot.links if link.module.startswith(("fl.drive", "fl.steering"))]
     assert sum(link.inertial.mass for link in leg if link.inertial) == pytest.approx(18.04)
+
+
+def test_the_readmes_module_works(tmp_path: Path) -> None:
+    """A wheel of one's own, without parameters: legs take its size from what it says of itself."""
+    text = (MODULES / "README.md").read_text()
+    found = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert found is not None
+    own = tmp_path / "my_modules" / "wheel" / "big_400"
+    shutil.copytree(MODULES / "wheel" / "agri_200" / "meshes", own / "meshes")
+    (own / "module.yaml").write_text(found[1])
+    assert not list(check_library(tmp_path / "my_modules").report)
+    modules = on_four({"type": "assembly/steered_drive", "params": {"wheel": "wheel/big_400"}})
+    modules["base"]["params"] = {"length": "1.6 m", "width": "1.4 m"}
+    robot = compiled(tmp_path, modules, library=["my_modules"])
+    assert {w.radius for w in robot.wheels} == {0.4}
+    assert robot.joint("base_mount").pose.xyz[2] == pytest.approx(2 * 0.4 + 0.22)

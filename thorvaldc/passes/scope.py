@@ -20,6 +20,7 @@ from thorvaldc.source.node import Node
 from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 
 NONE = "none"
+WHEEL_SIZES = ("radius", "width")
 
 
 class _Cycle(Exception):
@@ -43,7 +44,8 @@ class ModuleChoice(Mapping[str, Any]):
     """The value of a `module` parameter: a type with parameters of its own.
 
     As a mapping it gives the values of the chosen module's parameters, which is
-    what `${wheel.radius}` reads.
+    what `${wheel.radius}` reads; for a wheel without such a parameter, the radius
+    and width that it states as a wheel.
     """
 
     def __init__(self, module: ModuleType, params: dict[str, Node], written_in: Scope) -> None:
@@ -65,6 +67,11 @@ class ModuleChoice(Mapping[str, Any]):
         return self._scope
 
     def __getitem__(self, name: str) -> Any:
+        if name in WHEEL_SIZES and name not in self.scope:
+            wheel = self.module.document.get("wheel")
+            stated = wheel.get(name) if wheel is not None else None
+            if stated is not None:
+                return self.scope.quantity(stated, "length")
         return self.scope[name]
 
     def __iter__(self) -> Iterator[str]:
