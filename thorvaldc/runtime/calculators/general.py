@@ -102,34 +102,38 @@ class General(BaseCalculator):
 
         scale = self._saturation(target)
         target = target.scaled(scale) if scale < 1.0 else target
-        now = self._coordinated(target, states) if states else target
+        # Direction of rolling of each steered wheel, where it is or else where it is asked to be.
+        cosines, sines = [0.0] * len(wheels), [0.0] * len(wheels)
+        for steering in self._steering:
+            wheel = steering.wheel
+            angle = states.angles[steering.wheels[0]] if states else steering.angle
+            direction = wheel.heading + wheel.sign * angle
+            c, s = math.cos(direction), math.sin(direction)
+            for i in steering.wheels:
+                cosines[i], sines[i] = c, s
+        now = self._coordinated(target, states, cosines, sines) if states else target
         speeds = [0.0] * len(wheels)
         angles = [0.0] * len(wheels)
         excess = 1.0
-        wheel_twist = self._through_skid(now) if self._skid else now
-        vx, vy, wz = wheel_twist
+        vx, vy, wz = self._through_skid(now) if self._skid else now
         for i, row, _ in self._fixed_rows:
             wheel = wheels[i]
-            v = row[0] * vx + row[1] * vy + row[2] * wz
-            speeds[i] = v / wheel.radius
-            excess = max(excess, abs(speeds[i]) / wheel.max_speed)
+            speed = (row[0] * vx + row[1] * vy + row[2] * wz) / wheel.radius
+            speeds[i] = speed
+            excess = max(excess, abs(speed) / wheel.max_speed)
         for steering in self._steering:
             for i in steering.wheels:
                 wheel = wheels[i]
                 angles[i] = steering.angle
                 if not wheel.driven or steering.unreachable:
                     continue
-                if steering.held:
-                    # At the centre of rotation a contact beside the axis still rolls.
-                    v = -wz * wheel.lateral
-                else:
-                    angle = states.angles[i] if states else steering.angle
-                    direction = wheel.heading + wheel.sign * angle
-                    c, s = math.cos(direction), math.sin(direction)
-                    v = c * (vx - wz * wheel.y) + s * (vy + wz * wheel.x) - wz * wheel.lateral
-                v -= wheel.lateral * wheel.sign * steering.rate
-                speeds[i] = v / wheel.radius
-                excess = max(excess, abs(speeds[i]) / wheel.max_speed)
+                # At the centre of rotation a contact beside the axis still rolls.
+                v = -wheel.lateral * (wz + wheel.sign * steering.rate) if wheel.lateral else 0.0
+                if not steering.held:
+                    v += cosines[i] * (vx - wz * wheel.y) + sines[i] * (vy + wz * wheel.x)
+                speed = v / wheel.radius
+                speeds[i] = speed
+                excess = max(excess, abs(speed) / wheel.max_speed)
         if excess > 1.0:
             speeds = [v / excess for v in speeds]
             now = now.scaled(1.0 / excess)
@@ -177,18 +181,16 @@ class General(BaseCalculator):
                 continue
             for i in steering.wheels:
                 wheel = wheels[i]
-                if not wheel.driven:
-                    continue
-                ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
-                slip = wz * wheel.trail
-                v = math.sqrt(max(ux * ux + uy * uy - slip * slip, 0.0))
-                v = abs(steering.direction * v - wz * wheel.lateral)
-                top = wheel.max_speed * wheel.radius
-                if v > top:
-                    scale = min(scale, top / v)
+                if wheel.driven:
+                    v = abs(steering.rolling - wz * wheel.lateral)
+                    top = wheel.max_speed * wheel.radius
+                    if v > top:
+                        scale = min(scale, top / v)
         return scale
 
-    def _coordinated(self, target: Twist, states: JointStates) -> Twist:
+    def _coordinated(
+        self, target: Twist, states: JointStates, cosines: list[float], sines: list[float]
+    ) -> Twist:
         """The twist that scrubs least with the wheels at the angles they have now.
 
         argmin of the squared side slips plus a little of the squared distance
@@ -196,7 +198,11 @@ class General(BaseCalculator):
         """
         vx, vy, wz = target
         wheels = self.geometry.wheels
-        aligned = True
+        if all(
+            not s.unreachable and (s.held or abs(states.angles[s.wheels[0]] - s.target) <= _ALIGNED)
+            for s in self._steering
+        ):
+            return target
         k = self._length2
         a11 = a22 = _FOLLOW
         a33 = _FOLLOW * k
@@ -208,11 +214,7 @@ class General(BaseCalculator):
                 continue
             for i in steering.wheels:
                 wheel = wheels[i]
-                angle = states.angles[i]
-                if steering.unreachable or abs(angle - steering.target) > _ALIGNED:
-                    aligned = False
-                direction = wheel.heading + wheel.sign * angle
-                c, s = math.cos(direction), math.sin(direction)
+                c, s = cosines[i], sines[i]
                 t3 = c * wheel.x + s * wheel.y + wheel.trail
                 slip = c * vy - s * vx + t3 * wz
                 if wheel.trail:
@@ -226,8 +228,6 @@ class General(BaseCalculator):
                 b1 += s * slip
                 b2 -= c * slip
                 b3 -= t3 * slip
-        if aligned:
-            return target
         for t1, t2, t3 in self._fixed.rows:
             a11 += t1 * t1
             a12 += t1 * t2

@@ -21,7 +21,8 @@ class Steering:
     """The steering joint of one wheel (or of wheels that share it).
 
     Remembers the angle last chosen and commanded, the branch (``direction``:
-    1.0 forward, -1.0 rolling backwards) and whether it holds.  All angles are
+    1.0 forward, -1.0 rolling backwards) and whether it holds; ``rolling`` (m/s) is
+    the speed along the wheel that the axis has at the target angle.  All angles are
     joint positions in rad, linear and never wrapped: a cable limits the joint.
     """
 
@@ -37,6 +38,7 @@ class Steering:
         "direction",
         "held",
         "rate",
+        "rolling",
         "target",
         "unreachable",
         "wheel",
@@ -62,6 +64,7 @@ class Steering:
         self.target = self.angle
         self.rate = 0.0
         self.direction = 1.0
+        self.rolling = 0.0
         self.held = True
         self.unreachable = False
 
@@ -104,36 +107,43 @@ class Steering:
         first = max(lower - LIMIT_TOLERANCE, angle - TWO_PI)
         last = min(upper + LIMIT_TOLERANCE, angle + TWO_PI)
         rate = self._max_rate if self._max_rate < math.inf else 1.0
-        best: tuple[float, float, float, float] | None = None
-        best_cost = math.inf
+        # Between these a quarter turn is free on both sides.
+        easy_low, easy_high = lower + PI / 2.0, upper - PI / 2.0
+        best_cost, best_angle, best_direction = math.inf, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
             back = -direction * speed
             reversal = 2.0 * back / self.acceleration if back > 0.0 else 0.0
             stay = 0.0 if direction == self.direction else self._hysteresis
             c = base + TWO_PI * math.ceil((first - base) / TWO_PI)
             while c <= last:
-                at = min(max(c, lower), upper)
+                at = lower if c < lower else min(c, upper)
                 c += TWO_PI
-                cost = (
-                    max(abs(at - angle) / rate, reversal) + self.expected_travel(at) / rate + stay
-                )
-                rank = (
-                    0.0 if direction == self.direction else 1.0,
-                    abs(at),
-                    -direction,
-                    -at,
-                )
-                if cost < best_cost - _TIE or (
-                    cost <= best_cost + _TIE and (best is None or rank < best)
+                cost = abs(at - angle) / rate
+                if cost < reversal:
+                    cost = reversal
+                next_travel = PI / 4.0 if easy_low <= at <= easy_high else self.expected_travel(at)
+                cost += next_travel / rate + stay
+                if cost > best_cost + _TIE:
+                    continue
+                if cost >= best_cost - _TIE and not self._preferred(
+                    at, direction, best_angle, best_direction
                 ):
-                    best, best_cost = rank, cost
-        if best is None:
+                    continue
+                best_cost, best_angle, best_direction = cost, at, direction
+        if best_direction == 0.0:
             self.held = True
             self.unreachable = True
             return
         self.held = False
-        self.target = -best[3]
-        self.direction = -best[2]
+        self.target = best_angle
+        self.direction = best_direction
+        self.rolling = best_direction * (v * math.cos(lead) if bend else v)
+
+    def _preferred(self, angle: float, direction: float, other: float, its: float) -> bool:
+        """Of two angles of equal cost: the branch it is on, the smaller, forward, positive."""
+        one = (direction != self.direction, abs(angle), -direction, -angle)
+        two = (its != self.direction, abs(other), -its, -other)
+        return one < two
 
     def time_to_target(self) -> float:
         """Time (s) to the target at full rate."""

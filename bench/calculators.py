@@ -1,0 +1,101 @@
+"""Time of the base calculators and of a driver's tick, and how far simulation is from real time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+
+from bench.figure import EXAMPLE, Figure
+
+
+def _robot(wheels: int) -> list[tuple[float, float]]:
+    """Places of steered wheels, in pairs along a frame."""
+    pairs = (wheels + 1) // 2
+    places = [(0.55 * (2 * i / (pairs - 1) - 1), y) for i in range(pairs) for y in (0.45, -0.45)]
+    return places[:wheels]
+
+
+def _fastest(work: Callable[[], object], calls: int, rounds: int = 100) -> float:
+    """Time (s) of a call, undisturbed: the least over rounds of their mean."""
+    times = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        for _ in range(calls):
+            work()
+        times.append((time.perf_counter() - start) / calls)
+    return min(times)
+
+
+def figures() -> Iterator[Figure]:
+    from thorvaldc.runtime.base import JointStates
+    from thorvaldc.runtime.calculators import BaseGeometry, WheelGeometry
+    from thorvaldc.runtime.calculators.general import General
+    from thorvaldc.runtime.se2 import Twist
+
+    for n in (4, 6, 9):
+        wheels = [
+            WheelGeometry(
+                f"w{i}", x, y, 0.0, 1.0, 0.0, 0.0, 0.2,
+                driven=True, steered=True, swivel=False, encoder=True,
+                max_speed=7.48, max_acceleration=7.5, lower=-3.078, upper=3.078,
+                max_rate=4.0, max_rate_change=20.0,
+            )
+            for i, (x, y) in enumerate(_robot(n))
+        ]  # fmt: skip
+        calculator = General(BaseGeometry.from_wheels(wheels))
+        twists = [
+            Twist(0.8, 0.1 * math.sin(k), 0.3 * math.cos(k)) for k in (0.1 * j for j in range(63))
+        ]
+        zeros = [0.0] * n
+        joints = calculator.command(twists[0]).joints
+        states = JointStates(0.0, joints.speeds, joints.angles, zeros)
+        turn = iter(range(10**9))
+
+        def inverse(
+            calculator: General = calculator,
+            states: JointStates = states,
+            turn: Iterator[int] = turn,
+            twists: list[Twist] = twists,
+        ) -> object:
+            return calculator.command(twists[next(turn) % 63], states, 0.02)
+
+        def odometry(calculator: General = calculator, states: JointStates = states) -> object:
+            return calculator.odometry(states)
+
+        yield Figure(
+            f"calculator command, N={n}",
+            _fastest(inverse, 63) * 1e6,
+            "us",
+            None,
+            "lower",
+            "general: choice of angles, rates, coordination and saturation, wheels on the move",
+        )
+        yield Figure(
+            f"calculator odometry, N={n}",
+            _fastest(odometry, 63) * 1e6,
+            "us",
+            None,
+            "lower",
+            "general: weighted least squares with covariance and rank",
+        )
+    yield from _simulation()
+
+
+def _simulation() -> Iterator[Figure]:
+    from thorvaldc.pipeline import compile_file, emit
+    from thorvaldc.runtime.simulation import Simulation
+
+    done = compile_file(EXAMPLE)
+    if done.model is None:
+        raise RuntimeError("the example has faults")
+    simulation = Simulation(done.model, emit(done.model, ["mjcf"], done.report))
+    factors = sorted(simulation.demonstrate().real_time_factor for _ in range(5))
+    yield Figure(
+        "simulation of 4WD4WS",
+        factors[2],
+        "x real time",
+        10,
+        "higher",
+        "its default manoeuvre through the base driver at 50 Hz in MuJoCo, median of 5",
+    )
