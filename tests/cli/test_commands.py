@@ -343,7 +343,7 @@ def test_modules_of_the_user_are_found_by_the_option(thorvaldc: Command) -> None
     shutil.copytree(source, "lib/wheel/mine")
     assert "wheel/mine" in thorvaldc("modules", "list", "--library", "lib").out
     Path("robot.yaml").write_text(
-        GOOD.replace("modules:\n", "defaults: {assembly: {wheel: wheel/mine}}\nmodules:\n")
+        GOOD.replace("modules:\n", "defaults: {drive: {wheel: wheel/mine}}\nmodules:\n")
     )
     assert thorvaldc("check", "robot.yaml").status == 1
     assert thorvaldc("check", "robot.yaml", "--library", "lib").status == 0

@@ -1,0 +1,69 @@
+"""The pages are true: links lead somewhere, shown commands print what is shown."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*/README.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_the_readme_shows_what_the_commands_print(tmp_path: Path) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    document = re.search(r"```yaml\n(.*?)```", readme, re.S)
+    assert document is not None
+    (tmp_path / "first.yaml").write_text(document[1], encoding="utf-8")
+    session = re.search(r"```\n(\$ thorvaldc check first\.yaml\n.*?)```", readme, re.S)
+    assert session is not None
+    shown = re.split(r"^\$ thorvaldc (.*)\n", session[1], flags=re.M)[1:]
+    assert len(shown) == 6
+    for command, output in zip(shown[::2], shown[1::2], strict=True):
+        done = subprocess.run(
+            [sys.executable, "-m", "thorvaldc", *command.split()],
+            cwd=tmp_path,
+            env={"PYTHONPATH": ":".join(sys.path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        # How fast the simulation ran, and its last digits, are the machine's.
+        rounded = [
+            re.sub(r"\d+x|\.\d+ mm|\d m\b", "~", " ".join(t.split())) for t in (done.stdout, output)
+        ]
+        assert rounded[0] == rounded[1], command
+
+
+def test_the_readme_names_every_command() -> None:
+    from typer.main import get_command
+
+    from thorvaldc.cli.app import app
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        assert command.hidden or re.search(rf"`(thorvaldc )?{name}\b", readme), name
+
+
+def test_the_architecture_page_has_the_layers_that_are_checked() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    layers = settings["tool"]["importlinter"]["contracts"][0]["layers"]
+    checked = [sorted(re.findall(r"\w+", layer)) for layer in layers if "__main__" not in layer]
+    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`[^|]*`) \|", page, re.M)
+    shown = [sorted(re.findall(r"\w+", row)) for row in rows]
+    assert shown == checked
+    for name in [name for layer in checked for name in layer]:
+        assert (ROOT / "thorvaldc" / name).is_dir() or (ROOT / f"thorvaldc/{name}.py").is_file()
