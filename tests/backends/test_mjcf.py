@@ -11,7 +11,7 @@ import pytest
 
 from tests.backends.plans import ROBOTS, grafted, stl
 from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.model import Fleet, Mesh, MeshShape, Placement, Pose, Robot, Visual
+from thorvaldc.model import Fleet, Inertial, Mesh, MeshShape, Placement, Pose, Robot, Visual
 
 Written = Callable[[Robot], Path]
 WrittenFleet = Callable[[Fleet], Path]
@@ -110,6 +110,32 @@ def test_a_flat_mesh_can_be_shown(written: Written) -> None:
     assert mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml")).nmesh == 1
 
 
+def test_names_that_mujoco_keeps_are_evaded(written: Written) -> None:
+    robot = ROBOTS["square"]
+    links = [replace(link, name="world") if link.name == "w3_leg" else link for link in robot.links]
+    joints = []
+    for joint in robot.joints:
+        child = "world" if joint.child == "w3_leg" else joint.child
+        parent = "world" if joint.parent == "w3_leg" else joint.parent
+        name = "floating_base" if joint.name == "w2_axle" else joint.name
+        joints.append(replace(joint, name=name, parent=parent, child=child))
+    wheels = [replace(w, spin_joint="floating_base") if w.name == "w2" else w for w in robot.wheels]
+    actuators = [
+        replace(a, joint="floating_base") if a.joint == "w2_axle" else a for a in robot.actuators
+    ]
+    changed = replace(
+        robot,
+        links=tuple(links),
+        joints=tuple(joints),
+        wheels=tuple(wheels),
+        actuators=tuple(actuators),
+    )
+    m = mujoco.MjModel.from_xml_path(str(written(changed) / "mjcf" / "scene.xml"))
+    assert m.body("world_link").parentid[0] == m.body("frame_body").id
+    assert m.joint("floating_base_").type[0] == mujoco.mjtJoint.mjJNT_FREE
+    assert [d.code.name for d in Mjcf().unsupported(changed)] == ["mjcf-name-reserved"]
+
+
 def test_wheels_hold_on_a_slope(written: Written) -> None:
     # 10 degrees along x, servos at zero speed: the robot may creep by its softness only.
     m = mujoco.MjModel.from_xml_path(str(written(ROBOTS["square"]) / "mjcf" / "scene.xml"))
@@ -142,3 +168,17 @@ def test_long_drives_do_not_saturate(written: Written) -> None:
 
 def test_emission_repeats_itself() -> None:
     assert Mjcf().emit(grafted(3)) == Mjcf().emit(grafted(3))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_inertias_of_flat_plates_are_accepted(seed: int, written: Written) -> None:
+    # The largest moment of a plate is the sum of the others; MuJoCo allows no hair above.
+    rng = np.random.default_rng(seed)
+    a, b = (float(v) for v in rng.uniform(0.01, 1.0, 2))
+    turn = Pose.from_xyz_rpy(rpy=tuple(float(v) for v in rng.uniform(-3, 3, 3)))  # type: ignore[arg-type]
+    plate = Inertial(5.0, (0.0, 0.0, 0.0), (a, b, a + b, 0.0, 0.0, 0.0)).transformed(turn).clean()
+    robot = ROBOTS["square"]
+    links = [replace(x, inertial=plate) if x.name == "w0_leg" else x for x in robot.links]
+    folder = written(replace(robot, links=tuple(links)))
+    m = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
+    assert sum(m.body("w0_leg").inertia) == pytest.approx(2 * (a + b), rel=1e-8)

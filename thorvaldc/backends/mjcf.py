@@ -10,6 +10,7 @@ stands on slopes as it should at steps of 1 to 5 ms: elliptic cones, a first
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TypeGuard
 
 from thorvaldc.backends import Backend
@@ -18,7 +19,8 @@ from thorvaldc.backends.contact import SOLIMP, SOLREF, WheelContact
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
 from thorvaldc.backends.stance import Rest, rest, spin_axis
 from thorvaldc.backends.tree import Tree
-from thorvaldc.backends.xml_writer import Element, to_bytes
+from thorvaldc.backends.xml_writer import Element, parse, to_bytes
+from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import (
     Actuator,
     Box,
@@ -50,6 +52,8 @@ DRIVE_FREQUENCY = 20.0  # rad/s, of the propulsion servo, critically damped
 DRIVE_DAMPING = 1.0
 STEERING_STIFFNESS = 4000.0  # N m/rad
 
+WORLD = "world"  # the body that MuJoCo itself has
+
 # Robots must meet the world and each other but not themselves (their parts
 # overlap where they are joined).  Robot i has contype i and the complement of i
 # as conaffinity: i & ~i is 0, but of two different numbers one always has a bit
@@ -61,6 +65,26 @@ _ALL_BITS = 0x7FFFFFFF
 class Mjcf(Backend):
     name = "mjcf"
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
+
+    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
+        if robot.urdf_extensions:
+            tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
+            yield Diagnostic(
+                CODES["urdf-only-element"],
+                f"MJCF has no place for what the extras hold besides links and joints: "
+                f"{len(tags)} x {', '.join(dict.fromkeys(tags))}",
+                robot.origin,
+                "it is in the URDF",
+            )
+        for link in robot.links:
+            if link.name == WORLD and not robot.namespace:
+                yield Diagnostic(
+                    CODES["mjcf-name-reserved"],
+                    f"MuJoCo keeps the name `{WORLD}` for the ground; in MJCF the link is "
+                    f"`{_body_names(robot)[WORLD]}`",
+                    link.origin,
+                    "rename it in the extra, or give the robot a `namespace`",
+                )
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         tree = Tree(robot)
@@ -96,6 +120,23 @@ class Mjcf(Backend):
 
 def _prefix(robot: Robot) -> str:
     return f"{robot.namespace}/" if robot.namespace else ""
+
+
+def _free(name: str, taken: Iterable[str]) -> str:
+    """The name, with as many underscores behind it as make it differ from ``taken``."""
+    names = set(taken)
+    while name in names:
+        name += "_"
+    return name
+
+
+def _body_names(robot: Robot) -> dict[str, str]:
+    """Names of the bodies by those of the links: with the name space, and never ``world``."""
+    prefix = _prefix(robot)
+    names = {link.name: prefix + link.name for link in robot.links}
+    if names.get(WORLD) == WORLD:
+        names[WORLD] = _free(f"{WORLD}_link", names)
+    return names
 
 
 class _Writer:
@@ -196,16 +237,18 @@ class _RobotWriter:
     def write(self, pose: Pose | None) -> None:
         robot, prefix = self.robot, self.prefix
         bodies: dict[str, Element] = {}
+        names = _body_names(robot)
         for index in self.tree.order:
             link = robot.links[index]
             joint = self.tree.above[index]
             if joint is None:
-                body = self.writer.worldbody.add("body", name=prefix + link.name)
+                body = self.writer.worldbody.add("body", name=names[link.name])
                 if pose is not None:
                     _place(body, pose)
-                body.add("freejoint", name=f"{prefix}floating_base")
+                base = _free("floating_base", self.tree.joint)
+                body.add("freejoint", name=prefix + base)
             else:
-                body = bodies[joint.parent].add("body", name=prefix + link.name)
+                body = bodies[joint.parent].add("body", name=names[link.name])
                 _place(body, joint.pose)
                 if joint.type != "fixed":
                     self._add_joint(body, joint)

@@ -263,6 +263,8 @@ _TABLE: tuple[Code, ...] = (
     Code("TV545", "robot-without-controller", "note", "no motor of the robot has a controller"),
     Code("TV546", "controller-without-motor", "warning", "a controller drives no motor"),
     # -- 6xx: backends -------------------------------------------------------
+    Code("TV601", "urdf-only-element", "note", "an element of an extra goes to URDF only"),
+    Code("TV602", "mjcf-name-reserved", "warning", "MuJoCo keeps the name of a link for itself"),
     Code("TV620", "dbc-text", "warning", "a text has characters that a DBC file cannot hold"),
     # -- 7xx: library and extras ---------------------------------------------
     Code("TV701", "library-missing", "error", "a library folder is not there"),

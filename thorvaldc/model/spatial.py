@@ -210,11 +210,22 @@ class Inertial:
         )
 
     def clean(self) -> Inertial:
+        """Rounded like ``clean``, and still the inertia of a possible body.
+
+        Of a flat plate the largest principal moment is the sum of the other two, and
+        rounding may leave it a hair above that, which simulators refuse: the
+        moments are then lifted together, by 1e-6 of the largest at most.
+        """
+        low, middle, high = self.principal_moments()
+        excess = high - low - middle
+        lift = 0.0
+        if -1e-9 * high < excess <= 1e-6 * high + 1e-12:
+            lift = excess + 2e-9 * high
         xx, yy, zz, xy, xz, yz = self.inertia
         return Inertial(
             clean(self.mass),
             clean3(self.com),
-            (clean(xx), clean(yy), clean(zz), clean(xy), clean(xz), clean(yz)),
+            (clean(xx + lift), clean(yy + lift), clean(zz + lift), clean(xy), clean(xz), clean(yz)),
         )
 
     def principal_moments(self) -> Vec3:
