@@ -160,7 +160,8 @@ def _inset(points: Points, by: float) -> Points:
     before = np.roll(normal, 1, axis=0)
     mitre = normal + before
     length = np.einsum("ij,ij->i", mitre, mitre)[:, None] / 2.0
-    return points + by * mitre / length
+    inner: Points = points + by * mitre / length
+    return inner
 
 
 def rectangle(x: float, y: float, chamfer: float) -> list[tuple[float, float]]:
