@@ -79,13 +79,20 @@ def test_turning_is_that_of_the_wheels(name: str, twist: Twist) -> None:
     assert run.end_error < 0.01 * max(run.path_odometry, 2.0)
 
 
-def test_skid_steering_turns_as_asked() -> None:
-    robot = make_robot([(x, y, F) for x, y in SQUARE])
+@pytest.mark.parametrize(
+    ("middle", "bound"),
+    # Wheels that slip at different speeds pull alike; the fit takes them in proportion.
+    [((), 0.02), (((0.0, 0.45), (0.0, -0.45)), 0.08)],
+)
+def test_skid_steering_turns_as_asked(
+    middle: tuple[tuple[float, float], ...], bound: float
+) -> None:
+    robot = make_robot([(x, y, F) for x, y in (*SQUARE, *middle)])
     made = Simulation(robot, Mjcf().emit(robot))
     for twist in (Twist(0.0, 0.0, 0.4), Twist(0.5, 0.0, 0.3)):
         run = made.run(9.5, [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]).robots[0]
-        assert run.pose_true.yaw == pytest.approx(twist.wz * 8.0, rel=0.02)
-        assert run.pose_odometry.yaw == pytest.approx(run.pose_true.yaw, rel=0.01)
+        assert run.pose_true.yaw == pytest.approx(twist.wz * 8.0, rel=bound)
+        assert run.pose_odometry.yaw == pytest.approx(run.pose_true.yaw, rel=bound)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

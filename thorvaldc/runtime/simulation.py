@@ -198,9 +198,9 @@ def _only_swing(meter: Meter) -> bool:
 
     Who asks for a turn without saying where an axle lies asks for nothing impossible.
     """
-    asked = meter.infeasible_twist
-    left = meter.infeasible
-    return asked.vy == 0.0 and left.vx == 0.0 and left.wz == 0.0
+    asked, left = meter.infeasible_twist, meter.infeasible
+    across = asked.vx * left.vx + asked.vy * left.vy
+    return abs(across) < 1e-6 and abs(left.wz) < 1e-6
 
 
 # -- the demonstration ----------------------------------------------------------------

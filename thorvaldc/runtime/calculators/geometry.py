@@ -195,10 +195,13 @@ class FixedWheels:
             size = math.hypot(tx, ty)
             mean = (tx / size, ty / size, tw / size)
             self.rows.append(mean)
-            for i, row in axle:
-                aligned = math.hypot(row[0] - mean[0], row[1] - mean[1]) < 1e-6
-                if not aligned or abs(row[2] - mean[2]) > _SAME_LINE:
-                    skids.append(i)
+            # One that is out of line makes the whole axle scrub.
+            if any(
+                math.hypot(row[0] - mean[0], row[1] - mean[1]) > 1e-6
+                or abs(row[2] - mean[2]) > _SAME_LINE
+                for _, row in axle
+            ):
+                skids += [i for i, _ in axle]
         self.skids: tuple[int, ...] = tuple(skids)
         self._pole: tuple[float, float] | None = None
         self._turns = True
