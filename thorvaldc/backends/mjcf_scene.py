@@ -26,22 +26,27 @@ def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]
 
 def add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) -> None:
     middle, reach = _reach(robots, poses)
-    scene.add("statistic", center=middle, extent=reach)
+    # The free camera starts 1.5 extents from the centre; shadows reach one extent.
+    scene.add("statistic", center=middle, extent=clean(2.0 * reach))
     visual = scene.add("visual")
     visual.add(
-        "headlight", ambient=(0.3, 0.3, 0.3), diffuse=(0.5, 0.5, 0.5), specular=(0.1, 0.1, 0.1)
+        "headlight",
+        ambient=(0.35, 0.35, 0.36),
+        diffuse=(0.25, 0.25, 0.25),
+        specular=(0.1, 0.1, 0.1),
     )
-    # "global" is how MuJoCo calls it; the offscreen buffer is what renderings need.
     visual.add("global", azimuth=140, elevation=-20, offwidth=1920, offheight=1080)
-    visual.add("rgba", haze=(0.62, 0.72, 0.82, 1))
+    visual.add("quality", shadowsize=4096)
+    visual.add("map", shadowclip=1.5, shadowscale=0.9)
+    visual.add("rgba", haze=(0.9, 0.92, 0.94, 1))
     asset = scene.add("asset")
     asset.add(
         "texture",
         name="sky",
         type="skybox",
         builtin="gradient",
-        rgb1=(0.45, 0.6, 0.8),
-        rgb2=(0.9, 0.94, 0.97),
+        rgb1=(0.72, 0.82, 0.92),
+        rgb2=(0.9, 0.92, 0.94),
         width=256,
         height=1536,
     )
@@ -51,21 +56,24 @@ def add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) -> 
         type="2d",
         builtin="checker",
         mark="edge",
-        rgb1=(0.42, 0.44, 0.38),
-        rgb2=(0.38, 0.4, 0.34),
-        markrgb=(0.5, 0.52, 0.46),
+        rgb1=(0.78, 0.79, 0.75),
+        rgb2=(0.74, 0.75, 0.71),
+        markrgb=(0.66, 0.67, 0.63),
         width=512,
         height=512,
     )
     asset.add("material", name="ground", texture="ground", texuniform=True, texrepeat=(1, 1))
     world = scene.add("worldbody")
+    direction = (-0.35, 0.3, -1.0)
+    back = -2.5 * reach
     world.add(
         "light",
         name="sun",
         type="directional",
-        pos=(middle[0], middle[1], 10),
-        dir=(-0.3, 0.25, -1),
-        diffuse=(0.6, 0.6, 0.6),
+        pos=tuple(clean(m + back * d) for m, d in zip(middle, direction, strict=True)),
+        dir=direction,
+        diffuse=(0.6, 0.59, 0.56),
+        specular=(0.2, 0.2, 0.2),
     )
     # Level: the robots are settled on it.  A plane, not a box, which rolls best.
     world.add("geom", name="ground", type="plane", size=(0, 0, 1), material="ground")
