@@ -87,6 +87,8 @@ def fleet_manoeuvres(
     without the parts sideways and arc, then at shorter ways, takes the first in
     which no two come nearer than they can reach, or than they stood.
     """
+    if not robots:
+        return {}, STOP
     settings = min((robot.driver for _, robot, _ in robots), key=lambda s: s.max_linear_velocity)
     plans: dict[str, list[Segment]] = {}
     duration = STOP

@@ -15,6 +15,8 @@ from thorvaldc.runtime.se2 import Pose2, Twist
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
+_OUT_OF_BOUNDS = 1e4
+"""Speed (m/s, rad/s) that nothing on a robot has."""
 
 
 def _ignore(message: str) -> None:
@@ -85,7 +87,7 @@ class MujocoScene:
             counts[int(warning.mjWARN_BADQPOS)]
             or counts[int(warning.mjWARN_BADQVEL)]
             or counts[int(warning.mjWARN_BADQACC)]
-            or not math.isfinite(float(self.data.qpos.sum()))
+            or not float(abs(self.data.qvel).max(initial=0.0)) < _OUT_OF_BOUNDS
         )
 
     def index(self, kind: str, name: str, robot: Robot) -> int:

@@ -100,7 +100,7 @@ class Simulation:
         started = time.perf_counter()
         simulated = 0.0
         stopped = False
-        while not stopped:
+        while meters and not stopped:
             meter = min(meters, key=lambda m: m.next)
             if meter.next > duration + 1e-9:
                 break
