@@ -18,6 +18,7 @@ from thorvaldc.cli.faults import Faults, count, message
 from thorvaldc.cli.main import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
+    from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.simulation import DemoRow
 
 TARGETS = ("urdf", "mjcf", "ros2", "can")
@@ -110,12 +111,23 @@ def _of_fleet(row: DemoRow, fleet: str) -> DemoRow:
     return replace(row, run=replace(row.run, name=f"{fleet}/{row.run.name}"))
 
 
+def _without_notes(report: Report) -> Report:
+    """What `import` tells of each value that has no place here is not for a table."""
+    from thorvaldc.diagnostics import Report, Severity
+
+    left = Report()
+    for diagnostic in report:
+        if diagnostic.severity is not Severity.NOTE:
+            left.put(diagnostic)
+    return left
+
+
 def _import(file: str, output: str, faults: Faults) -> str:
     """The robot.yaml of an original configuration; empty where there is none."""
     from thorvaldc.importer import import_original
 
     text, report = import_original(Path(file))
-    faults.add(report, {file: Path(file)})
+    faults.add(_without_notes(report), {file: Path(file)})
     if text is None:
         return ""
     robot = Path(output) / "imported" / f"{Path(file).stem}.yaml"
