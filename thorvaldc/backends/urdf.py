@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 from thorvaldc.backends import Backend
 from thorvaldc.backends.appearance import Palette, mesh_files
 from thorvaldc.backends.xml_writer import Element, number, parse, to_bytes
@@ -22,9 +24,29 @@ class Urdf(Backend):
         return files
 
 
+class _Same:
+    """A robot as a key by identity; to compare by value takes longer than to write the file."""
+
+    __slots__ = ("robot",)
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+
+    def __hash__(self) -> int:
+        return id(self.robot)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.robot is self.robot
+
+
 def urdf_text(robot: Robot) -> str:
     """The document alone, as ROS passes it about."""
-    return to_bytes(_robot(robot)).decode()
+    return _text(_Same(robot))
+
+
+@functools.lru_cache(maxsize=8)  # the robots of a fleet, between one target and the next
+def _text(same: _Same) -> str:
+    return to_bytes(_robot(same.robot)).decode()
 
 
 def _robot(robot: Robot) -> Element:

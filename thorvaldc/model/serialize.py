@@ -36,19 +36,36 @@ def _fields(cls: type) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cls) if (cls.__name__, f.name) not in _SKIPPED)
 
 
-_ATOMS = frozenset({float, int, str, bool, type(None)})
 _SHAPES = frozenset(typing.get_args(_robot.Shape))
+
+
+def _is_plain(hint: Any) -> bool:
+    """Whether values of this type are JSON as they stand (JSON writes a tuple as a list)."""
+    if hint is Ellipsis or hint in (bool, int, float, str, type(None)):
+        return True
+    arguments = typing.get_args(hint)
+    return bool(arguments) and all(_is_plain(argument) for argument in arguments)
+
+
+@functools.cache
+def _plan(cls: type) -> tuple[tuple[str, bool], ...]:
+    """The fields of a class, and whether each is plain."""
+    hints = _hints(cls)
+    return tuple((name, _is_plain(hints[name])) for name in _fields(cls))
 
 
 def _encode(value: Any) -> Any:
     cls: type[Any] = type(value)
-    if cls in _ATOMS:
-        return value
+    if cls is Span:
+        return (value.file, value.line, value.column, value.end_line, value.end_column)
     if cls is tuple:
         return [_encode(v) for v in value]
-    if cls is Span:
-        return [value.file, value.line, value.column, value.end_line, value.end_column]
-    out = {name: _encode(getattr(value, name)) for name in _fields(cls)}  # type: ignore[arg-type]
+    if value is None:
+        return None
+    out = {
+        name: getattr(value, name) if plain else _encode(getattr(value, name))
+        for name, plain in _plan(cls)  # type: ignore[arg-type]
+    }
     if cls in _SHAPES:
         out["kind"] = cls.__name__
     return out

@@ -48,6 +48,7 @@ class UnitError(Exception):
         self.code = code
 
 
+@functools.lru_cache(maxsize=4096)  # the numbers of equal modules are the same text
 def parse_quantity(text: str, quantity: str) -> float:
     """The value in SI of ``text``, a quantity of the kind ``quantity`` (a key of QUANTITIES).
 
