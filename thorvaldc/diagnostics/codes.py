@@ -146,6 +146,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV323", "calculator-unknown", "error", "there is no base calculator of that name"),
     Code("TV324", "fleet-robot-missing", "error", "a fleet names a robot file that is not there"),
     Code("TV325", "fleet-in-fleet", "error", "a fleet names another fleet as a robot"),
+    Code("TV326", "too-many-parts", "error", "a module or a robot has more parts than are read"),
     # -- 4xx: geometry and physics -------------------------------------------
     Code("TV401", "link-massless", "error", "a link that moves has no mass"),
     Code("TV402", "inertia-impossible", "error", "an inertia is that of no body"),
@@ -200,6 +201,8 @@ _TABLE: tuple[Code, ...] = (
         "error",
         "a colour is neither in the palette nor of the form #rrggbb",
     ),
+    Code("TV427", "number-out-of-range", "error", "a number is beyond what a robot can have"),
+    Code("TV428", "motor-joint", "error", "a motor is on a joint that it cannot drive"),
     # -- 5xx: bus ------------------------------------------------------------
     Code(
         "TV501",

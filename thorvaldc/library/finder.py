@@ -107,7 +107,7 @@ class Library:
         return dict(self._files)
 
     def exists(self, name: str) -> bool:
-        return any((folder / name / FILE).is_file() for folder, _ in self.folders)
+        return any(os.path.isfile(folder / name / FILE) for folder, _ in self.folders)
 
     def load(self, name: str, asked: Node, report: Report) -> ModuleType | None:
         """The type of that name, or ``None`` with the reason in the report.
@@ -121,7 +121,7 @@ class Library:
         safe = all(part and part not in (".", "..") for part in parts) and "\\" not in name
         for folder, display in self.folders if safe else ():
             path = folder / name / FILE
-            if path.is_file():
+            if os.path.isfile(path):  # False also for what cannot be a path
                 shown = f"{display}/{name}/{FILE}"
                 self._files[shown] = path
                 module = _load(name, path, shown, report)

@@ -10,7 +10,7 @@ import contextlib
 import math
 from typing import NamedTuple
 
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import ModuleType
 from thorvaldc.model.robot import (
     Collision,
@@ -23,6 +23,8 @@ from thorvaldc.passes.parts import PartReader
 from thorvaldc.passes.scope import FAULT, Scope, nearest
 from thorvaldc.source.node import Node
 from thorvaldc.source.units import UnitError, parse_any
+
+MAX_REPEATED = 1000  # of one part by its `for`
 
 
 class LinkPart(NamedTuple):
@@ -94,7 +96,7 @@ class BatteryPart(NamedTuple):
 
 
 class Hardware(NamedTuple):
-    """A module with its parameters filled in.  ``mount_link``/``mount_pose``: where it is held."""
+    """A module with its parameters filled in.  ``mount_pose``: where its first link is held."""
 
     links: tuple[LinkPart, ...]
     joints: tuple[JointPart, ...]
@@ -102,7 +104,6 @@ class Hardware(NamedTuple):
     wheel: WheelPart | None
     sensor: SensorPart | None
     battery: BatteryPart | None
-    mount_link: str
     mount_pose: Pose
     meshes: tuple[Mesh, ...]
     height_above_ground: float | None
@@ -154,9 +155,12 @@ class _Builder:
             for name, node in section("motors").items()
             if self._present(node)
         )
+        self._check_motors(motors, joints)
         for port in section("ports").values():
             self._link_name(port.get("link"))
         document = self.module.document
+        mount = document.get("mount")
+        self._check_mount_link(mount)
         free = document.get("free_mount")
         if free is not None:
             self._link_name(free.get("link"))
@@ -165,7 +169,6 @@ class _Builder:
             document.get("sensor"),
             document.get("battery"),
         )
-        mount = document.get("mount")
         height = document.get("height_above_ground")
         stated = self.scope.evaluate(height) if height is not None else None
         return Hardware(
@@ -175,9 +178,6 @@ class _Builder:
             self._wheel(wheel) if wheel is not None and self._present(wheel) else None,
             self._sensor(sensor) if sensor is not None and self._present(sensor) else None,
             self._battery(battery) if battery is not None and self._present(battery) else None,
-            self._link_name(mount.get("link"))
-            if mount is not None
-            else (self.link_names or [""])[0],
             self.scope.pose(mount) if mount is not None else Pose(),
             tuple(self.parts.meshes.values()),
             self.scope.quantity(height, "length") if stated is not None else None,
@@ -202,6 +202,17 @@ class _Builder:
                 hint=nearest(name, self.link_names),
             )
         return first
+
+    def _check_mount_link(self, mount: Node | None) -> None:
+        node = mount.get("link") if mount is not None else None
+        if node is not None and self._link_name(node) != self.link_names[0]:
+            self.report.add(
+                "link-unknown",
+                f"`{self.module.name}` is held by `{self.scope.text(node)}`, which is not its "
+                f"first link, `{self.link_names[0]}`",
+                node.span,
+                hint="the first link carries the mount; write that link first",
+            )
 
     # -- links ------------------------------------------------------------------------
 
@@ -228,6 +239,14 @@ class _Builder:
                 self.report.add("wrong-type", "a list is wanted", node.span)
                 values = ()
             items = [self._any(v) if isinstance(v, Node) else v for v in values]
+            if len(scopes) * len(items) > MAX_REPEATED:
+                self.report.add(
+                    "too-many-parts",
+                    f"a part is repeated {len(scopes) * len(items)} times; "
+                    f"at most {MAX_REPEATED} are read",
+                    loop.where,
+                )
+                return []
             scopes = [s.with_names({name: item}) for s in scopes for item in items]
         return scopes
 
@@ -261,6 +280,9 @@ class _Builder:
             value = node.get(key)
             return scope.quantity(value, quantity) if value is not None else None
 
+        def above_zero(key: str, quantity: str) -> float | None:
+            return None if node.get(key) is None else self._above_zero(node, key, quantity, 1.0)
+
         lower, upper = optional("lower", position), optional("upper", position)
         if kind in ("revolute", "prismatic"):
             for key, limit in (("lower", lower), ("upper", upper)):
@@ -283,8 +305,8 @@ class _Builder:
         per = ("stiffness", "damping") if linear else ("rotational_stiffness", "rotational_damping")
         stiffness = damping = 0.0
         if spring is not None:
-            stiffness = scope.quantity(spring.get("stiffness"), per[0])
-            damping = scope.quantity(spring.get("damping"), per[1])
+            stiffness = self._not_negative(spring, "stiffness", per[0])
+            damping = self._not_negative(spring, "damping", per[1])
         return JointPart(
             name,
             kind,
@@ -295,10 +317,10 @@ class _Builder:
             axis if length == 1.0 else scale(1.0 / length, axis),
             lower if kind != "continuous" else None,
             upper if kind != "continuous" else None,
-            optional("effort", "force" if linear else "torque"),
-            optional("velocity", speed),
-            damping + scope.quantity(node.get("damping"), per[1]),
-            scope.quantity(node.get("friction"), "force" if linear else "torque"),
+            above_zero("effort", "force" if linear else "torque"),
+            above_zero("velocity", speed),
+            damping + self._not_negative(node, "damping", per[1]),
+            self._not_negative(node, "friction", "force" if linear else "torque"),
             stiffness,
             node.where,
         )
@@ -361,6 +383,38 @@ class _Builder:
             rotor * gear * gear,
             node.where,
         )
+
+    def _check_motors(self, motors: tuple[MotorPart, ...], joints: tuple[JointPart, ...]) -> None:
+        """A motor turns a joint, alone."""
+        types = {joint.name: joint.type for joint in joints}
+        first: dict[str, MotorPart] = {}
+        for motor in motors:
+            kind = types.get(motor.joint)
+            other = first.setdefault(motor.joint, motor)
+            if kind is not None and kind not in ("continuous", "revolute"):
+                self.report.add(
+                    "motor-joint",
+                    f"motor `{motor.name}` is on joint `{motor.joint}`, which is {kind}",
+                    motor.span,
+                    hint="a motor turns a `continuous` or a `revolute` joint",
+                )
+            elif kind is not None and other is not motor:
+                self.report.add(
+                    "motor-joint",
+                    f"motors `{other.name}` and `{motor.name}` are both on joint `{motor.joint}`",
+                    motor.span,
+                    labels=[Label(other.span, "the first one")],
+                    hint="put them together into one motor",
+                )
+
+    def _not_negative(self, node: Node, key: str, quantity: str) -> float:
+        found = node.get(key)
+        value = self.scope.quantity(found, quantity)
+        if value < 0 and found is not None:
+            self.report.add(
+                "size-not-positive", f"`{key}` is {value:g}; it must not be negative", found.span
+            )
+        return max(value, 0.0)
 
     def _above_zero(self, node: Node, key: str, quantity: str, default: float) -> float:
         found = node.get(key)

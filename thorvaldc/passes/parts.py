@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from thorvaldc.diagnostics import Report
@@ -22,6 +23,7 @@ from thorvaldc.source.node import Node
 
 RGBA = tuple[float, float, float, float]
 DEFAULT_COLOR = "#9a9a9a"
+_COLOR = re.compile(r"#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?")
 
 
 class PartReader:
@@ -78,6 +80,8 @@ class PartReader:
             return
         wall = part.get("wall")
         thickness = scope.quantity(wall, "length") if wall is not None else None
+        if wall is not None and thickness is not None:
+            self._positive((thickness,), wall)
         masses.append(uniform_solid(shape, mass, thickness).transformed(pose))
 
     def _explicit(self, part: Node, node: Node, mass: float, scope: Scope) -> Inertial:
@@ -137,14 +141,10 @@ class PartReader:
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
         text = scope.text(node, DEFAULT_COLOR) or DEFAULT_COLOR
         digits = self.palette.get(text, text)
-        if digits.startswith("#") and len(digits) in (7, 9):
-            try:
-                values = [int(digits[i : i + 2], 16) / 255 for i in range(1, len(digits), 2)]
-                r, g, b, a = (round(v, 4) for v in [*values, 1.0][:4])
-            except ValueError:
-                pass
-            else:
-                return (r, g, b, a)
+        if _COLOR.fullmatch(digits):
+            values = [int(digits[i : i + 2], 16) / 255 for i in range(1, len(digits), 2)]
+            r, g, b, a = (round(v, 4) for v in [*values, 1.0][:4])
+            return (r, g, b, a)
         self.report.add(
             "color-unknown",
             f"`{text}` is no colour",

@@ -20,6 +20,9 @@ from thorvaldc.source.node import Node
 from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 
 NONE = "none"
+LARGEST = 1e12  # in SI, of any quantity: its squares and products stay far from overflow
+SMALLEST = 1e-15
+MAX_CHOICES = 12  # modules chosen by parameters of modules chosen by parameters ...
 WHEEL_SIZES = ("radius", "width")
 
 
@@ -57,6 +60,8 @@ class ModuleChoice(Mapping[str, Any]):
     @property
     def scope(self) -> Scope:
         if self._scope is None:
+            if self.written_in.depth > MAX_CHOICES:
+                raise _Cycle(f"{self.module.name} -> {self.module.name}")
             self._scope = Scope(
                 self.module,
                 {name: (node, self.written_in) for name, node in self.params.items()},
@@ -64,6 +69,7 @@ class ModuleChoice(Mapping[str, Any]):
                 self.written_in.report,
                 None,
             )
+            self._scope.depth = self.written_in.depth + 1
         return self._scope
 
     def __getitem__(self, name: str) -> Any:
@@ -79,6 +85,10 @@ class ModuleChoice(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self.scope)
+
+    # Two choices are equal where they are one; to compare their values would evaluate all.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
         """A choice is true in an expression, also where the module has no parameters."""
@@ -111,6 +121,7 @@ class Scope(Mapping[str, Any]):
         self._place = place
         self._values: dict[str, Any] = dict(extra or {})
         self._busy: list[str] = []
+        self.depth = 0
 
     def with_names(self, extra: dict[str, Any]) -> Scope:
         """The same scope with more names."""
@@ -278,13 +289,18 @@ class Scope(Mapping[str, Any]):
             return value
         choices = declared.get("choices")
         if choices is not None and isinstance(choices.value, tuple):
-            known = [self.evaluate(c) for c in choices.value]
-            if value not in known:
+            known = [str(c.value) for c in choices.value]
+            if isinstance(value, ModuleChoice):
+                fits = value.module.name in known
+            else:
+                fits = value in [self._typed(c, declared) for c in choices.value]
+            if not fits:
                 self.report.add(
                     "param-range",
-                    f"`{name}` is {value!r}; it may be one of " + ", ".join(str(k) for k in known),
+                    f"`{name}` is {_shown(node, value)}; it may be one of "
+                    + ", ".join(f"`{k}`" for k in known),
                     node.span,
-                    hint=nearest(str(value), [str(k) for k in known]),
+                    hint=did_you_mean(str(node.value), known),
                 )
                 return FAULT
             return value
@@ -299,11 +315,9 @@ class Scope(Mapping[str, Any]):
                 shown = limit_node.value if isinstance(limit_node.value, str) else f"{limit:g}"
                 if isinstance(shown, str) and shown.startswith("${"):
                     shown = f"{limit:g}"
-                computed = isinstance(node.value, str) and node.value.startswith("${")
-                found = f"{value:g}" if computed else _found(node)
                 self.report.add(
                     "param-range",
-                    f"`{name}` is {found}; it must be {word} {shown}",
+                    f"`{name}` is {_shown(node, value)}; it must be {word} {shown}",
                     node.span,
                     labels=[Label(limit_node.span, "the limit is stated here")],
                 )
@@ -355,16 +369,26 @@ class Scope(Mapping[str, Any]):
         if isinstance(value, bool):
             pass
         elif isinstance(value, int | float):
-            if math.isfinite(value):
-                return float(value)
+            return self._bounded(value, node, default)
         elif isinstance(value, str):
             try:
-                return parse_quantity(value, quantity)
+                return self._bounded(parse_quantity(value, quantity), node, default)
             except UnitError as fault:
                 self.report.add(fault.code, fault.message, node.span, hint=fault.hint)
                 return default
         self.report.add(
             "wrong-type", f"a {quantity.replace('_', ' ')} is wanted, not {_found(node)}", node.span
+        )
+        return default
+
+    def _bounded(self, value: float, node: Node, default: float) -> float:
+        if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:
+            return float(value)
+        self.report.add(
+            "number-out-of-range",
+            f"{_shown(node, value)} is too {'small' if abs(value) < 1 else 'large'} for a robot; "
+            f"numbers are from {SMALLEST:g} to {LARGEST:g} in SI units",
+            node.span,
         )
         return default
 
@@ -400,7 +424,8 @@ class Scope(Mapping[str, Any]):
             if value is FAULT:
                 return default
             if isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_number, value)):
-                return (float(value[0]), float(value[1]), float(value[2]))
+                x, y, z = (self._bounded(v, node, 0.0) for v in value)
+                return (x, y, z)
         if not isinstance(items, tuple) or len(items) != 3:
             self.report.add("wrong-type", "three numbers are wanted, x, y and z", node.span)
             return default
@@ -432,6 +457,13 @@ def _found(node: Node) -> str:
     if isinstance(node.value, bool):
         return f"`{str(node.value).lower()}`"
     return f"`{node.value}`"
+
+
+def _shown(node: Node, value: Any) -> str:
+    """What stands there, and the value where that is an expression."""
+    if isinstance(node.value, str) and "${" in node.value and isinstance(value, int | float):
+        return f"{value:g} (`{node.value}`)"
+    return _found(node)
 
 
 def _kind(declared: Node) -> str:
