@@ -150,11 +150,21 @@ def _design(document: Node, library: Library, report: Report) -> Design:
     if node is None:
         return Design()
     scope = Scope(None, {}, library, report, None)
-    slope, angle = node.get("slope"), node.get("minimum_tip_over_angle")
-    return Design(
-        scope.quantity(slope, "angle") if slope is not None else None,
-        scope.quantity(angle, "angle", Design().tip_over_angle),
-    )
+
+    def angle(key: str, default: float) -> float:
+        found = node.get(key)
+        value = scope.quantity(found, "angle", default)
+        if found is None or 0.0 <= value < math.pi / 2:
+            return value
+        report.add(
+            "number-out-of-range",
+            f"`{key}` is {math.degrees(value):.6g} deg; it must be from 0 to less than 90 deg",
+            found.span,
+        )
+        return default
+
+    slope = angle("slope", 0.0) if node.get("slope") is not None else None
+    return Design(slope, angle("minimum_tip_over_angle", Design().tip_over_angle))
 
 
 def _check_calculator(robot: Robot, document: Node, report: Report) -> None:

@@ -18,6 +18,7 @@ from thorvaldc.passes.scope import FAULT, NONE, ModuleChoice, Scope, nearest
 from thorvaldc.source.node import Node
 
 MAX_DEPTH = 12
+MAX_MODULES = 5000
 
 
 @dataclass(eq=False)
@@ -56,6 +57,11 @@ class Instance:
             return bool(self.type.section("links"))
         return any(child.is_mechanical for child in self.children.values())
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of its parts could be made."""
+        return not self.failed and all(child.is_whole for child in self.children.values())
+
     def leaves(self) -> Iterator[Instance]:
         """The leaves in model order: file order, depth first."""
         if self.is_leaf:
@@ -81,6 +87,7 @@ class Resolver:
         self.report = report
         self._defaults: dict[str, dict[str, Node]] = {}
         self._used_defaults: set[tuple[str, str]] = set()
+        self._count = 0
 
     def resolve(self, document: Node, lost: Iterable[str] = ()) -> Instance:
         """The robot as an instance, with its parts mounted as far as they can be.
@@ -143,10 +150,23 @@ class Resolver:
             return
         path = f"{parent.path}.{name}" if parent.path else name
         if module.name in chain or len(chain) >= MAX_DEPTH:
+            if module.name in chain:
+                fault = f"`{module.name}` contains itself"
+            else:
+                fault = f"assemblies are nested more than {MAX_DEPTH} deep"
             report.add(
                 "assembly-recursive",
-                f"`{module.name}` contains itself: " + " -> ".join([*chain, module.name]),
+                f"{fault}: " + " -> ".join([*chain, module.name]),
                 type_node.span,
+            )
+            parent.failed.add(name)
+            return
+        self._count += 1
+        if self._count > MAX_MODULES:
+            report.add(
+                "too-many-parts",
+                f"the robot has more than {MAX_MODULES} modules; no more are read",
+                origin,
             )
             parent.failed.add(name)
             return
@@ -300,19 +320,17 @@ class Resolver:
                 part, rest = part.parent, [name]
         offered = part.type.section(section) if part.type is not None else {}
         if len(rest) != 1:
-            first = next(iter(offered), None)
             if not rest:
+                first = next(iter(offered), None)
+                message = f"`{reference}` is a module, not a {word}"
                 hint = f"name its {word}: `{reference}.{first}`" if first else None
+            elif rest[0] in offered:
+                message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
+                hint = f"write `{reference.removesuffix('.' + '.'.join(rest[1:]))}`"
             else:
+                message = f"`{part.path}` has no part `{rest[0]}`"
                 hint = nearest(rest[0], [*part.children, *offered])
-            self.report.add(
-                f"{word}-unknown",
-                f"`{reference}` is not a {word}"
-                if not rest
-                else f"`{part.path}` has no part `{rest[0]}`",
-                node.span,
-                hint=hint,
-            )
+            self.report.add(f"{word}-unknown", message, node.span, hint=hint)
             return None
         name = rest[0]
         if name not in offered:
@@ -368,13 +386,15 @@ class Resolver:
             return root if root.is_leaf else self._root_part(root, root.entry)
         name = f"`{assembly.path}`" if assembly.path else "the robot"
         if not roots:
-            if assembly.failed:
+            if not assembly.is_whole:
                 return None  # one of those may be the root
             self.report.add(
                 "root-missing",
                 f"{name} has no root: every module is mounted on another, or there is none",
                 where.where if assembly.path else where.span,
-                hint="the frame has no `mount`",
+                hint="the part that carries the others has no `mount`"
+                if assembly.path
+                else "the frame has no `mount`",
             )
         else:
             first, second = roots[0], roots[1]
@@ -395,7 +415,7 @@ class Resolver:
             node = child.entry.get("mount")
             if node is None:
                 continue
-            if not child.is_mechanical:
+            if not child.is_mechanical and child.is_whole:
                 self.report.add(
                     "mount-without-hardware",
                     f"`{child.path}` is electrical only and cannot be mounted",

@@ -345,6 +345,8 @@ class Scope(Mapping[str, Any]):
     def read(self, node: Node) -> Any:
         """As ``evaluate``, with ``FAULT`` for a fault: ``None`` is then a module's `none`."""
         value = node.value
+        if value is None:
+            return FAULT  # the schema says so
         if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
             return value
         try:
