@@ -57,6 +57,23 @@ def test_extensions_of_extras_go_along() -> None:
     assert found.get("name") == "a&b"
 
 
+def test_extensions_of_extras_carry_the_name_space() -> None:
+    text = (
+        '<gazebo reference="frame_body"><sensor name="frame_body">'
+        "<frameName>frame_body</frameName><topic>frame_body</topic></sensor></gazebo>"
+    )
+    joint = '<transmission name="t"><joint name="frame_mount"/><joint name="other"/></transmission>'
+    robot = replace(ROBOTS["square"], urdf_extensions=(text, joint), namespace="r7")
+    root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])
+    gazebo = root.find("gazebo[@reference='r7/frame_body']")
+    assert gazebo is not None
+    assert gazebo.find("sensor[@name='frame_body']") is not None
+    assert gazebo.findtext("sensor/frameName") == "r7/frame_body"
+    assert gazebo.findtext("sensor/topic") == "frame_body"
+    names = [e.get("name") for e in root.findall("transmission/joint")]
+    assert names == ["r7/frame_mount", "other"]
+
+
 def test_names_carry_the_name_space() -> None:
     robot = replace(grafted(1), namespace="r7")
     root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])

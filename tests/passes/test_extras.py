@@ -74,6 +74,14 @@ def one(folder: Path, body: str, entry: str = "") -> Loaded:
     return load(folder, f"- {{xacro: a.xacro{entry}}}", a_xacro=f"{HEAD}{body}</robot>\n")
 
 
+TRIANGLES = [
+    ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+]
+STL = binary_stl(TRIANGLES)
+
 BOX = '<visual><geometry><box size="1 2 3"/></geometry></visual>'
 INERTIAL = (
     '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
@@ -166,6 +174,87 @@ def test_a_sensor_macro_with_parent_and_origin_block(tmp_path: Path) -> None:
     assert found.parts.urdf_extensions[1].startswith('<gazebo reference="back"><sensor name="back"')
 
 
+CAMERA = (
+    HEAD.replace("<robot", '<robot xmlns:sensor="http://example.com/sensor"')
+    + """
+<xacro:include filename="$(find camera_pkg)/urdf/materials.xacro"/>
+<xacro:include filename="$(find camera_pkg)/urdf/none.xacro" optional="true"/>
+<xacro:macro name="camera" params="parent *origin name:=camera add_plug:=false frames:=^">
+  <xacro:arg name="simulation" default="$(optenv SIMULATION gazebo)"/>
+  <xacro:property name="M_PI" value="3.1415926535897931"/>
+  <joint name="${name}_joint" type="fixed">
+    <xacro:insert_block name="origin"/>
+    <parent link="${parent}"/>
+    <child link="${name}_screw"/>
+  </joint>
+  <link name="${name}_screw"/>
+  <joint name="${name}_body_joint" type="fixed">
+    <origin xyz="0.01 0 0.0125" rpy="0 0 0"/>
+    <parent link="${name}_screw"/><child link="${name}_body"/>
+  </joint>
+  <link name="${name}_body">
+    <visual>
+      <!-- the mesh's own axes -->
+      <origin xyz="0 0 0" rpy="${M_PI/2} 0 ${M_PI/2}"/>
+      <geometry>
+        <!-- <box size="1 1 1"/> -->
+        <mesh filename="package://camera_pkg/meshes/body.stl" scale="0.001 0.001 0.001"/>
+      </geometry>
+      <material name="camera/aluminium"/>
+    </visual>
+  </link>
+  <xacro:if value="${frames}">
+    <joint name="${name}_optical_joint" type="fixed">
+      <origin xyz="0 0 0" rpy="${-M_PI/2} 0 ${-M_PI/2}"/>
+      <parent link="${name}_body"/><child link="${name}_optical"/>
+    </joint>
+    <link name="${name}_optical"/>
+  </xacro:if>
+  <xacro:if value="${add_plug}"><link name="never"/></xacro:if>
+  <xacro:if value="${'$(arg simulation)' == 'gazebo'}">
+    <gazebo reference="${name}_body"><sensor:camera name="${name}"/></gazebo>
+  </xacro:if>
+</xacro:macro>
+</robot>
+"""
+)
+
+
+def test_a_camera_package_as_published(tmp_path: Path) -> None:
+    """Its own package by the folder's name, an empty base_link for its own test, name spaces."""
+    test = (
+        HEAD
+        + """
+<xacro:arg name="name" default="camera"/>
+<xacro:property name="frames" value="true"/>
+<xacro:include filename="$(find camera_pkg)/urdf/camera.xacro"/>
+<link name="base_link"/>
+<xacro:camera name="$(arg name)" parent="base_link"><origin xyz="0 0 1" rpy="0 0 0"/></xacro:camera>
+</robot>"""
+    )
+    materials = '<material name="camera/aluminium"><color rgba="0.5 0.5 0.5 1"/></material></robot>'
+    found = load(
+        tmp_path,
+        "- {xacro: camera_pkg/urdf/test.urdf.xacro, args: {name: cam}}",
+        **{
+            "camera_pkg__urdf__test.urdf_xacro": test,
+            "camera_pkg__urdf__camera_xacro": CAMERA,
+            "camera_pkg__urdf__materials_xacro": HEAD + materials,
+            "camera_pkg__meshes__body_stl": STL,
+        },
+    )
+    assert found.codes == []
+    names = [link.name for link in found.parts.links]
+    assert names == ["cam_screw", "cam_body", "cam_optical"]
+    assert found.joint("cam_joint").parent == "base_link"
+    visual = found.link("cam_body").visuals[0]
+    assert visual.color == (0.5, 0.5, 0.5, 1.0)
+    assert isinstance(visual.shape, MeshShape)
+    assert visual.shape.scale == (0.001, 0.001, 0.001)
+    (gazebo,) = found.parts.urdf_extensions
+    assert 'xmlns:sensor="http://example.com/sensor"' in gazebo
+
+
 def test_conditions_loops_of_macros_name_spaces_and_python(tmp_path: Path) -> None:
     body = """
 <xacro:include filename="tools.xacro" ns="tools"/>
@@ -250,14 +339,6 @@ def test_the_same_file_twice_with_other_arguments(tmp_path: Path) -> None:
 
 
 # -- meshes and packages ------------------------------------------------------------
-
-TRIANGLES = [
-    ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
-    ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-    ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
-    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-]
-STL = binary_stl(TRIANGLES)
 
 
 def mesh(name: str, more: str = "") -> str:
@@ -492,6 +573,12 @@ def test_a_broken_property_is_named_where_it_is_defined(tmp_path: Path) -> None:
     assert found.only.span is not None
     assert found.only.span.line == 4
     assert any(label.span.line == 3 and "`w`" in label.text for label in found.only.labels)
+
+
+def test_a_macro_called_without_its_prefix(tmp_path: Path) -> None:
+    found = one(tmp_path, '<link name="a"/><xacro:macro name="lidar"/><lidar/>')
+    assert found.codes == ["extra-left-out"]
+    assert "<xacro:lidar" in (found.only.hint or "")
 
 
 def test_macros_alone_are_told_how_to_be_called(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import functools
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.appearance import Palette, mesh_files
-from thorvaldc.backends.xml_writer import Element, number, parse, to_bytes
+from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_bytes
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Visual, Wheel
 from thorvaldc.model.spatial import clean
 
@@ -72,9 +72,30 @@ def _robot(robot: Robot) -> Element:
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
+    rename = _prefixing(robot, prefix) if prefix else None
     for text in robot.urdf_extensions:
-        root.append(parse(text))
+        root.append(parse(text, rename))
     return root
+
+
+# Where the elements of extras name links and joints; texts without case and underscores.
+_NAMING_ATTRIBUTES = (("gazebo", "reference"), ("joint", "name"), ("link", "name"))
+_NAMING_TEXTS = ("framename", "frameid", "gzframeid", "bodyname", "linkname", "jointname")
+
+
+def _prefixing(robot: Robot, prefix: str) -> Rename:
+    """What gives names of links and joints in an extra's elements the robot's name space."""
+    names = {link.name for link in robot.links} | {joint.name for joint in robot.joints}
+
+    def rename(tag: str, attribute: str, value: str) -> str:
+        naming = (
+            (tag, attribute) in _NAMING_ATTRIBUTES
+            if attribute
+            else tag.lower().replace("_", "") in _NAMING_TEXTS
+        )
+        return prefix + value if naming and value in names else value
+
+    return rename
 
 
 def _add_origin(parent: Element, pose: Pose) -> None:

@@ -8,7 +8,7 @@ and faster than ``xml.etree``, and a build need not import that.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 Number = float | int
 Value = str | Number | bool | tuple[Number, ...]
@@ -103,11 +103,15 @@ class Element:
         return child
 
 
-def parse(text: str) -> Element:
+Rename = Callable[[str, str, str], str]
+
+
+def parse(text: str, rename: Rename | None = None) -> Element:
     """The element that ``text`` holds, with prefixes of name spaces as they are written.
 
-    Comments are left out, and so is text beside children.  Raises
-    ``ValueError`` where the text is not well-formed.
+    ``rename`` gets tag, attribute (empty for the element's text) and value, and says
+    what stands in its place.  Comments are left out, and so is text beside children.
+    Raises ``ValueError`` where the text is not well-formed.
     """
     from xml.parsers import expat
 
@@ -117,6 +121,8 @@ def parse(text: str) -> Element:
     def start(tag: str, attributes: list[str]) -> None:
         child = Element(tag)
         for name, value in zip(attributes[::2], attributes[1::2], strict=True):
+            if rename is not None:
+                value = rename(tag, name, value)
             child.attributes += f' {name}="{escape(value)}"'
         stack.append(stack[-1].append(child))
 
@@ -124,6 +130,8 @@ def parse(text: str) -> Element:
         element = stack.pop()
         if element.children or not element.text.strip():
             element.text = ""
+        elif rename is not None:
+            element.text = rename(tag, "", element.text.strip())
 
     def data(text: str) -> None:
         stack[-1].text += text

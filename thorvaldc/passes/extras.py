@@ -252,7 +252,8 @@ def _read(entry: _Entry, expanded: Expanded, report: Report) -> UrdfParts | None
             return None
         return load_mesh(path, element.span, report, display=shown.name(str(path)), scale=scale)
 
-    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report)
+    macros = [macro.name for macro in expanded.macros]
+    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros)
     folders = {**expanded.packages, **entry.packages}
     return UrdfParts(
         parts.links,

@@ -6,7 +6,7 @@ Reads what URDF defines and the model can say; the rest is reported, not dropped
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Label, Report
@@ -109,17 +109,25 @@ def labels_of(element: Element) -> tuple[Label, ...]:
 
 
 def read_urdf(
-    elements: Sequence[Element], module: str, load: MeshLoader, report: Report
+    elements: Sequence[Element],
+    module: str,
+    load: MeshLoader,
+    report: Report,
+    macros: Collection[str] = (),
 ) -> UrdfParts:
     """Links, joints, meshes and extensions of the children of ``<robot>``.
 
-    ``load`` finds the mesh that an element names and reports where it cannot.
+    ``load`` finds the mesh that an element names and reports where it cannot;
+    ``macros`` are the names of the file's macros, for hints.
     """
-    return _Reader(module, load, report).read(elements)
+    return _Reader(module, load, report, macros).read(elements)
 
 
 class _Reader:
-    def __init__(self, module: str, load: MeshLoader, report: Report) -> None:
+    def __init__(
+        self, module: str, load: MeshLoader, report: Report, macros: Collection[str]
+    ) -> None:
+        self.macros = macros
         self.module = module
         self.load = load
         self.report = report
@@ -158,6 +166,8 @@ class _Reader:
         hint = None
         if tag in ("include", "macro", "property", "if", "unless", "arg"):
             hint = f"xacro's own elements have a prefix: <xacro:{tag} ...>"
+        elif tag in self.macros:
+            hint = f"a macro is called with the prefix: <xacro:{tag} ...>"
         else:
             known = [c for c in _CONTENT.get(inside, ((), ()))[0] if not c.startswith("-")]
             if inside == "robot":
