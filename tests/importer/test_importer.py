@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -40,10 +42,17 @@ def compiled(tmp_path: Path, text: str | None) -> Robot:
     return done.model
 
 
-@pytest.fixture(scope="module")
-def standard(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    result, _ = convert(ORIGINALS / "standard.yaml")
-    return compiled(tmp_path_factory.mktemp("standard"), result.text)
+@functools.cache
+def built(name: str) -> tuple[ImportResult, Report, Robot]:
+    """One of the originals, imported and compiled."""
+    result, report = convert(ORIGINALS / f"{name}.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        return result, report, compiled(Path(folder), result.text)
+
+
+@pytest.fixture
+def standard() -> Robot:
+    return built("standard")[2]
 
 
 def poses(robot: Robot) -> dict[str, Pose]:
@@ -74,10 +83,9 @@ def has(report: Report, code: str, *words: str) -> Diagnostic:
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_it_builds_to_all_targets(tmp_path: Path, name: str) -> None:
-    result, report = convert(ORIGINALS / f"{name}.yaml")
+def test_it_builds_to_all_targets(name: str) -> None:
+    _, report, robot = built(name)
     assert not report.errors, [d.message for d in report.errors]
-    robot = compiled(tmp_path, result.text)
     assert emit(robot, ["urdf", "mjcf", "ros2", "can"], Report())
 
 
@@ -95,7 +103,7 @@ def leaves(value: Any, key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 @pytest.mark.parametrize("name", GOOD)
 def test_no_value_is_dropped_silently(name: str) -> None:
     path = ORIGINALS / f"{name}.yaml"
-    result, report = convert(path)
+    result, report, _ = built(name)
     plain = yaml.safe_load(path.read_text(encoding="utf-8"))
     told = {label.span for d in report for label in d.labels} | {d.span for d in report}
     lines = {span.line for span in told if span is not None}
@@ -108,11 +116,9 @@ def test_no_value_is_dropped_silently(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_wheels_stand_where_the_file_puts_them(tmp_path: Path, name: str) -> None:
-    path = ORIGINALS / f"{name}.yaml"
-    result, _ = convert(path)
-    robot = compiled(tmp_path, result.text)
-    plain = yaml.safe_load(path.read_text(encoding="utf-8"))
+def test_wheels_stand_where_the_file_puts_them(name: str) -> None:
+    _, _, robot = built(name)
+    plain = yaml.safe_load((ORIGINALS / f"{name}.yaml").read_text(encoding="utf-8"))
     while "motor_drives" not in plain:
         plain = next(iter(plain.values()))
     wanted = sorted(
@@ -238,9 +244,8 @@ def test_what_has_no_place_is_told() -> None:
 # -- the others -----------------------------------------------------------------------
 
 
-def test_a_ros_2_file_with_merge_keys(tmp_path: Path) -> None:
-    result, report = convert(ORIGINALS / "slim.yaml")
-    robot = compiled(tmp_path, result.text)
+def test_a_ros_2_file_with_merge_keys() -> None:
+    _, report, robot = built("slim")
     assert robot.name == "slim"
     assert robot.namespace == "slim_1"
     assert robot.driver.rate == 50.0
@@ -248,9 +253,8 @@ def test_a_ros_2_file_with_merge_keys(tmp_path: Path) -> None:
     has(report, "import-left-out", "can_interface_name")
 
 
-def test_names_in_other_alphabets_and_two_radii(tmp_path: Path) -> None:
-    result, report = convert(ORIGINALS / "six.yaml")
-    robot = compiled(tmp_path, result.text)
+def test_names_in_other_alphabets_and_two_radii() -> None:
+    _, report, robot = built("six")
     assert robot.name == "thorvald_ost"
     assert [w.radius for w in robot.wheels] == [0.25, 0.2, 0.2, 0.25, 0.2, 0.2]
     assert robot.wheels[0].width == 0.2
@@ -259,9 +263,8 @@ def test_names_in_other_alphabets_and_two_radii(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["greenhouse", "one_entry"])
-def test_two_propulsion_motors_on_one_controller(tmp_path: Path, name: str) -> None:
-    result, report = convert(ORIGINALS / f"{name}.yaml")
-    robot = compiled(tmp_path, result.text)
+def test_two_propulsion_motors_on_one_controller(name: str) -> None:
+    _, report, robot = built(name)
     assert robot.calculator.name == "differential"
     (node,) = [n for bus in robot.buses for n in bus.nodes if n.protocol != "thorvald_kc_battery"]
     assert node.id == 1
@@ -293,9 +296,8 @@ pipes: {p: {x1: -0.4, y1: 0, x2: 0.4, y2: 0, height: 0.65}}
     has(report, "import-assumed", "second motor")
 
 
-def test_a_single_wheel_gets_support(tmp_path: Path) -> None:
-    result, report = convert(ORIGINALS / "one_wheel.yaml")
-    robot = compiled(tmp_path, result.text)
+def test_a_single_wheel_gets_support() -> None:
+    _, report, robot = built("one_wheel")
     assert len(robot.wheels) == 3
     has(report, "import-assumed", "passive wheels")
 
