@@ -307,6 +307,7 @@ def test_a_single_wheel_gets_support() -> None:
     [
         ("pltf_clc_std::PltfClcStd", 0, "general", False),
         ("pltf_clc_2wdiff::PltfClc2WDiff", 0, "general", True),
+        ("pltf_clc_2wdiff::PltfClc2WDiff", 1, "general", True),
         ("pltf_clc_mine::Mine", 0, "general", True),
         ("", 0, "general", False),
     ],
@@ -352,7 +353,7 @@ DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
             "motor_drives:\n  d: {node: 1, x: 1, y: 1, r_wheel: -0.2}\n",
             "import-value",
             2,
-            "over 0",
+            "from 0.05",
         ),
         (
             "motor_drives:\n  d: {node: 1, x: 1, y: 1}\n  e: {node: 1, x: 2, y: 1}\n",
@@ -409,7 +410,7 @@ def test_a_broken_file_is_refused_at_its_line(
 
 
 def test_all_faults_at_once(tmp_path: Path) -> None:
-    text = """
+    text = """base_calculator: "pltf_clc_std::PltfClcStd"
 motor_drives:
   a: {x: oops, y: 1}
   b: {node: 200, x: 1, y: 1}
@@ -417,6 +418,7 @@ batteries: {c: {z: high}}
 """
     _, report = convert_text(tmp_path, text)
     assert sorted((d.span.line if d.span else 0) for d in report.errors) == [3, 3, 4, 5]
+    assert report.warnings == []
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.importer.devices import read_batteries, read_boards, read_sensor, sensor_kind
 from thorvaldc.importer.drives import (
     FRAME,
-    Drive,
     place_drives,
     read_drives,
     share_params,
+    spot,
     supports,
 )
 from thorvaldc.importer.frame import read_beams, read_frame
@@ -101,13 +101,13 @@ def _name(root: Entry, key: Key, path: Path) -> str:
 def _convert(root: Entry, name: str) -> Robot | None:
     robot = Robot(name)
     _settings(root, robot)
+    calculator = root.text("base_calculator", "base_calculator")
     names = Names((FRAME,))
     drives = read_drives(root.entries(_DRIVES), names)
     if not drives and not root.report.has_errors:
         root.fault("import-missing", f"`{_DRIVES}` is empty: a robot has at least one drive")
     frame = read_frame(root.entries("pipes"), root.entries("corners"), names, root)
     beams = read_beams(root.entries("beams"), drives, names)
-    robot.base_calculator = _calculator(root, drives)
     batteries = read_batteries(root.entries("batteries"), frame.height, names)
     boards = read_boards(root.entries("io"), {d.node: d.entry for d in drives}, names)
     sensors = _sensors(root, frame.height, names)
@@ -116,6 +116,7 @@ def _convert(root: Entry, name: str) -> Robot | None:
     placed = place_drives(drives, frame.height, frame.tubes, names)
     if root.report.has_errors:
         return None
+    robot.base_calculator = _calculator(root, calculator, placed)
     robot.defaults = share_params(placed)
     robot.modules = [
         Module(FRAME, "frame/open", comments=[f"its height is {frame.height:g} m"]),
@@ -132,7 +133,7 @@ def _convert(root: Entry, name: str) -> Robot | None:
 
 def _settings(root: Entry, robot: Robot) -> None:
     """What the driver's parameters in such a file say of the robot itself."""
-    rate = root.number("rate", "driver.rate", low=0.0, high=1000.0)
+    rate = root.number("rate", "driver.rate", low=1.0, high=1000.0)
     if rate is not None:
         robot.driver["rate"] = f"{rate:g} Hz"
     prefix = root.text("tf_prefix", "namespace")
@@ -154,17 +155,21 @@ def _settings(root: Entry, robot: Robot) -> None:
         root.account.leave_out((*root.key, "twist_covariance"), covariance, why)
 
 
-def _calculator(root: Entry, drives: list[Drive]) -> str:
+def _calculator(root: Entry, text: str | None, placed: list[Module]) -> str:
     """The plugin of ours for the original's; the original's default is the general one."""
-    text = root.text("base_calculator", "base_calculator")
     if not text:
         return "general"
-    short = re.sub(r"[^a-z0-9]", "", text.lower().rpartition(":")[2])
-    if "diff" in short:
-        reason = "steers" if any(drive.steered for drive in drives) else ""
-        if len({drive.x for drive in drives}) > 1:
-            reason = reason or "has wheels on several axles"
-        if not reason:
+    plugin = re.sub(r"[^a-z0-9]", "", text.lower().rpartition(":")[2])
+    kinds = [module.type for module in placed if module.mount is not None]
+    if "diff" in plugin:
+        axles = {spot(module)[0] for module in placed if module.mount is not None}
+        if "assembly/steered_drive" in kinds:
+            reason = "steers"
+        elif len(axles) > 1:
+            reason = "has wheels on several axles"
+        elif len(kinds) < 2:
+            reason = "has one driven wheel"
+        else:
             return "differential"
         root.report.add(
             "import-assumed",
@@ -173,16 +178,18 @@ def _calculator(root: Entry, drives: list[Drive]) -> str:
             root.span("base_calculator"),
         )
         return "general"
-    if "pltfclcstd" not in short:
-        one_wheel = "1w" in short or "onewheel" in short
-        if one_wheel and len(drives) == 1:
+    if "1w" in plugin or "onewheel" in plugin:
+        if kinds == ["assembly/steered_drive"]:
             return "one_wheel"
-        root.report.add(
-            "import-assumed",
-            f"the base calculator `{text}` is not known: `general` is taken in its place",
-            root.span("base_calculator"),
-            hint="`general` drives any arrangement of wheels",
-        )
+    elif plugin == "pltfclcstd":
+        return "general"
+    root.report.add(
+        "import-assumed",
+        f"the base calculator `{text}` is not known for such a robot: "
+        "`general` is taken in its place",
+        root.span("base_calculator"),
+        hint="`general` drives any arrangement of wheels",
+    )
     return "general"
 
 

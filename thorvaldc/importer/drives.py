@@ -21,6 +21,7 @@ NODES = (1, 127)
 _CLAMP_REACH = 0.4
 
 _SHORTEST_CASTER = 0.4
+_NEAREST_CASTER = 0.8
 # Wheels of two drives that are nearer than this are one wheel.
 _SAME_PLACE = 0.05
 
@@ -78,8 +79,10 @@ def _read(entry: Entry, name: str) -> Drive | None:
         return None
     steered = kind != 1
     params: dict[str, Value] = {}
-    radius = entry.number("r_wheel", f"{to}.params.wheel", default=_WHEEL_RADIUS, low=0.0)
-    width = entry.number("w_wheel", f"{to}.params.wheel", default=_WHEEL_WIDTH, low=0.0)
+    radius = entry.number(
+        "r_wheel", f"{to}.params.wheel", default=_WHEEL_RADIUS, low=0.05, high=5.0
+    )
+    width = entry.number("w_wheel", f"{to}.params.wheel", default=_WHEEL_WIDTH, low=0.02, high=5.0)
     given: dict[str, Value] = {}
     if entry.has("r_wheel") and radius is not None and radius != _WHEEL_RADIUS:
         given["radius"] = radius
@@ -87,15 +90,17 @@ def _read(entry: Entry, name: str) -> Drive | None:
         given["width"] = width
     if given:
         params["wheel"] = {"type": "wheel/agri_200", "params": given}
-    _quantity(entry, params, to, "prp_gr_rt", "gear_ratio", low=0.0)
+    _quantity(entry, params, to, "prp_gr_rt", "gear_ratio", low=1.0, high=1e4)
     _count(entry, params, to, "prp_enc_ppr", "encoder_ppr")
-    _quantity(entry, params, to, "prp_max_rpm", "motor_max_speed", " rpm", low=0.0)
-    _quantity(entry, params, to, "prp_sim_a", "wheel_acceleration", " m/s^2", low=0.0)
+    _quantity(entry, params, to, "prp_max_rpm", "motor_max_speed", " rpm", low=1.0, high=1e5)
+    _quantity(entry, params, to, "prp_sim_a", "wheel_acceleration", " m/s^2", low=0.05, high=100.0)
     if steered:
-        _quantity(entry, params, to, "str_gr_rt", "steering_gear_ratio", low=0.0)
+        _quantity(entry, params, to, "str_gr_rt", "steering_gear_ratio", low=1.0, high=1e4)
         _count(entry, params, to, "str_enc_ppr", "steering_encoder_ppr")
-        _quantity(entry, params, to, "str_lim", "steering_limit", " rad", low=0.0, high=100.0)
-        _quantity(entry, params, to, "str_sim_v", "steering_velocity", " rad/s", low=0.0)
+        _quantity(entry, params, to, "str_lim", "steering_limit", " rad", low=0.01, high=100.0)
+        _quantity(
+            entry, params, to, "str_sim_v", "steering_velocity", " rad/s", low=0.01, high=100.0
+        )
     else:
         for key in ("str_gr_rt", "str_enc_ppr", "str_lim", "str_sim_v"):
             entry.leave_out(key, "a drive of type 1 has no steering")
@@ -117,8 +122,8 @@ def _quantity(
     param: str,
     unit: str = "",
     *,
-    low: float | None = None,
-    high: float | None = None,
+    low: float,
+    high: float,
 ) -> None:
     value = entry.number(key, f"{to}.params.{param}", low=low, high=high)
     if value is not None:
@@ -293,7 +298,7 @@ def share_params(modules: Sequence[Module]) -> dict[str, Value]:
 
 def supports(placed: Sequence[Module], entry: Entry, frame: Outline, names: Names) -> list[Module]:
     """Casters for wheels that all stand on one line, which the original's files leave out."""
-    spots = [_spot(m) for m in placed if m.mount is not None]
+    spots = [spot(m) for m in placed if m.mount is not None]
     if not _on_a_line(spots):
         return []
     x = sum(s[0] for s in spots) / len(spots)
@@ -305,7 +310,8 @@ def supports(placed: Sequence[Module], entry: Entry, frame: Outline, names: Name
     if lengthwise:
         places = [(x, y + 0.4), (x, y - 0.4)]
     elif abs(frame.center_x - x) > 0.15:
-        behind = x + 2.0 * (frame.center_x - x)
+        away = max(2.0 * abs(frame.center_x - x), _NEAREST_CASTER)
+        behind = x + math.copysign(away, frame.center_x - x)
         places = [(behind, y + half), (behind, y - half)]
     elif one_wheel:
         places = [(x - 0.8, y + 0.4), (x - 0.8, y - 0.4)]
@@ -331,7 +337,8 @@ def supports(placed: Sequence[Module], entry: Entry, frame: Outline, names: Name
     ]
 
 
-def _spot(module: Module) -> tuple[float, float]:
+def spot(module: Module) -> tuple[float, float]:
+    """x and y of a module's mount."""
     xyz = module.mount["xyz"] if module.mount is not None else None
     if not isinstance(xyz, list) or not isinstance(xyz[0], float) or not isinstance(xyz[1], float):
         raise TypeError(f"{module.name} has no place")

@@ -98,7 +98,7 @@ def _pipe(entry: Entry, name: str) -> tuple[float, float, float, float, float] |
     to = f"modules.{name}"
     entry.leave_out("space", _SPACE)
     values = [entry.number(key, f"{to}.mount") for key in ("x1", "y1", "x2", "y2")]
-    height = entry.number("height", f"{to}.mount", default=DEFAULT_HEIGHT, low=0.0)
+    height = entry.number("height", f"{to}.mount", default=DEFAULT_HEIGHT, low=0.05, high=20.0)
     missing = [key for key in ("x1", "y1", "x2", "y2") if not entry.has(key)]
     if missing:
         entry.fault("import-missing", f"`{entry.path}` has no `{'`, `'.join(missing)}`")

@@ -191,12 +191,12 @@ class Entry:
         to: str,
         *,
         default: float | None = None,
-        low: float | None = None,
-        high: float | None = None,
+        low: float = -1000.0,
+        high: float = 1000.0,
     ) -> float | None:
         """A finite number, quoted or not; ``default`` where the key is missing or empty.
 
-        ``low`` (over it) and ``high`` (at most) bound it.  ``None`` after a fault.
+        ``low`` and ``high`` bound it, both included.  ``None`` after a fault.
         """
         node = self.node.get(key)
         own = (*self.key, key)
@@ -214,18 +214,19 @@ class Entry:
                 "write a decimal point" if comma else None,
             )
             return None
-        if (low is not None and value <= low) or (high is not None and value > high):
-            bounds = f"over {low:g}" if low is not None else ""
-            if high is not None:
-                bounds += (" and " if bounds else "") + f"at most {high:g}"
-            self._wrong(own, node, f"`{key}` of `{self.path}` is {value:g}; it must be {bounds}")
+        if not low <= value <= high:
+            self._wrong(
+                own,
+                node,
+                f"`{key}` of `{self.path}` is {value:g}; it must be from {low:g} to {high:g}",
+            )
             return None
         self.account.placed(own, to)
         return value
 
     def integer(self, key: str, to: str, *, low: int, high: int) -> int | None:
         """A whole number within bounds, both included; ``None`` where missing or at fault."""
-        value = self.number(key, to)
+        value = self.number(key, to, low=-1e9, high=1e9)
         if value is None:
             return None
         if value != round(value) or not low <= value <= high:
