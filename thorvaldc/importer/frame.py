@@ -48,7 +48,7 @@ def read_frame(
             "import-assumed",
             f"the file has no pipes and no corners: the drives hang {height:g} m over the ground "
             "on a root without parts",
-            root.node.where,
+            root.span("motor_drives"),
             hint="choose a frame module, as frame/tube_rectangular, in the robot.yaml",
         )
     frame = Frame(height)
