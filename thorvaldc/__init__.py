@@ -1,3 +1,29 @@
-"""thorvaldc: a declarative compiler for modular robots."""
+"""thorvaldc: a declarative compiler for modular robots.
+
+``compile(path)`` gives a ``Compilation`` (``model``, ``report``), ``emit(model, targets, report)``
+the files of the targets in memory, ``Simulation(model, files)`` drives them in MuJoCo,
+``BaseDriver(robot, base)`` drives a base.  Each is imported when it is first asked for.
+"""
+
+from __future__ import annotations
+
+from typing import Any
 
 __version__ = "0.1.0"
+__all__ = ["BaseDriver", "Simulation", "__version__", "compile", "emit"]
+
+_API = {
+    "compile": "thorvaldc.pipeline:compile_file",
+    "emit": "thorvaldc.pipeline:emit",
+    "Simulation": "thorvaldc.runtime.simulation:Simulation",
+    "BaseDriver": "thorvaldc.runtime.driver:BaseDriver",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _API:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    module, attribute = _API[name].split(":")
+    return getattr(import_module(module), attribute)

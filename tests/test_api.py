@@ -1,0 +1,44 @@
+"""What `import thorvaldc` gives."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import thorvaldc
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples/4wd4ws_slim/robot.yaml"
+
+
+def test_from_a_file_to_a_drive() -> None:
+    done = thorvaldc.compile(EXAMPLE)
+    files = thorvaldc.emit(done.model, ["mjcf"], done.report)
+    result = thorvaldc.Simulation(done.model, files).run(0.5, _forward())
+    assert result.robots[0].path_true > 0.0
+
+
+def _forward() -> object:
+    from thorvaldc.runtime.se2 import Twist
+
+    return Twist(0.5, 0.0, 0.0)
+
+
+def test_all_that_is_promised_is_there() -> None:
+    assert all(getattr(thorvaldc, name) is not None for name in thorvaldc.__all__)
+    with pytest.raises(AttributeError, match="nothing_like_that"):
+        thorvaldc.nothing_like_that  # noqa: B018
+
+
+def test_the_import_itself_loads_nothing() -> None:
+    script = "import sys, thorvaldc; print([m for m in sys.modules if m.startswith('thorvaldc.')])"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={"PYTHONPATH": ":".join(sys.path)},
+    )
+    assert done.stdout == "[]\n"
