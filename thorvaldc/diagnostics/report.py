@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from thorvaldc.diagnostics.codes import CODES, Code
 
@@ -60,7 +61,8 @@ class Report:
     """All faults of a run, in the order of discovery; ``sorted()`` orders by place."""
 
     def __init__(self) -> None:
-        self._diagnostics: dict[Diagnostic, None] = {}  # in order, each once
+        self._diagnostics: dict[Diagnostic, Diagnostic] = {}  # as said, and as kept
+        self._user: Label | None = None
 
     def add(
         self,
@@ -80,24 +82,46 @@ class Report:
 
     def put(self, diagnostic: Diagnostic) -> None:
         """Record a fault that is there as a value."""
-        self._diagnostics[diagnostic] = None
+        kept, user, span = diagnostic, self._user, diagnostic.span
+        if user is not None and span is not None and span.file != user.span.file:
+            if span.file.startswith("<"):  # not a file of the user's own
+                labels = (Label(span, "found here"), *kept.labels)
+                kept = replace(kept, span=user.span, labels=labels)
+            else:
+                kept = replace(kept, labels=(*kept.labels, user))
+        self._diagnostics.setdefault(diagnostic, kept)
 
     def extend(self, other: Report) -> None:
-        self._diagnostics.update(other._diagnostics)
+        for diagnostic in other:
+            self.put(diagnostic)
+
+    @contextlib.contextmanager
+    def used_by(self, user: Label) -> Iterator[None]:
+        """Faults found meanwhile in files other than ``user``'s get it as a label.
+
+        So a fault in a module says who uses that module with such parameters.  One in
+        the project's own library is put to the user's place, with a label where it was
+        found: that is what the user can change.
+        """
+        outer, self._user = self._user, user
+        try:
+            yield
+        finally:
+            self._user = outer
 
     def __iter__(self) -> Iterator[Diagnostic]:
-        return iter(self._diagnostics)
+        return iter(self._diagnostics.values())
 
     def __len__(self) -> int:
         return len(self._diagnostics)
 
     @property
     def errors(self) -> list[Diagnostic]:
-        return [d for d in self._diagnostics if d.severity is Severity.ERROR]
+        return [d for d in self if d.severity is Severity.ERROR]
 
     @property
     def warnings(self) -> list[Diagnostic]:
-        return [d for d in self._diagnostics if d.severity is Severity.WARNING]
+        return [d for d in self if d.severity is Severity.WARNING]
 
     @property
     def has_errors(self) -> bool:
@@ -106,4 +130,4 @@ class Report:
     def sorted(self) -> list[Diagnostic]:
         """By file, line and column; faults without a place last."""
         last = Span("\U0010ffff")
-        return sorted(self._diagnostics, key=lambda d: (d.span or last, d.code.number))
+        return sorted(self, key=lambda d: (d.span or last, d.code.number))

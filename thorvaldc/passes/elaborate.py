@@ -34,7 +34,7 @@ from thorvaldc.passes.base import (
 )
 from thorvaldc.passes.bus import connect_actuators
 from thorvaldc.passes.hardware import Hardware, hardware_of
-from thorvaldc.passes.resolve import Instance, Resolver, flat
+from thorvaldc.passes.resolve import Instance, Resolver, flat, used_by
 from thorvaldc.passes.scope import Scope
 from thorvaldc.passes.wiring import Wiring
 from thorvaldc.source.node import Node
@@ -89,7 +89,10 @@ class Elaborator:
         parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
         hardware: dict[str, Hardware] = {}
         for leaf in robot.leaves():
-            own = hardware_of(leaf.type, leaf.scope, self.report) if leaf.type else None
+            if leaf.type is None:
+                continue
+            with self.report.used_by(used_by(leaf.path, leaf.origin)):
+                own = hardware_of(leaf.type, leaf.scope, self.report)
             if own is not None:
                 hardware[leaf.path] = own
         if self.report.has_errors or not whole:

@@ -102,7 +102,8 @@ class Resolver:
         for category, node in _entries(defaults).items():
             self._defaults[category] = _entries(node)
         for name, entry in _entries(document.get("modules")).items():
-            self._expand(robot, name, entry, entry.where, ())
+            with self.report.used_by(used_by(name, entry.where)):
+                self._expand(robot, name, entry, entry.where, ())
         self._check_defaults(robot)
         root = self._root_part(robot, document.get("modules") or document)
         self._mount_parts(robot)
@@ -531,6 +532,11 @@ class Resolver:
 
 def _entries(node: Node | None) -> dict[str, Node]:
     return node.value if node is not None and isinstance(node.value, dict) else {}
+
+
+def used_by(path: str, origin: Span) -> Label:
+    """What a fault in a module's document says of the robot's module that uses it."""
+    return Label(origin, f"`{path.split('.', 1)[0]}` uses it")
 
 
 def _last(path: str) -> str:
