@@ -133,7 +133,10 @@ SUITED: dict[str, Callable[[], st.SearchStrategy[list[WheelGeometry]]]] = {
     "general": lambda: st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()),
     "differential": axle_wheels,
     "one_wheel": tricycle_wheels,
+    "random_pairs": lambda: any_wheels().filter(lambda w: sum(not v.swivel for v in w) > 1),
 }
+EXACT = sorted(set(BUILTIN) - {"random_pairs"})
+"""Those whose odometry is that of the joints: not so the mean of random intersections."""
 
 twists = st.builds(
     Twist,
@@ -145,6 +148,12 @@ twists = st.builds(
 
 @pytest.fixture(params=sorted(BUILTIN), scope="module")
 def name(request: pytest.FixtureRequest) -> str:
+    found: str = request.param
+    return found
+
+
+@pytest.fixture(params=EXACT, scope="module")
+def exact(request: pytest.FixtureRequest) -> str:
     found: str = request.param
     return found
 
@@ -192,8 +201,8 @@ def draw_robot(data: st.DataObject, name: str) -> BaseCalculator:
 
 @SETTINGS
 @given(data=st.data())
-def test_forward_of_inverse_is_the_twist(name: str, data: st.DataObject) -> None:
-    calculator = draw_robot(data, name)
+def test_forward_of_inverse_is_the_twist(exact: str, data: st.DataObject) -> None:
+    calculator = draw_robot(data, exact)
     twist = data.draw(twists)
     states, target, reached = states_of(calculator, twist)
     assume(reached)
@@ -273,6 +282,8 @@ def test_order_of_the_wheels_does_not_matter(name: str, data: st.DataObject) -> 
             assert abs(a.joints.speeds[i] - b.joints.speeds[j]) <= 1e-9
         n = len(wheels)
         zeros = [0.0] * n
+        if name not in EXACT:
+            continue
         ea = one.odometry(JointStates(0.0, a.joints.speeds, a.joints.angles, zeros))
         eb = two.odometry(JointStates(0.0, b.joints.speeds, b.joints.angles, zeros))
         assert ea.rank == eb.rank

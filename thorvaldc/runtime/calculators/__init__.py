@@ -40,6 +40,7 @@ BUILTIN: dict[str, str] = {
     "general": "thorvaldc.runtime.calculators.general:General",
     "differential": "thorvaldc.runtime.calculators.differential:Differential",
     "one_wheel": "thorvaldc.runtime.calculators.one_wheel:OneWheel",
+    "random_pairs": "thorvaldc.runtime.calculators.random_pairs:RandomPairs",
 }
 ENTRY_POINT_GROUP = "thorvaldc.base_calculators"
 

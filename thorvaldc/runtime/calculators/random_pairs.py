@@ -1,0 +1,142 @@
+"""The paper's way of odometry, kept as a baseline to compare with."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators.estimator import TwistEstimate
+from thorvaldc.runtime.calculators.general import General, GeneralOptions
+from thorvaldc.runtime.calculators.geometry import BaseGeometry
+from thorvaldc.runtime.se2 import ZERO_TWIST, Cov3, Twist
+
+COVARIANCE: Cov3 = ((0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.03))
+"""What the original publishes with every twist, whatever the wheels say."""
+_PARALLEL = 1e-9
+_AT_CENTRE = 0.05
+"""Distance (m) from the centre of rotation within which a wheel's speed tells no turning."""
+
+
+@dataclass(frozen=True, slots=True)
+class RandomPairsOptions(GeneralOptions):
+    """Options of ``random_pairs``, besides those of ``general``.
+
+    ``seed``: of the pairs.  ``pairs_per_wheel``: how many are drawn a tick.
+    ``special_cases``: pairs whose directions differ by less than ``parallel`` (rad)
+    have no intersection, and a robot most of whose pairs are such does not turn;
+    a wheel at the centre of rotation is not asked how fast.  Without them
+    only lines that are exactly parallel have no intersection.
+    """
+
+    seed: int = 1
+    pairs_per_wheel: int = 10
+    special_cases: bool = True
+    parallel: float = 0.02
+
+    def __post_init__(self) -> None:
+        # super() without arguments fails in a dataclass with slots, which is made anew.
+        GeneralOptions.__post_init__(self)
+        if not 1 <= self.pairs_per_wheel <= 1000:
+            raise ValueError(f"pairs_per_wheel is {self.pairs_per_wheel}; it must be 1 to 1000")
+        if not 0.0 < self.parallel < 1.0:
+            raise ValueError(f"parallel is {self.parallel:g} rad; it must be between 0 and 1 rad")
+
+
+class RandomPairs(General):
+    """Odometry from the mean intersection of the axle lines of random pairs of wheels.
+
+    Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
+    section 3.3.1.  It commands as ``general`` does.  Its covariance is a constant.  Of
+    use as a baseline only: with noise, intersections of almost parallel
+    lines are anywhere, and their mean with them.
+    """
+
+    name = "random_pairs"
+    summary = "the paper's odometry: intersections of random pairs of axle lines (a baseline)"
+    Options = RandomPairsOptions
+
+    def __init__(self, geometry: BaseGeometry, options: RandomPairsOptions | None = None) -> None:
+        super().__init__(geometry, options)
+        self._pairs: RandomPairsOptions = self.options
+        # (index, wheel) of those whose direction is known
+        self._known = tuple((i, w) for i, w in enumerate(geometry.wheels) if not w.swivel)
+        self._random = random.Random(self._pairs.seed)
+
+    @classmethod
+    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+        if sum(1 for w in geometry.wheels if not w.swivel) < 2:
+            return "it has fewer than two wheels whose direction is known, so no pair"
+        return super().unsuited(geometry)
+
+    def reset(self, states: JointStates | None = None) -> None:
+        super().reset(states)
+        self._random.seed(self._pairs.seed)
+
+    def odometry(self, states: JointStates) -> TwistEstimate:
+        self.estimator.check(states)
+        # Per wheel: contact, rolling direction, speed (None without encoder).
+        lines: list[tuple[float, float, float, float, float | None]] = []
+        for i, w in self._known:
+            turning = w.sign * states.angle_rates[i]
+            direction = w.heading + w.sign * states.angles[i]
+            c, s = math.cos(direction), math.sin(direction)
+            speed = w.radius * states.speeds[i] + w.lateral * turning if w.encoder else None
+            x = w.x + c * w.trail - s * w.lateral
+            y = w.y + s * w.trail + c * w.lateral
+            lines.append((x, y, c, s, speed))
+        if not any(speed for *_, speed in lines):
+            return TwistEstimate(ZERO_TWIST, COVARIANCE, 3)
+        centre = self._centre_of_rotation(lines)
+        twist = _translation(lines) if centre is None else self._turning(lines, *centre)
+        return TwistEstimate(twist, COVARIANCE, 3)
+
+    def _centre_of_rotation(
+        self, lines: list[tuple[float, float, float, float, float | None]]
+    ) -> tuple[float, float] | None:
+        """The mean intersection; ``None`` where the lines are taken for parallel."""
+        options = self._pairs
+        draw, n = self._random.randrange, len(lines)
+        pairs = options.pairs_per_wheel * n
+        tolerance = math.sin(options.parallel) if options.special_cases else _PARALLEL
+        count, x, y = 0, 0.0, 0.0
+        for _ in range(pairs):
+            i = draw(n)
+            j = draw(n - 1)
+            xi, yi, ci, si, _ = lines[i]
+            xj, yj, cj, sj, _ = lines[j if j < i else j + 1]
+            # On both lines: (c, s) . (p - contact) = 0.
+            det = ci * sj - si * cj
+            if abs(det) < tolerance:
+                continue
+            bi, bj = ci * xi + si * yi, cj * xj + sj * yj
+            x += (bi * sj - bj * si) / det
+            y += (ci * bj - cj * bi) / det
+            count += 1
+        if count == 0 or (options.special_cases and count < pairs - count):
+            return None
+        return x / count, y / count
+
+    def _turning(
+        self, lines: list[tuple[float, float, float, float, float | None]], xc: float, yc: float
+    ) -> Twist:
+        """The mean over the wheels of how fast each turns about the centre."""
+        nearest = _AT_CENTRE if self._pairs.special_cases else 1e-9
+        count, total = 0, 0.0
+        for x, y, c, s, speed in lines:
+            dx, dy = x - xc, y - yc
+            distance = math.hypot(dx, dy)
+            if speed is None or distance < nearest:
+                continue
+            total += math.copysign(speed / distance, speed * (dx * s - dy * c))
+            count += 1
+        wz = total / count if count else 0.0
+        return Twist(wz * yc, -wz * xc, wz)
+
+
+def _translation(lines: list[tuple[float, float, float, float, float | None]]) -> Twist:
+    """The mean velocity of the wheels."""
+    moving = [(c * v, s * v) for _, _, c, s, v in lines if v is not None]
+    n = len(moving)
+    return Twist(sum(u for u, _ in moving) / n, sum(u for _, u in moving) / n, 0.0)
