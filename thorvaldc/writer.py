@@ -79,6 +79,17 @@ def write_build(
         raise WriteError(f"cannot write {shown}: {_reason(fault, target)}") from fault
 
 
+def _check_writable(target: Path, shown: str) -> None:
+    """The exchange would replace a folder that must not be written; so ask first.
+
+    A folder that nobody may write is meant so, even if the superuser could.
+    """
+    folder = next(path for path in (target, *target.parents) if path.exists())
+    if not os.access(folder, os.W_OK) or not folder.stat().st_mode & 0o222:
+        place = "it" if folder == target else f"the folder {folder}"
+        raise WriteError(f"cannot write {shown}: {place} is read-only")
+
+
 def _is_inside(path: str) -> bool:
     """A plain relative path, which stays inside the folder."""
     pure = PurePosixPath(path)
@@ -109,6 +120,7 @@ def _reason(fault: OSError, target: Path) -> str:
 def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
     if target.exists() and not target.is_dir():
         raise WriteError(f"cannot write {shown}: it is a file, not a folder")
+    _check_writable(target, shown)
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():
         with _locked(target.parent):

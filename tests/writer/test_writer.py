@@ -147,6 +147,23 @@ def test_the_path_is_a_file(tmp_path: Path) -> None:
     assert (tmp_path / "out").read_text() == "x"
 
 
+@pytest.mark.parametrize("deeper", ["", "deeper", "still/deeper"])
+def test_a_read_only_folder_is_refused_and_left_alone(tmp_path: Path, deeper: str) -> None:
+    locked = tmp_path / "locked"
+    if deeper == "":
+        write(ONE, locked)
+    else:
+        locked.mkdir()
+    before = contents(locked)
+    locked.chmod(0o555)
+    try:
+        with pytest.raises(WriteError, match="is read-only"):
+            write(TWO, locked / deeper)
+    finally:
+        locked.chmod(0o755)
+    assert contents(locked) == before
+
+
 def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to("real")

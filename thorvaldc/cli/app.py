@@ -24,7 +24,7 @@ app = typer.Typer(
 modules = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(modules, name="modules", help="The hardware modules of the library.")
 
-Files = Annotated[list[str], typer.Argument(metavar="FILE...", help="A robot.yaml or fleet.yaml.")]
+Files = Annotated[list[str], typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
 Format = Annotated[
     str, typer.Option("--format", metavar="text|json|github|sarif", help="How faults are shown.")
@@ -228,7 +228,7 @@ def modules_check(
 @app.command(cls=LightCommand, hidden=True)
 @guarded
 def demo(
-    files: Annotated[list[str], typer.Argument(metavar="FILE...")] = [],  # noqa: B006
+    files: Annotated[list[str], typer.Argument(metavar="FILE")] = [],  # noqa: B006
     original: Annotated[list[str], typer.Option("--original", metavar="FILE")] = [],  # noqa: B006
     output: Annotated[str, typer.Option("--output", "-o", metavar="DIR")] = "build",
 ) -> int:
