@@ -22,6 +22,7 @@ from thorvaldc.source.reader import read_file
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
+PALETTE = "palette.yaml"
 OWN = "<library>"  # how spans show the project's own library, wherever it is installed
 
 
@@ -74,6 +75,7 @@ class _Loaded(NamedTuple):
 
 # By file and the name it is shown under; a file that changed is read again.
 _loaded: dict[tuple[str, str], _Loaded] = {}
+_palettes: dict[tuple[str, str], tuple[tuple[int, int], dict[str, str], Report]] = {}
 
 
 def _load(name: str, path: Path, display: str, report: Report) -> ModuleType | None:
@@ -87,7 +89,7 @@ def _load(name: str, path: Path, display: str, report: Report) -> ModuleType | N
         good = document is not None and check(document, "module", own)
         module = None
         if document is not None and good and not own.has_errors:
-            module = ModuleType(name, path.parent, display, document)
+            module = ModuleType(name, path.absolute().parent, display, document)
         known = _loaded[key] = _Loaded(stamp, module, own)
     report.extend(known.report)
     return known.type
@@ -100,6 +102,7 @@ class Library:
         self.folders = [*folders, (data_folder("modules"), OWN)]
         self._found: dict[str, ModuleType | None] = {}
         self._files: dict[str, Path] = {}
+        self._palette: dict[str, str] | None = None
 
     @property
     def files(self) -> dict[str, Path]:
@@ -146,23 +149,47 @@ class Library:
         found = (Path(root) for root, _, files in os.walk(folder) if FILE in files)
         return sorted(root.relative_to(folder).as_posix() for root in found)
 
-    def palette(self) -> dict[str, str]:
-        """Colour names of all library folders; the user's come before ours."""
-        colors: dict[str, str] = {}
-        for folder, _ in reversed(self.folders):
-            colors.update(_palette(folder / "palette.yaml"))
-        return colors
+    def palette(self, report: Report | None = None) -> dict[str, str]:
+        """Colour names of all library folders; the user's come before ours.
+
+        Read at the first call, which reports what is wrong in them.
+        """
+        if self._palette is None:
+            self._palette = {}
+            found = Report() if report is None else report
+            for folder, display in reversed(self.folders):
+                path = folder / PALETTE
+                if path.is_file():
+                    shown = f"{display}/{PALETTE}"
+                    self._files[shown] = path
+                    self._palette.update(_read_palette(path, shown, found))
+        return self._palette
 
 
-def _palette(path: Path) -> dict[str, str]:
-    if not path.is_file():
-        return {}
+def _read_palette(path: Path, display: str, report: Report) -> dict[str, str]:
     status = path.stat()
-    return _read_palette(str(path.absolute()), (status.st_mtime_ns, status.st_size))
+    stamp = (status.st_mtime_ns, status.st_size)
+    key = (str(path.absolute()), display)
+    known = _palettes.get(key)
+    if known is None or known[0] != stamp:
+        own = Report()
+        known = _palettes[key] = (stamp, _colors(read_file(path, display, own), own), own)
+    report.extend(known[2])
+    return known[1]
 
 
-@cache
-def _read_palette(path: str, stamp: tuple[int, int]) -> dict[str, str]:
-    node = read_file(Path(path), path, Report())
-    plain = node.plain() if node is not None else {}
-    return {str(k): str(v) for k, v in plain.items()} if isinstance(plain, dict) else {}
+def _colors(node: Node | None, report: Report) -> dict[str, str]:
+    if node is None:
+        return {}
+    if not isinstance(node.value, dict):
+        report.add("wrong-type", "a palette is a mapping of names to colours", node.span)
+        return {}
+    colors: dict[str, str] = {}
+    for name, item in node.value.items():
+        if isinstance(item.value, str):
+            colors[name] = item.value
+        else:
+            report.add(
+                "wrong-type", "a colour is text", item.span, hint='write it as in `"#9a9a9a"`'
+            )
+    return colors

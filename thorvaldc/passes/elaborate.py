@@ -88,6 +88,7 @@ class Elaborator:
         """
         parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
         hardware: dict[str, Hardware] = {}
+        self.resolver.library.palette(self.report)
         for leaf in robot.leaves():
             if leaf.type is None:
                 continue

@@ -118,6 +118,7 @@ def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | 
     key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.evaluate_all())
     if any(value is FAULT for value in key):
         return None
+    key = (*scope.library.palette().items(), *key)
     known = module.elaborated.get(key)
     if known is None:
         own = Report()
