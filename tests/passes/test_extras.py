@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import struct
+import subprocess
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -727,3 +729,29 @@ def test_the_result_does_not_depend_on_the_folder(tmp_path: Path) -> None:
     assert repr(replace(found[0], files={})) == repr(replace(found[1], files={}))
     assert str(os.getcwd()) not in repr(found)
     assert struct.unpack_from("<I", found[0].meshes[0].data, 80) == (4,)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes under /proc")
+def test_an_interrupt_ends_the_worker(tmp_path: Path) -> None:
+    (tmp_path / "a.xacro").write_text(
+        HEAD + "<link name='${len([0 for i in range(10**11)])}'/></robot>", encoding="utf-8"
+    )
+    program = (
+        "from pathlib import Path\n"
+        "from thorvaldc.passes.xacro_expand import Request, Shown, expand\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "expand([Request(folder / 'a.xacro', {}, {})], Shown(folder, '', {}))\n"
+    )
+    ours = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    children = Path(f"/proc/{ours.pid}/task/{ours.pid}/children")
+    deadline = time.monotonic() + 30.0
+    worker = ""
+    while not worker and time.monotonic() < deadline:
+        time.sleep(0.02)
+        worker = children.read_text().strip()
+    time.sleep(0.3)  # it is expanding now, or about to
+    ours.send_signal(signal.SIGINT)
+    assert ours.wait(timeout=10.0) != 0
+    while Path(f"/proc/{worker}").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not Path(f"/proc/{worker}").exists()
