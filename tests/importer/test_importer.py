@@ -152,6 +152,8 @@ def test_frame_stands_at_its_height_and_its_parts_at_their_places(standard: Robo
     assert place["pipe1_tube"].xyz == (0.425, 0.0, 0.65)
     assert place["pipe1_tube"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
     assert place["corner3_clamp"].xyz == (-0.425, 0.445, 0.65)
+    assert place["corner1_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert place["corner3_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
     assert place["beam0_beam"].xyz == (0.0, -0.449, 0.65)
 
 
@@ -197,6 +199,15 @@ def test_every_number_of_a_drive_arrives(standard: Robot) -> None:
     assert steering.max_velocity == 3.0
     joint = standard.joint(steering.joint)
     assert (joint.lower, joint.upper) == (-2.5, 2.5)
+
+
+def test_legs_and_motors_are_inside(standard: Robot) -> None:
+    place = poses(standard)
+    for link in standard.links:
+        if link.name.endswith("_drive_leg") and link.inertial is not None:
+            _, y, _ = place[link.name].apply(link.inertial.com)
+            wheel = next(w for w in standard.wheels if w.module.split(".")[0] in link.name)
+            assert abs(y) < abs(wheel.y), link.name
 
 
 def test_batteries_with_and_without(standard: Robot) -> None:
