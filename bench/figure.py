@@ -67,7 +67,7 @@ def side_by_side(
 def least_times(works: Sequence[Callable[[], object]], rounds: int) -> list[float]:
     """Least time (s) of each call in this process, taken in turns, after one that does not count.
 
-    What else the machine does only adds to a time: the least is nearest to the work's own.
+    Processor time, and the least of it: what else the machine does only adds.
     """
     for work in works:
         work()
@@ -75,19 +75,19 @@ def least_times(works: Sequence[Callable[[], object]], rounds: int) -> list[floa
     for _ in range(rounds):
         for work, times in zip(works, taken, strict=True):
             gc.collect()
-            start = time.perf_counter()
+            start = time.process_time()
             work()
-            times.append(time.perf_counter() - start)
+            times.append(time.process_time() - start)
     return [min(times) for times in taken]
 
 
 def median_time(work: Callable[[], object], rounds: int) -> float:
-    """Median time (s) of a call in this process, after one that does not count."""
+    """Median processor time (s) of a call in this process, after one that does not count."""
     work()
     times = []
     for _ in range(rounds):
         gc.collect()
-        start = time.perf_counter()
+        start = time.process_time()
         work()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return statistics.median(times)

@@ -32,6 +32,6 @@ def figures() -> Iterator[Figure]:
         10,
         "lower",
         "4WD4WS from robot.yaml to the files of all four targets in memory, in process,"
-        " median of 51; xacro expands a four-wheel robot to URDF alone in"
+        " median processor time of 51; xacro expands a four-wheel robot to URDF alone in"
         f" {expansion * 1e3:.1f} ms",
     )
