@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -125,7 +126,7 @@ def _robot(
     own = document.get("library")
     for node in own.value if own is not None and isinstance(own.value, tuple) else ():
         folder = base / str(node.value)
-        if folder.is_dir():
+        if os.path.isdir(folder):
             folders.append((folder, str(node.value)))
         else:
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
@@ -192,7 +193,7 @@ def _fleet(
         if file_node is None:
             continue
         file = path.parent / str(file_node.value)
-        if not file.is_file():
+        if not os.path.isfile(file):
             report.add(
                 "fleet-robot-missing", f"there is no file `{file_node.value}`", file_node.span
             )

@@ -144,6 +144,14 @@ class _Builder:
 
     def build(self) -> Hardware:
         section = self.module.section
+        if not self.link_names and (section("links") or section("joints")):
+            self.report.add(
+                "link-unknown",
+                f"`{self.module.name}` has no links with these parameters",
+                next(iter({**section("joints"), **section("links")}.values())).where,
+                hint="leave the whole module out instead: `type: none`",
+            )
+            return Hardware((), (), (), None, None, None, Pose(), (), None)
         links = tuple(self._link(name, section("links")[name]) for name in self.link_names)
         joints = tuple(
             self._joint(name, node)
@@ -202,11 +210,11 @@ class _Builder:
                 node.span,
                 hint=nearest(name, self.link_names),
             )
-        return first
+        return name or first
 
     def _check_mount_link(self, mount: Node | None) -> None:
         node = mount.get("link") if mount is not None else None
-        if node is not None and self._link_name(node) != self.link_names[0]:
+        if node is not None and self._link_name(node) in self.link_names[1:]:
             self.report.add(
                 "link-unknown",
                 f"`{self.module.name}` is held by `{self.scope.text(node)}`, which is not its "
@@ -330,7 +338,7 @@ class _Builder:
         """Every link but the first is the child of exactly one joint, without loops."""
         parents: dict[str, JointPart] = {}
         for joint in joints:
-            if joint.child in parents or joint.child == self.link_names[0]:
+            if joint.child in parents or joint.child in self.link_names[:1]:
                 self.report.add(
                     "link-two-parents",
                     f"link `{joint.child}` of `{self.module.name}` has two parents"
@@ -339,13 +347,19 @@ class _Builder:
                     joint.span,
                 )
             parents.setdefault(joint.child, joint)
-        for name in self.link_names[1:]:
-            seen: list[str] = []
-            current = name
-            while current in parents and current not in seen:
-                seen.append(current)
-                current = parents[current].parent
-            if current != self.link_names[0] and not self.report.has_errors:
+        if self.report.has_errors:
+            return
+        children: dict[str, list[str]] = {}
+        for joint in joints:
+            children.setdefault(joint.parent, []).append(joint.child)
+        reached = dict.fromkeys(self.link_names[:1])
+        waiting = list(reached)
+        while waiting:
+            found = children.get(waiting.pop(), [])
+            reached.update(dict.fromkeys(found))
+            waiting.extend(found)
+        for name in self.link_names:
+            if name not in reached:
                 self.report.add(
                     "link-unconnected",
                     f"link `{name}` of `{self.module.name}` is not connected "

@@ -419,7 +419,7 @@ class Resolver:
             if not child.is_mechanical and child.is_whole:
                 self.report.add(
                     "mount-without-hardware",
-                    f"`{child.path}` is electrical only and cannot be mounted",
+                    f"`{child.path}` has no body that could be mounted",
                     node.where,
                     hint="leave `mount` out",
                 )
@@ -491,7 +491,7 @@ class Resolver:
     def _check_kind(
         self, plug: Instance, kind: str, reference: str, node: Node, socket: Node
     ) -> None:
-        if plug.type is None:
+        if plug.type is None or not kind:
             return
         own = plug.type.document.get("mount")
         kinds = own.get("kinds") if own is not None else None

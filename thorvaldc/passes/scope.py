@@ -22,6 +22,7 @@ from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 NONE = "none"
 LARGEST = 1e12  # in SI, of any quantity: its squares and products stay far from overflow
 SMALLEST = 1e-15
+MAX_CHAIN = 30  # values that need one another in a row
 MAX_CHOICES = 12  # modules chosen by parameters of modules chosen by parameters ...
 WHEEL_SIZES = ("radius", "width")
 
@@ -61,7 +62,7 @@ class ModuleChoice(Mapping[str, Any]):
     def scope(self) -> Scope:
         if self._scope is None:
             if self.written_in.depth > MAX_CHOICES:
-                raise _Cycle(f"{self.module.name} -> {self.module.name}")
+                raise _Cycle(f"itself: {self.module.name} -> {self.module.name}")
             self._scope = Scope(
                 self.module,
                 {name: (node, self.written_in) for name, node in self.params.items()},
@@ -143,7 +144,11 @@ class Scope(Mapping[str, Any]):
         if name not in self._params and name not in self._let:
             raise KeyError(name)
         if name in self._busy:
-            raise _Cycle(" -> ".join([*self._busy[self._busy.index(name) :], name]))
+            way = [*self._busy[self._busy.index(name) :], name]
+            raise _Cycle("itself: " + " -> ".join(way))
+        if len(self._busy) >= MAX_CHAIN:
+            way = [*self._busy[:3], "..."]
+            raise _Cycle(f"more than {MAX_CHAIN} others in a row: " + " -> ".join(way))
         self._busy.append(name)
         try:
             if name in self._params:
@@ -354,7 +359,7 @@ class Scope(Mapping[str, Any]):
         except ExpressionError as fault:
             self.report.add(fault.code, fault.message, node.span, hint=fault.hint)
         except _Cycle as fault:
-            self.report.add("expression-cycle", f"the value needs itself: {fault}", node.span)
+            self.report.add("expression-cycle", f"the value needs {fault}", node.span)
         except _Faulty:
             pass
         return FAULT
