@@ -1,0 +1,241 @@
+"""Any document gives diagnostics or a robot: no traceback, no hang.
+
+5000 mutations of the real examples and of the library's own modules, of their
+text and of their trees.  The same ones in every run.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from thorvaldc.diagnostics.render import FORMATS, render
+from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+
+ROOT = Path(__file__).parents[2]
+LIMIT = 5.0  # s for one document; the usual one takes hundredths
+
+ROBOTS = [
+    path.read_text(encoding="utf-8")
+    for path in sorted((ROOT / "examples").glob("*/robot.yaml"))
+    if "extras:" not in path.read_text(encoding="utf-8")  # a process for each is too slow here
+]
+MODULES = [
+    (path.parent.relative_to(ROOT / "modules").as_posix(), path.read_text(encoding="utf-8"))
+    for path in sorted((ROOT / "modules").glob("*/*/module.yaml"))
+]
+USER = """thorvaldc: 1
+name: r
+library: [lib]
+modules:
+  frame: {type: frame/tube_rectangular}
+  fl: {type: assembly/steered_drive, mount: frame.front_left}
+  fr: {type: caster/fixed, mount: frame.front_right}
+  rear: {type: caster/fixed, mount: frame.rear_center}
+  part: {type: TYPE, mount: {parent: frame}}
+"""
+
+# What goes wrong in YAML, in units, in references, in expressions.
+PIECES = [
+    *("", " ", "\n", "\t", ":", ": ", "- ", "{", "}", "[", "]", ",", '"', "'", "#", "&a ", "*a"),
+    *("|", ">", "!x ", "%", "@", "?", "---\n", "\x00", "\ufeff", "\u2028", "é", "日本", "\r\n"),
+    *("null", "~", "true", "on", "010", "0x10", "1e3", "1e999", ".inf", ".nan", "-1", "0", "1.5"),
+    *("42:1", "5 kg", "5 mm", "5 mn", "-5 m", "1e400 m", "90 deg", "1/0", "none", "auto", "a.b.c"),
+    *("${", "}", "${x}", "${1/0}", "${pi}", "${2**9**9}", "${[1]}", "${wheel}", "${-length}"),
+    *("xyz", "rpy", "mount", "params", "type", "can", "modules", "links", "frame", "fl", "<<"),
+]
+VALUES: list[Any] = [
+    *(None, True, False, 0, -1, 3, 10**30, 0.0, -0.5, 1e-300, 1e300, "", "x", "none", "auto"),
+    *("5 kg", "5 mm", "-5 mm", "0 m", "90 deg", "42:1", "1e300 m", "frame.front_left", "fl"),
+    *("${x}", "${1/0}", "${pi}", "${length}", "${10**300}", "${'a'}", "${[1, 2]}", "frame/open"),
+    *([], [0, 0, 0], [1, 2], ["a", "b", "c"], [[]], {}, {"type": "frame/open"}, {"a": 1}),
+    *({"port": "frame.front_left"}, {"parent": "fl"}, {"x": {"quantity": "length"}}),
+]
+
+
+class Hang(Exception):
+    pass
+
+
+@contextmanager
+def no_hang() -> Iterator[None]:
+    def stop(*_: object) -> None:
+        raise Hang(f"more than {4 * LIMIT} s")
+
+    previous = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, 4 * LIMIT)
+    began = time.perf_counter()
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, previous)
+    assert time.perf_counter() - began < LIMIT
+
+
+def compile_and_show(robot: bytes, module: tuple[str, bytes] | None = None) -> None:
+    folder = Path(tempfile.mkdtemp(prefix="fuzz"))
+    try:
+        path = folder / "robot.yaml"
+        path.write_bytes(robot)
+        if module is not None:
+            own = folder / "lib" / module[0] / "module.yaml"
+            own.parent.mkdir(parents=True)
+            own.write_bytes(module[1])
+        with no_hang():
+            done = compile_file(path)
+            assert done.model is not None or done.report.has_errors
+            if done.model is not None:
+                emit(done.model, DEFAULT_TARGETS, done.report)
+            for form in FORMATS:
+                render(done.report, form, done.sources)
+    finally:
+        shutil.rmtree(folder)
+
+
+def many(count: int) -> Callable[[Any], Any]:
+    return settings(
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+# -- text -----------------------------------------------------------------------------
+
+places = st.floats(0, 1, exclude_max=True)
+edits = st.lists(
+    st.tuples(
+        st.sampled_from(["insert", "replace", "delete", "swap lines", "repeat", "cut"]),
+        places,
+        places,
+        st.one_of(st.sampled_from(PIECES), st.text(max_size=4)),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+def edit_text(text: str, operations: list[tuple[str, float, float, str]]) -> bytes:
+    for operation, where, other, piece in operations:
+        at = int(where * len(text))
+        if operation == "insert":
+            text = text[:at] + piece + text[at:]
+        elif operation == "replace":
+            text = text[:at] + piece + text[at + max(len(piece), 1) :]
+        elif operation == "delete":
+            text = text[:at] + text[at + 1 + int(other * 20) :]
+        elif operation == "cut":
+            text = text[:at]
+        else:
+            lines = text.splitlines(True) or [""]
+            i, j = int(where * len(lines)), int(other * len(lines))
+            if operation == "repeat":
+                lines.insert(j, lines[i])
+            else:
+                lines[i], lines[j] = lines[j], lines[i]
+            text = "".join(lines)
+    return text.encode("utf-8", "surrogatepass")
+
+
+@many(1500)
+@given(st.sampled_from(ROBOTS), edits)
+def test_text_of_robots(text: str, operations: list[tuple[str, float, float, str]]) -> None:
+    compile_and_show(edit_text(text, operations))
+
+
+@many(1000)
+@given(st.sampled_from(MODULES), edits)
+def test_text_of_modules(
+    module: tuple[str, str], operations: list[tuple[str, float, float, str]]
+) -> None:
+    name, text = module
+    robot = USER.replace("TYPE", name).encode()
+    compile_and_show(robot, (name, edit_text(text, operations)))
+
+
+# -- trees ------------------------------------------------------------------------------
+
+changes = st.lists(
+    st.tuples(
+        st.sampled_from(["set", "set", "remove", "rename", "add", "copy"]),
+        places,
+        places,
+        st.one_of(
+            st.sampled_from(VALUES),
+            st.integers(-(2**70), 2**70),
+            st.floats(allow_nan=False, allow_infinity=False),
+            st.text(max_size=8),
+        ),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+def holders(tree: Any) -> list[tuple[Any, Any]]:
+    """Every value in a tree, as the mapping or list that holds it and its key there."""
+    found: list[tuple[Any, Any]] = []
+    entries = tree.items() if isinstance(tree, dict) else enumerate(tree)
+    for key, value in list(entries):
+        found.append((tree, key))
+        if isinstance(value, dict | list):
+            found.extend(holders(value))
+    return found
+
+
+def change_tree(tree: Any, operations: list[tuple[str, float, float, Any]]) -> bytes:
+    for operation, where, other, drawn in operations:
+        value = copy.deepcopy(drawn)
+        found = holders(tree)
+        if not found:
+            break
+        holder, key = found[int(where * len(found))]
+        if operation == "set":
+            holder[key] = value
+        elif operation == "remove":
+            del holder[key]
+        elif operation == "rename" and isinstance(holder, dict):
+            holder[value if isinstance(value, str) else "renamed"] = holder.pop(key)
+        elif operation == "add" and isinstance(holder, dict):
+            holder[PIECES[int(other * len(PIECES))]] = value
+        else:  # copied, since what contains itself cannot be written
+            source, name = found[int(other * len(found))]
+            holder[key] = json.loads(json.dumps(source[name]))
+    return json.dumps(tree, ensure_ascii=False).encode("utf-8", "surrogatepass")
+
+
+@many(1500)
+@given(st.sampled_from(ROBOTS), changes)
+def test_trees_of_robots(text: str, operations: list[tuple[str, float, float, Any]]) -> None:
+    compile_and_show(change_tree(yaml.safe_load(text), operations))
+
+
+@many(1000)
+@given(st.sampled_from(MODULES), changes)
+def test_trees_of_modules(
+    module: tuple[str, str], operations: list[tuple[str, float, float, Any]]
+) -> None:
+    name, text = module
+    robot = USER.replace("TYPE", name).encode()
+    compile_and_show(robot, (name, change_tree(yaml.safe_load(text), operations)))
+
+
+@pytest.mark.parametrize("text", ["", "thorvaldc: 1\n", "[]", "1", "{}", "null", "a: b\n", "\x00"])
+def test_hardly_anything(text: str) -> None:
+    compile_and_show(text.encode())
