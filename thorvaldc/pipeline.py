@@ -260,7 +260,8 @@ def _with_paths(report: Report, folder: Path, files: dict[str, Path]) -> Report:
     def moved(span: Span) -> Span:
         if span.file.startswith(OWN):
             return span
-        return replace(span, file=str(files.get(span.file) or folder / span.file))
+        shown = str(files.get(span.file) or folder / span.file)
+        return Span(shown, *span[1:])
 
     out = Report()
     for d in report:

@@ -6,6 +6,7 @@ import contextlib
 import enum
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from thorvaldc.diagnostics.codes import CODES, Code
 
@@ -16,8 +17,7 @@ class Severity(enum.Enum):
     NOTE = "note"
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Span:
+class Span(NamedTuple):  # which is made in half the time of a dataclass, and made a lot
     """A stretch of text in a file; lines and columns count from 1, the end is exclusive.
 
     ``file`` is the path as the user gave it (or relative to what they gave), so

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics import Span
 
 Value = None | bool | int | float | str | tuple["Node", ...] | dict[str, "Node"]
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(NamedTuple):
     """A YAML value with its span; ``key_span`` is that of its key in a mapping.
 
     ``quoted`` tells ``"3"`` from ``3``: a quoted scalar is always text.

@@ -58,7 +58,7 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
     if root is None:
         return None
     try:
-        return _Reader(file, report).node(root, None)
+        return _Reader(file, report, b"&" in data).node(root, None)
     except _Refused as refused:
         report.add(refused.code, refused.message, _point(refused.mark, file), hint=refused.hint)
         return None
@@ -215,54 +215,57 @@ def _point(mark: Any, file: str) -> Span:
 
 
 class _Reader:
-    """Turns composed nodes into ours."""
+    """Turns composed nodes into ours.
 
-    def __init__(self, file: str, report: Report) -> None:
+    Where the text has ``aliases``, a node may be met again: it is read once, and
+    what it holds counts each time.
+    """
+
+    def __init__(self, file: str, report: Report, aliases: bool) -> None:
         self.file = file
         self.report = report
-        self.done: dict[int, Node] = {}  # by id: an aliased node is read once
-        self.sizes: dict[int, int] = {}  # values in it, aliases expanded
+        self.node = self._shared if aliases else self._made
+        self.done: dict[int, tuple[Node, int]] = {}  # by id, with the number of values in it
         self.open: set[int] = set()
         self.total = 0
 
-    def node(self, raw: Any, key_span: Span | None) -> Node:
+    def _shared(self, raw: Any, key_span: Span | None) -> Node:
         known = self.done.get(id(raw))
         if known is not None:
-            self._count(self.sizes.get(id(raw), 1), raw)
-            return Node(known.value, known.span, key_span, known.quoted)
-        if raw.tag:
-            self._refuse_tag(raw)
-        if raw.id == "scalar":
-            self.total += 1
-            quoted = raw.style is not None and raw.style != ""
-            span = self._span(raw)
-            value: Value = raw.value if quoted else self._scalar(raw.value, span)
-            made = Node(value, span, key_span, quoted)
-        else:
-            if id(raw) in self.open:
-                raise _Refused(
-                    "yaml-recursive-alias",
-                    "an alias refers to a value that contains it",
-                    raw.start_mark,
-                    "write the value out",
-                )
-            self.open.add(id(raw))
-            before = self.total
-            self._count(1, raw)
-            made = (
-                self._mapping(raw, key_span)
-                if raw.id == "mapping"
-                else self._sequence(raw, key_span)
+            made, values = known
+            self._count(values, raw)
+            return Node(made.value, made.span, key_span, made.quoted)
+        if id(raw) in self.open:
+            raise _Refused(
+                "yaml-recursive-alias",
+                "an alias refers to a value that contains it",
+                raw.start_mark,
+                "write the value out",
             )
-            self.open.discard(id(raw))
-            self.sizes[id(raw)] = self.total - before
-        self.done[id(raw)] = made
+        self.open.add(id(raw))
+        before = self.total
+        self._count(1, raw)
+        made = self._made(raw, key_span)
+        self.open.discard(id(raw))
+        self.done[id(raw)] = made, self.total - before
         return made
 
     def _count(self, values: int, raw: Any) -> None:
         self.total += values
         if self.total > MAX_VALUES:
             raise _too_many(raw.start_mark)
+
+    def _made(self, raw: Any, key_span: Span | None) -> Node:
+        if raw.tag:
+            self._refuse_tag(raw)
+        if raw.id == "mapping":
+            return self._mapping(raw, key_span)
+        if raw.id == "sequence":
+            return self._sequence(raw, key_span)
+        span = self._span(raw)
+        if raw.style:
+            return Node(raw.value, span, key_span, True)
+        return Node(self._scalar(raw.value, span), span, key_span)
 
     def _span(self, raw: Any) -> Span:
         start, end = raw.start_mark, raw.end_mark
@@ -271,7 +274,8 @@ class _Reader:
     def _collection_span(self, raw: Any, last: Span | None) -> Span:
         """A block collection ends with its last value; YAML's mark is at the next token."""
         span = self._span(raw)
-        if raw.flow_style or last is None:
+        # The value of an alias lies elsewhere.
+        if raw.flow_style or last is None or last[1:3] < span[1:3]:
             return span
         return Span(self.file, span.line, span.column, last.end_line, last.end_column)
 
