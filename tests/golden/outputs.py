@@ -25,7 +25,7 @@ def expected_files(example: str) -> dict[str, str]:
     """The golden files of an example by path."""
     folder = GOLDEN / example
     return {
-        path.relative_to(folder).as_posix(): path.read_text(encoding="utf-8")
+        path.relative_to(folder).as_posix(): path.read_bytes().decode()
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }

@@ -20,7 +20,7 @@ def main() -> None:
         for path in changed:
             file = GOLDEN / example / path
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(made[path], encoding="utf-8")
+            file.write_bytes(made[path].encode())
         print(f"{example}: {len(changed)} of {len(made)} files rewritten, {len(gone)} removed")
 
 

@@ -15,8 +15,8 @@ def test_outputs_are_those_that_were_reviewed(example: str) -> None:
     differences = []
     for path in [*sorted({*expected, *made} - {SUMS}), SUMS]:
         difference = difflib.unified_diff(
-            expected.get(path, "").splitlines(),
-            made.get(path, "").splitlines(),
+            expected.get(path, "").split("\n"),
+            made.get(path, "").split("\n"),
             f"reviewed/{path}",
             f"now/{path}",
             lineterm="",
