@@ -11,6 +11,7 @@ import dataclasses
 import difflib
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -55,7 +56,9 @@ class BaseCommand:
     angles.  ``infeasible``: the part that was asked for and that the fixed
     wheels do not allow.  ``scale``: by how much the speed limits slowed it
     down (1: not).  ``unreachable``: indices of wheels whose steering limits
-    leave no angle for the twist; they stand.
+    leave no angle for the twist; they stand.  ``required_rates`` (rad/s, per
+    wheel): how fast its steering would have to turn to be at its angle at the end
+    of the tick; beyond its limit the wheel is late.  0 without a time step.
     """
 
     joints: JointCommands
@@ -64,6 +67,7 @@ class BaseCommand:
     infeasible: Twist
     scale: float
     unreachable: tuple[int, ...]
+    required_rates: Sequence[float] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +87,13 @@ class BaseCalculator(abc.ABC):
     summary: ClassVar[str]
     Options: ClassVar[type] = NoOptions
 
-    def __init__(self, geometry: BaseGeometry, options: Any = None) -> None:
+    def __init__(
+        self, geometry: BaseGeometry, options: Any = None, noise: Noise | None = None
+    ) -> None:
         self.geometry = geometry
         self.options = self.Options() if options is None else options
-        self.estimator = TwistEstimator(geometry)
+        self.noise = noise or Noise()
+        self.estimator = TwistEstimator(geometry, self.noise)
 
     @classmethod
     def unsuited(cls, geometry: BaseGeometry) -> str | None:
@@ -118,7 +125,8 @@ class BaseCalculator(abc.ABC):
         """Forget what was commanded; the joints are where ``states`` says, or at zero."""
 
     def _check(self, twist: Twist, states: JointStates | None, dt: float | None) -> None:
-        if not twist.finite:
+        vx, vy, wz = twist
+        if not math.isfinite(vx + vy + wz):
             raise NotFiniteError(f"the commanded twist is {tuple(twist)}")
         if dt is not None and not 0.0 < dt < math.inf:
             raise ValueError(f"the time step is {dt} s; it must be positive")

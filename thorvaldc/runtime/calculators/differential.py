@@ -21,10 +21,11 @@ class Differential(BaseCalculator):
     name = "differential"
     summary = "driven wheels on one axle, steered by the difference of their speeds"
 
-    def __init__(self, geometry: BaseGeometry, options: NoOptions | None = None) -> None:
-        super().__init__(geometry, options)
+    def __init__(
+        self, geometry: BaseGeometry, options: NoOptions | None = None, noise: Noise | None = None
+    ) -> None:
+        super().__init__(geometry, options, noise)
         self._fixed = FixedWheels(geometry.wheels)
-        self._noise = Noise()
         # The axle's row is (n, d): n . v + d wz = 0.
         nx, ny, self._d = self._fixed.rows[0]
         self._nx, self._ny = nx, ny
@@ -94,7 +95,7 @@ class Differential(BaseCalculator):
 
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
-        noise = self._noise
+        noise = self.noise
         speeds = states.speeds
         # A first line through the wheels' speeds predicts what weighs them.
         along, turn = self._line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[:2]

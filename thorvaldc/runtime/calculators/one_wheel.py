@@ -25,8 +25,13 @@ class OneWheel(BaseCalculator):
     summary = "one driven and steered wheel, with a fixed axle of passive wheels"
     Options = GeneralOptions
 
-    def __init__(self, geometry: BaseGeometry, options: GeneralOptions | None = None) -> None:
-        super().__init__(geometry, options)
+    def __init__(
+        self,
+        geometry: BaseGeometry,
+        options: GeneralOptions | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        super().__init__(geometry, options, noise)
         self._fixed = FixedWheels(geometry.wheels)
         self._nx, self._ny, self._d = self._fixed.rows[0]
         nx, ny = self._nx, self._ny
@@ -34,7 +39,6 @@ class OneWheel(BaseCalculator):
         self._index, self._wheel = next(
             (i, w) for i, w in enumerate(geometry.wheels) if w.steered and w.driven
         )
-        self._noise = Noise()
         w = self._wheel
         self._steering = Steering(
             w, (self._index,), w.max_acceleration * w.radius, self.options.hysteresis
@@ -108,7 +112,7 @@ class OneWheel(BaseCalculator):
 
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
-        i, wheel, noise = self._index, self._wheel, self._noise
+        i, wheel, noise = self._index, self._wheel, self.noise
         turning = wheel.sign * states.angle_rates[i]
         rolls = wheel.radius * states.speeds[i] + wheel.lateral * turning
         slips = -wheel.trail * turning

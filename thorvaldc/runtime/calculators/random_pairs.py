@@ -7,7 +7,7 @@ import random
 from dataclasses import dataclass
 
 from thorvaldc.runtime.base import JointStates
-from thorvaldc.runtime.calculators.estimator import TwistEstimate
+from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.geometry import BaseGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Cov3, Twist
@@ -57,12 +57,17 @@ class RandomPairs(General):
     summary = "the paper's odometry: intersections of random pairs of axle lines (a baseline)"
     Options = RandomPairsOptions
 
-    def __init__(self, geometry: BaseGeometry, options: RandomPairsOptions | None = None) -> None:
-        super().__init__(geometry, options)
-        self._pairs: RandomPairsOptions = self.options
+    def __init__(
+        self,
+        geometry: BaseGeometry,
+        options: RandomPairsOptions | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        self._pairs = options or RandomPairsOptions()
+        self._random = random.Random()
         # (index, wheel) of those whose direction is known
         self._known = tuple((i, w) for i, w in enumerate(geometry.wheels) if not w.swivel)
-        self._random = random.Random(self._pairs.seed)
+        super().__init__(geometry, self._pairs, noise)
 
     @classmethod
     def unsuited(cls, geometry: BaseGeometry) -> str | None:
@@ -89,7 +94,7 @@ class RandomPairs(General):
         if not any(speed for *_, speed in lines):
             return TwistEstimate(ZERO_TWIST, COVARIANCE, 3)
         centre = self._centre_of_rotation(lines)
-        twist = _translation(lines) if centre is None else self._turning(lines, *centre)
+        twist = _translation(lines) if centre is None else self._turning_about(lines, *centre)
         return TwistEstimate(twist, COVARIANCE, 3)
 
     def _centre_of_rotation(
@@ -118,7 +123,7 @@ class RandomPairs(General):
             return None
         return x / count, y / count
 
-    def _turning(
+    def _turning_about(
         self, lines: list[tuple[float, float, float, float, float | None]], xc: float, yc: float
     ) -> Twist:
         """The mean over the wheels of how fast each turns about the centre."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from math import atan2, remainder, sqrt
 
 from thorvaldc.runtime.calculators.geometry import WheelGeometry
 
 PI = math.pi
 TWO_PI = 2.0 * math.pi
+_QUICK = PI / 4.0
 
 HOLD_BELOW = 1e-3
 """Speed (m/s) of a wheel's place below which it has no direction worth following."""
@@ -33,12 +35,14 @@ class Steering:
         "_max_rate",
         "_max_rate_change",
         "_upper",
+        "_zero",
         "acceleration",
         "angle",
         "direction",
         "held",
         "rate",
         "rolling",
+        "seconds_per_rad",
         "target",
         "unreachable",
         "wheel",
@@ -56,6 +60,9 @@ class Steering:
         self._upper = math.inf if wheel.upper is None else wheel.upper
         self._max_rate = wheel.max_rate if wheel.max_rate > 0.0 else math.inf
         self._max_rate_change = wheel.max_rate_change if wheel.max_rate_change > 0.0 else math.inf
+        self.seconds_per_rad = 1.0 / self._max_rate
+        # The joint's angle at which a positive speed rolls towards the robot's front.
+        self._zero = -wheel.sign * wheel.heading
         self.reset(0.0)
 
     def reset(self, angle: float) -> None:
@@ -92,11 +99,32 @@ class Steering:
         At standstill, with the axis at the centre of rotation and where no
         angle can be reached, the target stays.
         """
+        v2 = ux * ux + uy * uy
+        if v2 >= HOLD_BELOW**2 and not self.held and not self.wheel.trail:
+            # An eighth of a turn on the branch it is on: no other angle can be better.
+            direction = self.direction
+            ahead = self._zero - angle + self.wheel.sign * atan2(uy, ux)
+            turn = remainder(ahead if direction > 0.0 else ahead + PI, TWO_PI)
+            target = angle + turn
+            if (
+                -_QUICK < turn < _QUICK
+                and self._lower <= target <= self._upper
+                and direction * speed >= 0.0
+            ):
+                self.target = target
+                self.rolling = direction * sqrt(v2)
+                self.unreachable = False
+                return
+        self._search(ux, uy, wz, angle, speed)
+
+    def _search(self, ux: float, uy: float, wz: float, angle: float, speed: float) -> None:
+        """Choose among all angles within the limits."""
         v = math.hypot(ux, uy)
         self.unreachable = False
         bend = wz * self.wheel.trail
         if v < (RESUME_ABOVE if self.held else HOLD_BELOW) or abs(bend) >= v:
             self.held = True
+            self.rolling = 0.0
             return
         # Side slip at the contact: v sin(phi - theta) + wz trail = 0.
         phi = math.atan2(uy, ux) - self.wheel.heading
@@ -133,6 +161,7 @@ class Steering:
         if best_direction == 0.0:
             self.held = True
             self.unreachable = True
+            self.rolling = 0.0
             return
         self.held = False
         self.target = best_angle
@@ -147,7 +176,7 @@ class Steering:
 
     def time_to_target(self) -> float:
         """Time (s) to the target at full rate."""
-        return abs(self.target - self.angle) / self._max_rate
+        return abs(self.target - self.angle) * self.seconds_per_rad
 
     def advance(self, dt: float, share: float) -> None:
         """Move the commanded ``angle`` towards the target for ``dt`` s.
@@ -159,6 +188,15 @@ class Steering:
         if error == 0.0 and self.rate == 0.0:
             return
         change = self._max_rate_change * dt
+        wanted = error / dt
+        if (
+            -change <= wanted <= change
+            and abs(wanted - self.rate) <= change
+            and abs(wanted) <= self._max_rate * share
+        ):
+            self.angle = self.target
+            self.rate = wanted
+            return
         fastest = abs(error) / dt
         if change < fastest:
             # The rate from which the joint still stops at the target, braking in whole
