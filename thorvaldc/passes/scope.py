@@ -231,9 +231,13 @@ class Scope(Mapping[str, Any]):
             return FAULT if math.isnan(value) else value
         if kind == "list":
             if isinstance(value, tuple | list):
-                return tuple(
-                    self.quantity(v, quantity) if isinstance(v, Node) else v for v in value
-                )
+                items = [
+                    self.quantity(v, quantity, math.nan)
+                    if isinstance(v, Node)
+                    else self._as_quantity(v, node, quantity, math.nan)
+                    for v in value
+                ]
+                return FAULT if any(map(math.isnan, items)) else tuple(items)
             wanted = "a list"
         elif kind == "integer":
             if isinstance(value, float) and value.is_integer():
