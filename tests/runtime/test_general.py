@@ -201,6 +201,34 @@ def test_coordinated_speeds_scrub_far_less_than_the_cosine_rule() -> None:
     assert ours < cosine / 8.0
 
 
+def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
+    """Wheels whose contacts lie beside and behind the steering axis, turning to a new motion.
+
+    What the joints tell while they move is the motion that the calculator says they make.
+    """
+    wheels = [
+        wheel("a", 0.5, 0.4, "steered", lateral=0.1, trail=-0.08),
+        wheel("b", 0.5, -0.4, "steered", lateral=-0.1, sign=-1.0, trail=-0.08),
+        wheel("c", -0.5, 0.0, "steered", lateral=0.1, heading=0.5),
+    ]
+    made, dt = general(*wheels), 0.01
+    angles = [0.0] * 3
+    states = JointStates(0.0, [0.0] * 3, angles, [0.0] * 3)
+    made.reset(states)
+    worst = 0.0
+    for k in range(150):
+        twist = Twist(0.3, 0.0, 0.0) if k < 60 else Twist(0.0, 0.3, 0.2)
+        command = made.command(twist, states, dt)
+        rates = [(b - a) / dt for a, b in zip(angles, command.joints.angles, strict=True)]
+        told = made.odometry(JointStates(0.0, command.joints.speeds, angles, rates)).twist
+        apart = [abs(a - b) for a, b in zip(told, command.twist, strict=True)]
+        worst = max(worst, *apart)
+        angles = list(command.joints.angles)
+        states = JointStates(0.0, command.joints.speeds, angles, rates)
+    assert worst < 0.12
+    assert command.twist == pytest.approx((0.0, 0.3, 0.2), abs=1e-9)
+
+
 def test_wheels_arrive_together_if_asked() -> None:
     def arrivals(together: bool) -> set[int]:
         made = general(*four(*["steered"] * 4), options=GeneralOptions(arrive_together=together))

@@ -52,6 +52,39 @@ def test_chord_over_arc() -> None:
     assert math.hypot(step.x, step.y) == pytest.approx(se2.chord_over_arc(1.2), rel=1e-14)
 
 
+def log(pose: Pose2) -> list[float]:
+    """The twist that makes a small motion in 1 s."""
+    half = pose.yaw / 2.0
+    k = half / math.tan(half) if abs(half) > 1e-9 else 1.0
+    return [k * pose.x + half * pose.y, k * pose.y - half * pose.x, pose.yaw]
+
+
+@pytest.mark.parametrize("twist", [Twist(0.8, -0.5, 0.9), Twist(-0.4, 0.9, -1e-4)])
+def test_covariance_follows_small_changes_of_pose_and_twist(twist: Twist) -> None:
+    """Against differences: a small motion before the step, and a small change of the twist."""
+    dt, eps = 0.7, 1e-6
+    end = se2.exp(twist, dt)
+    unit = [[1.0 if i == j else 0.0 for j in range(3)] for i in range(3)]
+    for zero, one in (("twist", "pose"), ("pose", "twist")):
+        for k in range(3):
+            for m in range(k, 3):
+                d = [eps * (a + b) / 2.0 for a, b in zip(unit[k], unit[m], strict=True)]
+                if one == "pose":
+                    moved = se2.exp(Twist(*d), 1.0).moved(end)
+                else:
+                    changed = Twist(*(a + b / dt for a, b in zip(twist, d, strict=True)))
+                    moved = se2.exp(changed, dt)
+                change = [v / eps for v in log(moved.relative_to(end))]
+                source = tuple(tuple(a * b / eps**2 for b in d) for a in d)
+                if one == "twist":
+                    source = tuple(tuple(v / dt**2 for v in row) for row in source)
+                arguments = {one: source, zero: ZERO_COV}
+                found = se2.propagate(arguments["pose"], twist, arguments["twist"], dt)
+                for i in range(3):
+                    for j in range(3):
+                        assert found[i][j] == pytest.approx(change[i] * change[j], abs=1e-5)
+
+
 def test_pose_covariance_is_that_of_many_runs() -> None:
     """Twists with noise, integrated: the scatter of the ends is the covariance told."""
     random.seed(1)
@@ -62,7 +95,7 @@ def test_pose_covariance_is_that_of_many_runs() -> None:
     for _ in range(n):
         mean = mean.moved(se2.exp(twist, dt))
         covariance = se2.propagate(covariance, twist, q, dt)
-    runs = 3000
+    runs = 1000
     sums = [[0.0] * 3 for _ in range(3)]
     for _ in range(runs):
         pose = ORIGIN
@@ -76,4 +109,4 @@ def test_pose_covariance_is_that_of_many_runs() -> None:
     for i in range(3):
         for j in range(3):
             scale = math.sqrt(covariance[i][i] * covariance[j][j])
-            assert sums[i][j] == pytest.approx(covariance[i][j], abs=0.1 * scale)
+            assert sums[i][j] == pytest.approx(covariance[i][j], abs=0.15 * scale)

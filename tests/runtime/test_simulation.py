@@ -15,8 +15,14 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.serialize import to_json
 from thorvaldc.runtime.faults import RuntimeFault
-from thorvaldc.runtime.manoeuvre import Segment, default_manoeuvre, parse_twist, twist_at
-from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.manoeuvre import (
+    Segment,
+    default_manoeuvre,
+    fleet_manoeuvres,
+    parse_twist,
+    twist_at,
+)
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 from thorvaldc.runtime.simulation import Simulation, demo_table, run_demo
 
 pytest.importorskip("mujoco")
@@ -173,6 +179,22 @@ def test_default_manoeuvre_suits_the_robot() -> None:
     narrow = twists(replace(ROBOT, joints=joints))
     assert not any(t.vy for t in narrow)
     assert not any(t.wz and not t.vx for t in narrow)
+
+
+def test_a_fleet_keeps_apart() -> None:
+    """Who can, goes sideways, unless another stands there that cannot."""
+    axle = make_robot([(-0.3, 0.4, "fixed"), (-0.3, -0.4, "fixed"), (0.5, 0.0, "swivel")])
+
+    def sideways(distance: float) -> bool:
+        robots = [("a", ROBOT, ORIGIN), ("b", axle, Pose2(0.0, distance, 0.0))]
+        plans, duration = fleet_manoeuvres(robots)
+        assert duration == max(start for start, _ in plans["a"]) + 2.0
+        assert [start for start, _ in plans["a"]] == [start for start, _ in plans["b"]]
+        return any(twist.vy for _, twist in plans["a"])
+
+    assert sideways(20.0)
+    assert not sideways(2.5)
+    assert fleet_manoeuvres([]) == ({}, 2.0)
 
 
 def test_twist_at() -> None:

@@ -122,6 +122,14 @@ def test_expected_travel_is_the_mean_over_all_directions() -> None:
             assert made.expected_travel(at) == pytest.approx(total / n, abs=0.02)
 
 
+def test_avoids_the_ends_of_the_range() -> None:
+    """From 80 deg, 168 deg is nearer than -12 deg, but next to the limit."""
+    made = turned(steering(), math.radians(80))
+    theta = math.radians(168)
+    made.choose(math.cos(theta), math.sin(theta), 0.0, math.radians(80), 0.0)
+    assert math.degrees(made.target) == pytest.approx(-12.0)
+
+
 def test_travel_is_near_the_optimum() -> None:
     """Independent directions, +-180 deg: dynamic programming reaches 48.04 deg in the mean."""
     random.seed(7)
