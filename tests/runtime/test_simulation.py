@@ -185,8 +185,10 @@ def test_a_fleet_keeps_apart() -> None:
     """Who can, goes sideways, unless another stands there that cannot."""
     axle = make_robot([(-0.3, 0.4, "fixed"), (-0.3, -0.4, "fixed"), (0.5, 0.0, "swivel")])
 
+    # After the arc of 2 rad, the left of one is where the other stands.
     def sideways(distance: float) -> bool:
-        robots = [("a", ROBOT, ORIGIN), ("b", axle, Pose2(0.0, distance, 0.0))]
+        other = Pose2(-0.91 * distance, -0.42 * distance, 0.0)
+        robots = [("a", ROBOT, ORIGIN), ("b", axle, other)]
         plans, duration = fleet_manoeuvres(robots)
         assert duration == max(start for start, _ in plans["a"]) + 2.0
         assert [start for start, _ in plans["a"]] == [start for start, _ in plans["b"]]
