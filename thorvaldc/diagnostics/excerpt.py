@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from thorvaldc.diagnostics.report import Span
 
@@ -15,11 +17,19 @@ _ELLIPSIS = "…"
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 # Controls, and the marks that reorder text: shown as such they would deceive.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+_LATE_CONTROLS = re.compile("[\x7f-\x9f\u2028\u2029]")
 
 
 def printable(text: str) -> str:
     """Text in one line that cannot steer a terminal."""
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def json_text(document: Any) -> str:
+    """JSON that a person can read, on a terminal as well."""
+    text = json.dumps(document, indent=2, ensure_ascii=False)
+    # The other controls are escaped already; these occur in strings only.
+    return _LATE_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 @dataclass(frozen=True, slots=True)

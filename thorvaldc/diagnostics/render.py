@@ -6,13 +6,12 @@ not there is shown without an excerpt.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.diagnostics.excerpt import Excerpts, printable
+from thorvaldc.diagnostics.excerpt import Excerpts, json_text, printable
 from thorvaldc.diagnostics.report import Diagnostic, Report, Severity, Span
 
 FORMATS = ("text", "json", "github", "sarif")
@@ -131,7 +130,7 @@ def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = 
     }
     if builds is not None:
         document["builds"] = list(builds)
-    return json.dumps(document, indent=2, ensure_ascii=False)
+    return json_text(document)
 
 
 def _json(diagnostic: Diagnostic) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from typing import Any
 from urllib.parse import quote
@@ -10,6 +9,7 @@ from urllib.parse import quote
 from thorvaldc import __version__
 from thorvaldc.diagnostics import explain
 from thorvaldc.diagnostics.codes import Code
+from thorvaldc.diagnostics.excerpt import json_text
 from thorvaldc.diagnostics.report import Diagnostic, Report, Span
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -37,7 +37,7 @@ def render_sarif(report: Report) -> str:
             }
         ],
     }
-    return json.dumps(document, indent=2, ensure_ascii=False)
+    return json_text(document)
 
 
 def _rule(code: Code) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from thorvaldc.schema import faults
 from thorvaldc.schema.documents import Kind, inlined
 from thorvaldc.schema.gate import passes
 from thorvaldc.source.node import Node
-from thorvaldc.source.units import UnitError, parse_any, parse_quantity
+from thorvaldc.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
 
 
 def check(node: Node, kind: Kind, report: Report) -> bool:
@@ -101,8 +101,9 @@ def _quantity_faults(
 
 def _fault(text: str, wanted: str | list[str]) -> UnitError | None:
     """Why the text is none of the wanted quantities, or ``None``."""
+    names = [wanted] if isinstance(wanted, str) else wanted
     first: UnitError | None = None
-    for quantity in [wanted] if isinstance(wanted, str) else wanted:
+    for quantity in names:
         try:
             if quantity == "any":
                 parse_any(text)
@@ -112,6 +113,10 @@ def _fault(text: str, wanted: str | list[str]) -> UnitError | None:
             first = first or error
         else:
             return None
+    if first is not None and first.code == "wrong-dimension" and len(names) > 1:
+        kinds = " or ".join(str(QUANTITIES[name]) for name in names)
+        found = first.message.partition(";")[0]
+        return UnitError(f"{found}; {kinds} is wanted", first.hint, first.code)
     return first
 
 

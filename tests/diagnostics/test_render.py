@@ -1,0 +1,226 @@
+"""Reports as text, json, github and sarif, and the pages of codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from thorvaldc.diagnostics import CODES, Label, Report, Span
+from thorvaldc.diagnostics.explain import UnknownCode, explain, find
+from thorvaldc.diagnostics.render import FORMATS, render, render_text
+
+
+def text(source: str | None, *spans: Span, **options: Any) -> str:
+    """One fault, rendered; the first span is its own, the others are labels."""
+    report = Report()
+    labels = [Label(span, "here too") for span in spans[1:]]
+    report.add("can-id-duplicate", "both are 3", spans[0], hint="change one", labels=labels)
+    file = Path("source.yaml")
+    if source is not None:
+        file.write_bytes(source.encode())
+    return render_text(report, {"f.yaml": file}, **options)
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def at(line: int, column: int, end_line: int, end_column: int, file: str = "f.yaml") -> Span:
+    return Span(file, line, column, end_line, end_column)
+
+
+def test_text() -> None:
+    shown = text("a: 1\nb: {can: 3}\nc: {can: 3}\n", at(3, 10, 3, 11), at(2, 10, 2, 11))
+    assert shown == (
+        "f.yaml:3:10: error[TV501] can-id-duplicate: both are 3\n"
+        "  |\n"
+        "2 | b: {can: 3}\n"
+        "  |          - here too\n"
+        "3 | c: {can: 3}\n"
+        "  |          ^\n"
+        "  = hint: change one\n"
+    )
+
+
+def test_labels_on_one_line_share_it_and_lines_between_are_left_out() -> None:
+    source = "a: {b: 1, c: 2}\n" + "\n" * 9 + "d: 3\n"
+    shown = text(source, at(1, 5, 1, 6), at(1, 11, 1, 12), at(11, 1, 11, 2))
+    assert shown.splitlines()[1:-1] == [
+        "   |",
+        " 1 | a: {b: 1, c: 2}",
+        "   |     ^",
+        "   |           - here too",
+        "...",
+        "11 | d: 3",
+        "   | - here too",
+    ]
+
+
+def test_a_label_in_another_file_names_it() -> None:
+    shown = text("a: 1\n", at(1, 1, 1, 2), at(7, 3, 7, 4, "other.yaml"))
+    assert "  --> other.yaml:7:3: here too\n" in shown
+
+
+def test_without_the_source_there_is_no_excerpt() -> None:
+    assert text(None, at(3, 10, 3, 11)).splitlines() == [
+        "f.yaml:3:10: error[TV501] can-id-duplicate: both are 3",
+        "  = hint: change one",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "span", "excerpt", "marker"),
+    [
+        ("\ta:\tx", (5, 6), "    a:  x", "        ^"),
+        ("日本: x", (1, 3), "日本: x", "^^^^"),
+        ("日本: x", (5, 6), "日本: x", "      ^"),
+        ("e\u0301: x", (4, 5), "e\u0301: x", "  ^"),
+        ("a\x1b[31m: x", (8, 9), "a\ufffd[31m: x", "       ^"),
+        ("a\u202eb: x", (5, 6), "a\ufffdb: x", "    ^"),
+        ("a: x", (5, 5), "a: x", "    ^"),
+        ("a: x", (99, 120), "a: x", "    ^"),
+        ("a: 😀 b", (6, 7), "a: 😀 b", "      ^"),
+    ],
+)
+def test_carets_stand_under_what_is_seen(
+    line: str, span: tuple[int, int], excerpt: str, marker: str
+) -> None:
+    shown = text(line + "\nb: 1\n", at(1, span[0], 1, span[1])).splitlines()
+    assert shown[2] == f"1 | {excerpt}"
+    # A tab's column and a wide character's are found by what is before them.
+    assert shown[3] == f"  | {marker}"
+
+
+def test_of_a_span_of_many_lines_the_first_is_marked() -> None:
+    shown = text("a:\n  b: 1  \n  c: 2\n", at(2, 3, 3, 7)).splitlines()
+    assert shown[2:4] == ["2 |   b: 1", "  |   ^^^^"]
+
+
+@pytest.mark.parametrize("column", [1, 50, 200, 396])
+def test_long_lines_are_cut_around_the_span(column: int) -> None:
+    line = "".join(chr(ord("a") + i % 26) for i in range(400))
+    shown = text(line + "\n\n", at(1, column, 1, column + 4), width=60).splitlines()
+    assert len(shown[2]) <= 60
+    begin = shown[3].index("^")
+    assert shown[3][begin:] == "^^^^"
+    assert shown[2][begin : begin + 4] == line[column - 1 : column + 3]
+
+
+def test_colours_only_when_asked() -> None:
+    plain = text("a: 1\n", at(1, 1, 1, 2))
+    colored = text("a: 1\n", at(1, 1, 1, 2), color=True)
+    assert "\x1b" not in plain
+    assert "\x1b[1;31merror[TV501]\x1b[0m" in colored
+    stripped = colored
+    for style in ("\x1b[1;31m", "\x1b[1;34m", "\x1b[1m", "\x1b[0m"):
+        stripped = stripped.replace(style, "")
+    assert stripped == plain
+
+
+def test_what_a_document_says_cannot_steer_the_terminal() -> None:
+    report = Report()
+    report.add("unknown-key", "no key `\x1b[2Ja\nb`", at(1, 1, 1, 2, "a\x07b"), hint="\x9b1m")
+    for form in FORMATS:
+        assert not {"\x1b", "\x07", "\x9b"} & set(render(report, form).replace("\n", ""))
+
+
+def some() -> Report:
+    report = Report()
+    report.add("can-id-duplicate", "50 %: both, 3", at(3, 10, 3, 11), hint="change one")
+    report.add(
+        "default-unused",
+        "nothing",
+        at(1, 1, 2, 5, "sub dir/ü,1:2.yaml"),
+        labels=[Label(at(9, 1, 9, 3), "here")],
+    )
+    report.add("yaml-empty", "line\nbreak")
+    return report
+
+
+def test_json() -> None:
+    found = json.loads(render(some(), "json", builds=[{"file": "x"}]))
+    assert (found["errors"], found["warnings"], found["builds"]) == (2, 1, [{"file": "x"}])
+    assert found["diagnostics"][0] == {
+        "code": "TV501",
+        "name": "can-id-duplicate",
+        "severity": "error",
+        "message": "50 %: both, 3",
+        "hint": "change one",
+        "span": {"file": "f.yaml", "line": 3, "column": 10, "end_line": 3, "end_column": 11},
+        "labels": [],
+    }
+    assert found["diagnostics"][2]["span"] is None
+    assert "builds" not in json.loads(render(some(), "json"))
+
+
+def test_github() -> None:
+    assert render(some(), "github").splitlines() == [
+        "::error file=f.yaml,line=3,endLine=3,col=10,endColumn=11,"
+        "title=TV501 can-id-duplicate::50 %25: both, 3%0Ahint: change one",
+        "::warning file=sub dir/ü%2C1%3A2.yaml,line=1,endLine=2,"
+        "title=TV315 default-unused::nothing%0Af.yaml:9:1: here",
+        "::error title=TV104 yaml-empty::line\\nbreak",
+    ]
+
+
+def test_sarif() -> None:
+    found = json.loads(render(some(), "sarif"))
+    assert found["version"] == "2.1.0"
+    (run,) = found["runs"]
+    rules = run["tool"]["driver"]["rules"]
+    assert [rule["id"] for rule in rules] == ["TV104", "TV315", "TV501"]
+    for rule in rules:
+        assert rule["help"]["text"].startswith(f"# {rule['id']} ")
+        assert rule["defaultConfiguration"]["level"] in ("error", "warning", "note")
+    for result in run["results"]:
+        assert rules[result["ruleIndex"]]["id"] == result["ruleId"]
+        assert result["message"]["text"]
+    first, second, third = run["results"]
+    place = first["locations"][0]["physicalLocation"]
+    assert place["artifactLocation"]["uri"] == "f.yaml"
+    assert place["region"] == {
+        "startLine": 3,
+        "startColumn": 10,
+        "endLine": 3,
+        "endColumn": 11,
+    }
+    place = second["locations"][0]["physicalLocation"]
+    assert place["artifactLocation"]["uri"] == "sub%20dir/%C3%BC%2C1%3A2.yaml"
+    (related,) = second["relatedLocations"]
+    assert related["message"]["text"] == "here"
+    assert related["physicalLocation"]["region"]["startLine"] == 9
+    assert "locations" not in third
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_report_without_faults(form: str) -> None:
+    shown = render(Report(), form)
+    if form in ("json", "sarif"):
+        json.loads(shown)
+    else:
+        assert shown == ""
+
+
+@pytest.mark.parametrize("asked", ["TV501", "tv501", "501", "can-id-duplicate", " TV501 "])
+def test_codes_are_found_by_number_and_by_name(asked: str) -> None:
+    assert find(asked) is CODES["can-id-duplicate"]
+    assert explain(asked).startswith("# TV501 can-id-duplicate\n")
+
+
+@pytest.mark.parametrize(
+    ("asked", "hint"),
+    [
+        ("can-id-duplicat", "`can-id-duplicate`"),
+        ("Mount_Not_Fre", "`mount-not-free`"),
+        ("zzzzzzzzz", None),
+    ],
+)
+def test_unknown_codes_get_a_hint(asked: str, hint: str | None) -> None:
+    with pytest.raises(UnknownCode) as caught:
+        explain(asked)
+    assert asked in str(caught.value)
+    assert caught.value.hint == (f"did you mean {hint}?" if hint else None)
