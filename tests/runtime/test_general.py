@@ -211,7 +211,7 @@ def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
         wheel("b", 0.5, -0.4, "steered", lateral=-0.1, sign=-1.0, trail=-0.08),
         wheel("c", -0.5, 0.0, "steered", lateral=0.1, heading=0.5),
     ]
-    made, dt = general(*wheels), 0.01
+    made, dt = general(*(replace(w, max_acceleration=1e3) for w in wheels)), 0.01
     angles = [0.0] * 3
     states = JointStates(0.0, [0.0] * 3, angles, [0.0] * 3)
     made.reset(states)
