@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from thorvaldc.runtime.base import JointCommands, JointStates
@@ -71,24 +72,24 @@ class General(BaseCalculator):
         self._joints = tuple(
             (s, s.wheels[0], s.wheel.x, s.wheel.y, s.wheel.radius) for s in self._steering
         )
-        self._turning = tuple(
-            (i, s, s.wheel.heading, s.wheel.sign, w.x, w.y, w.trail, w.lateral, w.radius, w.driven)
-            for s in self._steering
-            for i in s.wheels
-            for w in (wheels[i],)
-        )
+        turned = [(i, s, wheels[i]) for s in self._steering for i in s.wheels]
+        self._turned = tuple((i, s) for i, s, _ in turned)
+        # The third: how much of the rolling of its joint's first wheel another has.
         self._rolling = tuple(
-            (s, w.lateral, w.max_speed * w.radius)
-            for s in self._steering
-            for w in (wheels[i] for i in s.wheels)
+            (i, s, math.cos(w.heading - s.wheel.heading), w.lateral, w.radius, w.max_speed)
+            for i, s, w in turned
             if w.driven
         )
+        self._scrubbing = tuple(
+            (i, s, w.heading, w.sign, w.x, w.y, w.trail, w.lateral, w.radius, w.driven)
+            for i, s, w in turned
+        )
         self._straight = tuple(
-            (i, *w.rows(0.0)[0], w.radius, w.max_speed * w.radius)
+            (i, *w.rows(0.0)[0], w.radius, w.max_speed)
             for i, w in enumerate(wheels)
             if w.fixed and w.driven
         )
-        self._top = tuple(
+        self._motors = tuple(
             (i, w.max_speed, w.max_acceleration)
             for i, w in enumerate(wheels)
             if w.driven and not w.swivel
@@ -107,10 +108,8 @@ class General(BaseCalculator):
     def reset(self, states: JointStates | None = None) -> None:
         for steering in self._steering:
             steering.reset(states.angles[steering.wheels[0]] if states else 0.0)
+        self._angles = self._commanded_angles()
         self._speeds = list(states.speeds if states else self._standing)
-        self._angles = list(self._standing)
-        for i, steering, *_ in self._turning:
-            self._angles[i] = steering.angle
         self._now = ZERO_TWIST if states is None else self.estimator.estimate(states).twist
 
     def allowed(self, twist: Twist) -> Twist:
@@ -125,103 +124,123 @@ class General(BaseCalculator):
             target = self._fixed.allowed(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         vx, vy, wz = target
-        angles, speeds = (
-            (states.angles, states.speeds) if states else (self._angles, self._standing)
-        )
+        angles: Sequence[float] = self._angles
+        speeds: Sequence[float] = self._standing
+        if states is not None:
+            angles, speeds = states.angles, states.speeds
         unreachable: tuple[int, ...] = ()
-        aligned = True
         for steering, i, x, y, radius in self._joints:
-            angle = angles[i]
-            steering.choose(vx - wz * y, vy + wz * x, wz, angle, speeds[i] * radius)
+            steering.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
             if steering.unreachable:
                 unreachable += steering.wheels
-                aligned = False
-            elif not -_ALIGNED < angle - steering.target < _ALIGNED:
-                aligned = aligned and steering.held
-        rates = self._move_steering(dt)
-        scale = self._saturation(target)
+        rates: Sequence[float] = self._standing if dt is None else self._required_rates(dt)
+        self._move_steering(dt)
+        self._angles = commanded = self._commanded_angles()
+        asked, scale = self._speeds_at_targets(target)
         if scale < 1.0:
             target = target.scaled(scale)
-        now, asked = self._speeds_now(target, states, aligned)
-        now, asked = self._within_limits(now, asked, dt)
+        now = target
+        if states is None:
+            angles = commanded
+        if (dt is not None or states is not None) and not self._at_targets(angles):
+            now, asked = self._speeds_on_the_way(target, angles)
+        if dt is not None:
+            now, asked = self._within_reach(now, asked, dt)
         self._now, self._speeds = now, asked
-        commanded = self._angles = list(self._standing)
-        for i, steering, *_ in self._turning:
-            commanded[i] = steering.angle
         joints = JointCommands(asked, commanded)
         return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
 
     # -- steering -----------------------------------------------------------------
 
-    def _move_steering(self, dt: float | None) -> list[float]:
-        """Move every steering joint; the rates that would bring each to its angle at once."""
+    def _required_rates(self, dt: float) -> list[float]:
+        """The rates (rad/s) at which the joints would be at their angles after ``dt`` s."""
         rates = list(self._standing)
+        for i, steering in self._turned:
+            rates[i] = (steering.target - steering.angle) / dt
+        return rates
+
+    def _move_steering(self, dt: float | None) -> None:
         if dt is None:
             for steering in self._steering:
                 steering.jump()
-            return rates
+            return
         slowest = 0.0
-        for steering in self._steering:
-            error = steering.target - steering.angle
-            if error:
-                for i in steering.wheels:
-                    rates[i] = error / dt
-                time = abs(error) * steering.seconds_per_rad
-                if time > slowest:
-                    slowest = time
+        if self.options.arrive_together:
+            for steering in self._steering:
+                slowest = max(slowest, steering.time_to_target())
         # A wheel that follows within a tick or two need not wait for the others.
-        together = self.options.arrive_together and slowest > 2.0 * dt
+        together = slowest > 2.0 * dt
         for steering in self._steering:
-            share = steering.time_to_target() / slowest if together else 1.0
-            steering.advance(dt, share)
-        return rates
+            steering.advance(dt, steering.time_to_target() / slowest if together else 1.0)
+
+    def _commanded_angles(self) -> list[float]:
+        angles = list(self._standing)
+        for i, steering in self._turned:
+            angles[i] = steering.angle
+        return angles
+
+    def _at_targets(self, angles: Sequence[float]) -> bool:
+        """Whether every wheel has the direction that its part of the motion asks for."""
+        for steering, i, _, _, _ in self._joints:
+            away = angles[i] - steering.target
+            if steering.unreachable or not (-_ALIGNED < away < _ALIGNED or steering.held):
+                return False
+        return True
 
     # -- speeds -------------------------------------------------------------------
 
-    def _saturation(self, target: Twist) -> float:
-        """The factor (at most 1) that keeps every wheel within its speed at its target."""
+    def _speeds_at_targets(self, target: Twist) -> tuple[list[float], float]:
+        """The speeds of wheels at their angles, and what slowed them all to their limits."""
+        speeds = list(self._standing)
         scale = 1.0
         wz = target.wz
-        for steering, lateral, top in self._rolling:
-            v = abs(steering.rolling - wz * lateral)
-            if v * scale > top:
-                scale = top / v
+        for i, steering, share, lateral, radius, top in self._rolling:
+            v = steering.rolling * share
+            if lateral and not steering.unreachable:
+                # At the centre of rotation a contact beside the axis still rolls.
+                v -= lateral * (wz + steering.wheel.sign * steering.rate)
+            speeds[i] = v = v / radius
+            if v * scale > top or v * scale < -top:
+                scale = top / abs(v)
         if self._straight:
-            vx, vy, wz = self._through_skid(target) if self._skid else target
-            for _, l1, l2, l3, _, top in self._straight:
-                v = abs(l1 * vx + l2 * vy + l3 * wz)
-                if v * scale > top:
-                    scale = top / v
+            scale = self._straight_speeds(target, speeds, scale)
+        if scale < 1.0:
+            speeds = [v * scale for v in speeds]
+        return self._sharing(speeds), scale
+
+    def _straight_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
+        """Put in those of the wheels that do not turn."""
+        vx, vy, wz = self._through_skid(twist) if self._skid else twist
+        for i, l1, l2, l3, radius, top in self._straight:
+            speeds[i] = v = (l1 * vx + l2 * vy + l3 * wz) / radius
+            if v * scale > top or v * scale < -top:
+                scale = top / abs(v)
         return scale
 
-    def _speeds_now(
-        self, target: Twist, states: JointStates | None, aligned: bool
+    def _speeds_on_the_way(
+        self, target: Twist, angles: Sequence[float]
     ) -> tuple[Twist, list[float]]:
-        """The twist for the angles that the wheels have now, and the speeds that make it.
+        """The twist that scrubs least at these angles, and the speeds that make it.
 
-        While wheels still turn it is the one that scrubs least: argmin of the
-        squared side slips plus a little of the squared distance from ``target``,
-        which it is once the wheels are at their angles.
+        argmin of the squared side slips plus a little of the squared distance from
+        ``target``, slowed as a whole to the wheels' limits.
         """
         vx, vy, wz = target
-        angles = states.angles if states else None
-        coordinate = angles is not None and not aligned
         directions = []
-        # Solved for the difference from the target, which makes the aligned case exact.
+        # Solved for the difference from the target: nothing is lost near it.
         a12 = a13 = a23 = b1 = b2 = b3 = 0.0
         a11 = a22 = _FOLLOW
         a33 = _FOLLOW * self._length2
-        for i, steering, heading, sign, x, y, trail, _, _, _ in self._turning:
-            direction = heading + sign * (angles[i] if angles is not None else steering.angle)
+        for i, steering, heading, sign, x, y, trail, _, _, _ in self._scrubbing:
+            direction = heading + sign * angles[i]
             c, s = math.cos(direction), math.sin(direction)
             directions.append((c, s))
-            if not coordinate or (steering.held and not steering.unreachable):
+            if steering.held and not steering.unreachable:
                 continue
-            t3 = c * x + s * y
+            t3 = c * x + s * y + trail
             slip = c * vy - s * vx + t3 * wz
             if trail:
-                t3 += trail
-                slip += trail * (wz + sign * steering.rate)
+                slip += trail * sign * steering.rate
             a11 += s * s
             a12 -= s * c
             a13 -= s * t3
@@ -231,58 +250,52 @@ class General(BaseCalculator):
             b1 += s * slip
             b2 -= c * slip
             b3 -= t3 * slip
-        now = target
-        if coordinate:
-            for t1, t2, t3 in self._fixed.rows:
-                a11 += t1 * t1
-                a12 += t1 * t2
-                a13 += t1 * t3
-                a22 += t2 * t2
-                a23 += t2 * t3
-                a33 += t3 * t3
-            dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
-            now = Twist(vx + dx, vy + dy, wz + dw)
+        for t1, t2, t3 in self._fixed.rows:
+            a11 += t1 * t1
+            a12 += t1 * t2
+            a13 += t1 * t3
+            a22 += t2 * t2
+            a23 += t2 * t3
+            a33 += t3 * t3
+        dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
+        vx, vy, wz = vx + dx, vy + dy, wz + dw
         speeds = list(self._standing)
-        vx, vy, wz = self._through_skid(now) if self._skid else now
-        for i, l1, l2, l3, radius, _ in self._straight:
-            speeds[i] = (l1 * vx + l2 * vy + l3 * wz) / radius
         for (i, steering, _, sign, x, y, _, lateral, radius, driven), (c, s) in zip(
-            self._turning, directions, strict=True
+            self._scrubbing, directions, strict=True
         ):
             if not driven or steering.unreachable:
                 continue
-            # At the centre of rotation a contact beside the axis still rolls.
             v = -lateral * (wz + sign * steering.rate) if lateral else 0.0
             if not steering.held:
                 v += c * (vx - wz * y) + s * (vy + wz * x)
             speeds[i] = v / radius
-        for group in self.geometry.spin_groups:
-            mean = sum(speeds[i] for i in group) / len(group)
-            for i in group:
-                speeds[i] = mean
-        return now, speeds
-
-    def _within_limits(
-        self, now: Twist, speeds: list[float], dt: float | None
-    ) -> tuple[Twist, list[float]]:
-        """Speeds that the wheels can have, all slowed by one factor, and their twist.
-
-        Then, where a wheel would have to change its speed faster than it can, all
-        go the same part of the way from what was commanded before.
-        """
+        now = Twist(vx, vy, wz)
+        if self._straight:
+            self._straight_speeds(now, speeds, 1.0)
         slow = 1.0
-        for i, top, _ in self._top:
+        for i, top, _ in self._motors:
             v = abs(speeds[i])
             if v * slow > top:
                 slow = top / v
         if slow < 1.0:
-            speeds = [v * slow for v in speeds]
-            now = now.scaled(slow)
-        if dt is None:
-            return now, speeds
+            return now.scaled(slow), self._sharing([v * slow for v in speeds])
+        return now, self._sharing(speeds)
+
+    def _sharing(self, speeds: list[float]) -> list[float]:
+        """Wheels on one motor have one speed."""
+        for group in self.geometry.spin_groups:
+            mean = sum(speeds[i] for i in group) / len(group)
+            for i in group:
+                speeds[i] = mean
+        return speeds
+
+    def _within_reach(
+        self, now: Twist, speeds: list[float], dt: float
+    ) -> tuple[Twist, list[float]]:
+        """The same part of the way from the last speeds for all, as the slowest motor needs."""
         before = self._speeds
         share = 1.0
-        for i, _, acceleration in self._top:
+        for i, _, acceleration in self._motors:
             change = abs(speeds[i] - before[i])
             if change * share > acceleration * dt:
                 share = acceleration * dt / change

@@ -16,6 +16,7 @@ HOLD_BELOW = 1e-3
 RESUME_ABOVE = 2e-3
 LIMIT_TOLERANCE = 1e-4
 """How far (rad) past a limit an angle may be asked for; it is then clamped to the limit."""
+_HOLD2 = HOLD_BELOW**2
 _TIE = 1e-9
 
 
@@ -29,13 +30,14 @@ class Steering:
     """
 
     __slots__ = (
+        "_base",
+        "_bends",
         "_hysteresis",
         "_lower",
-        "_margin",
         "_max_rate",
         "_max_rate_change",
+        "_sign",
         "_upper",
-        "_zero",
         "acceleration",
         "angle",
         "direction",
@@ -56,13 +58,13 @@ class Steering:
         self.wheels = wheels
         self.acceleration = max_accel
         self._hysteresis = hysteresis
+        self._sign = wheel.sign
+        self._bends = wheel.trail != 0.0
         self._lower = -math.inf if wheel.lower is None else wheel.lower
         self._upper = math.inf if wheel.upper is None else wheel.upper
         self._max_rate = wheel.max_rate if wheel.max_rate > 0.0 else math.inf
         self._max_rate_change = wheel.max_rate_change if wheel.max_rate_change > 0.0 else math.inf
         self.seconds_per_rad = 1.0 / self._max_rate
-        # The joint's angle at which a positive speed rolls towards the robot's front.
-        self._zero = -wheel.sign * wheel.heading
         self.reset(0.0)
 
     def reset(self, angle: float) -> None:
@@ -70,10 +72,16 @@ class Steering:
         self.angle = min(max(angle, self._lower), self._upper)
         self.target = self.angle
         self.rate = 0.0
-        self.direction = 1.0
+        self._take(1.0)
         self.rolling = 0.0
         self.held = True
         self.unreachable = False
+
+    def _take(self, direction: float) -> None:
+        """Be on that branch: forward (1.0) or backwards (-1.0)."""
+        self.direction = direction
+        # The joint's angle at which the wheel on this branch moves along base_link's x.
+        self._base = -self._sign * self.wheel.heading + (PI if direction < 0.0 else 0.0)
 
     def expected_travel(self, angle: float) -> float:
         """Mean travel (rad) from ``angle`` to the next direction, all being alike.
@@ -99,20 +107,19 @@ class Steering:
         At standstill, with the axis at the centre of rotation and where no
         angle can be reached, the target stays.
         """
-        v2 = ux * ux + uy * uy
-        if v2 >= HOLD_BELOW**2 and not self.held and not self.wheel.trail:
+        if not (self.held or self._bends):
             # An eighth of a turn on the branch it is on: no other angle can be better.
-            direction = self.direction
-            ahead = self._zero - angle + self.wheel.sign * atan2(uy, ux)
-            turn = remainder(ahead if direction > 0.0 else ahead + PI, TWO_PI)
+            v2 = ux * ux + uy * uy
+            turn = remainder(self._base + self._sign * atan2(uy, ux) - angle, TWO_PI)
             target = angle + turn
             if (
                 -_QUICK < turn < _QUICK
                 and self._lower <= target <= self._upper
-                and direction * speed >= 0.0
+                and v2 >= _HOLD2
+                and self.direction * speed >= 0.0
             ):
                 self.target = target
-                self.rolling = direction * sqrt(v2)
+                self.rolling = self.direction * sqrt(v2)
                 self.unreachable = False
                 return
         self._search(ux, uy, wz, angle, speed)
@@ -137,7 +144,7 @@ class Steering:
         rate = self._max_rate if self._max_rate < math.inf else 1.0
         # Between these a quarter turn is free on both sides.
         easy_low, easy_high = lower + PI / 2.0, upper - PI / 2.0
-        best_cost, best_angle, best_direction = math.inf, 0.0, 0.0
+        best_cost, best_angle, best_direction, past = math.inf, 0.0, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
             back = -direction * speed
             reversal = 2.0 * back / self.acceleration if back > 0.0 else 0.0
@@ -145,6 +152,7 @@ class Steering:
             c = base + TWO_PI * math.ceil((first - base) / TWO_PI)
             while c <= last:
                 at = lower if c < lower else min(c, upper)
+                missed = c - at
                 c += TWO_PI
                 cost = abs(at - angle) / rate
                 if cost < reversal:
@@ -157,7 +165,7 @@ class Steering:
                     at, direction, best_angle, best_direction
                 ):
                     continue
-                best_cost, best_angle, best_direction = cost, at, direction
+                best_cost, best_angle, best_direction, past = cost, at, direction, missed
         if best_direction == 0.0:
             self.held = True
             self.unreachable = True
@@ -165,8 +173,10 @@ class Steering:
             return
         self.held = False
         self.target = best_angle
-        self.direction = best_direction
-        self.rolling = best_direction * (v * math.cos(lead) if bend else v)
+        self._take(best_direction)
+        if bend or past:
+            v *= math.cos(lead - best_direction * sign * past)
+        self.rolling = best_direction * v
 
     def _preferred(self, angle: float, direction: float, other: float, its: float) -> bool:
         """Of two angles of equal cost: the branch it is on, the smaller, forward, positive."""
