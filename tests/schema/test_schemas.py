@@ -147,6 +147,10 @@ def test_the_robot_of_the_page_fits() -> None:
     good(section("robot.yaml").replace("<name>:", "fl:"), "robot")
 
 
+def test_the_calibration_of_the_page_fits() -> None:
+    good(section("calibration.yaml"), "calibration")
+
+
 def test_the_fleet_of_the_page_fits() -> None:
     good(section("fleet.yaml"), "fleet")
 

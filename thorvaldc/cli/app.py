@@ -168,7 +168,9 @@ def targets(json: Json = False) -> int:
 @app.command(cls=LightCommand)
 @guarded
 def schema(
-    kind: Annotated[str, typer.Argument(metavar="robot|module|fleet", help="Kind of document.")],
+    kind: Annotated[
+        str, typer.Argument(metavar="robot|module|fleet|calibration", help="Kind of document.")
+    ],
 ) -> int:
     """Print the JSON Schema of a kind of document, for editors."""
     from thorvaldc.cli.listing import show_schema

@@ -17,7 +17,7 @@ from thorvaldc.cli.main import DONE
 if TYPE_CHECKING:
     from thorvaldc.library import ModuleType
 
-KINDS = ("robot", "module", "fleet")
+KINDS = ("robot", "module", "fleet", "calibration")
 
 
 def list_targets(json: bool) -> int:

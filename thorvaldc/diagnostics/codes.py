@@ -147,6 +147,9 @@ _TABLE: tuple[Code, ...] = (
     Code("TV324", "fleet-robot-missing", "error", "a fleet names a robot file that is not there"),
     Code("TV325", "fleet-in-fleet", "error", "a fleet names another fleet as a robot"),
     Code("TV326", "too-many-parts", "error", "a module or a robot has more parts than are read"),
+    Code("TV340", "calibration-missing", "error", "a robot names a calibration that is not there"),
+    Code("TV341", "calibration-wheel", "error", "a calibration is of a wheel the robot lacks"),
+    Code("TV342", "calibration-robot", "warning", "a calibration is of a robot of another name"),
     # -- 4xx: geometry and physics -------------------------------------------
     Code("TV401", "link-massless", "error", "a link that moves has no mass"),
     Code("TV402", "inertia-impossible", "error", "an inertia is that of no body"),
@@ -203,6 +206,7 @@ _TABLE: tuple[Code, ...] = (
     ),
     Code("TV427", "number-out-of-range", "error", "a number is beyond what a robot can have"),
     Code("TV428", "motor-joint", "error", "a motor is on a joint that it cannot drive"),
+    Code("TV440", "calibration-value", "error", "a calibration holds an impossible value"),
     # -- 5xx: bus ------------------------------------------------------------
     Code(
         "TV501",

@@ -197,7 +197,9 @@ class Actuator:
     ``max_torque`` N m, ``armature`` kg m^2 (rotor inertia times gear^2).
     ``motor_max_speed`` rad/s and ``encoder_ppr`` (pulses per revolution, four
     counts each) are at the motor shaft.  ``node`` and ``channel`` name the
-    controller that drives it, or are ``None``.
+    controller that drives it, or are ``None``.  Of a steering motor that was
+    calibrated, ``encoder_offset`` (rad, at the joint) is the joint's position
+    where its encoder reads 0: position = reading + offset.
     """
 
     name: str
@@ -214,6 +216,7 @@ class Actuator:
     node: str | None
     channel: str | None
     origin: Span
+    encoder_offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,13 @@ from thorvaldc.passes.base import (
     static_loads,
 )
 from thorvaldc.passes.bus import connect_actuators
+from thorvaldc.passes.calibration import (
+    MOST_RADIUS,
+    calibrate_steering,
+    calibrate_wheels,
+    load_calibration,
+    raise_axles,
+)
 from thorvaldc.passes.hardware import Hardware, hardware_of
 from thorvaldc.passes.resolve import Instance, Resolver, flat, used_by
 from thorvaldc.passes.scope import Scope
@@ -87,6 +94,7 @@ class Elaborator:
         robot; the bus is checked in either case.
         """
         parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
+        calibration = load_calibration(self.document, self.base_dir, self.report, self.files)
         hardware: dict[str, Hardware] = {}
         self.resolver.library.palette(self.report)
         for leaf in robot.leaves():
@@ -112,18 +120,26 @@ class Elaborator:
             self._check_bus(robot, parts)
             return None
         tree = Tree(parts.links, parts.joints)
+        if calibration is not None:
+            measured = calibrate_wheels(calibration, parts.wheels, self.report)
+            raise_axles(parts.joints, tree, parts.wheels, measured)
+            parts.wheels = measured
+            tree = Tree(parts.links, parts.joints)
         lift = clean(ground_height(tree, parts.wheels, self.report))
         self._lift(parts, lift, robot, hardware)
         tree = Tree(parts.links, parts.joints)
         self._wheel_collisions(parts, tree)
         actuated = {a.joint: a for a in parts.actuators}
         wheels = make_wheels(tree, parts.wheels, actuated, self.report)
+        if calibration is not None:
+            calibrate_steering(calibration, parts.actuators, wheels, self.report)
         body = tree.inertial()
         loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
         wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
         joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
         sound = not self.report.has_errors
-        driver = self._driver(wheels, actuated)
+        # A limit that the modules allow stays right where a wheel was measured to be smaller.
+        driver = self._driver(wheels, actuated, 1e-6 if calibration is None else MOST_RADIUS)
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate)
         if not sound:
             return None
@@ -383,7 +399,9 @@ class Elaborator:
             joint, spring_reference=spring_reference(joint, tree, wheels, [w.load for w in wheels])
         )
 
-    def _driver(self, wheels: list[Wheel], actuated: dict[str, Actuator]) -> DriverSettings:
+    def _driver(
+        self, wheels: list[Wheel], actuated: dict[str, Actuator], tolerance: float
+    ) -> DriverSettings:
         """The limits that the modules allow together, lowered by what the file says."""
         speed = turn = math.inf
         acceleration = turn_acceleration = math.inf
@@ -406,7 +424,7 @@ class Elaborator:
                 self.report.add(
                     "size-not-positive", f"`{key}` is {stated:g}; it must be positive", node.span
                 )
-            if node is not None and stated > allowed * (1 + 1e-6):
+            if node is not None and stated > allowed * (1 + tolerance):
                 self.report.add(
                     "driver-limit-too-high",
                     f"`{key}` is {stated:g}; the slowest module allows {allowed:.4g}",

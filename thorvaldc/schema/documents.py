@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any, Literal
 
-Kind = Literal["robot", "module", "fleet"]
-KINDS: tuple[Kind, ...] = ("robot", "module", "fleet")
+Kind = Literal["robot", "module", "fleet", "calibration"]
+KINDS: tuple[Kind, ...] = ("robot", "module", "fleet", "calibration")
 
 _COMMON = "common.schema.json#/$defs/"
 
