@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import pytest
 
-from thorvaldc.cli.main import _call, protect
+from thorvaldc.cli.exits import protect
+from thorvaldc.cli.main import _call
 
 GOOD = """\
 thorvaldc: 1

@@ -9,7 +9,7 @@ from typing import Any, ParamSpec
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from thorvaldc.cli.main import protect
+from thorvaldc.cli.exits import protect
 
 P = ParamSpec("P")
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.faults import Faults, check_format, count
-from thorvaldc.cli.main import OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, count, message
-from thorvaldc.cli.main import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
-from thorvaldc.cli.main import DONE, INPUT
+from thorvaldc.cli.exits import DONE, INPUT
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import typer
 
+from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.faults import Faults, check_format
-from thorvaldc.cli.main import OutsideError
 
 
 def import_file(file: str, output: str, format: str) -> int:

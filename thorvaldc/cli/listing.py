@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from thorvaldc.cli.compiling import library_folders
+from thorvaldc.cli.exits import DONE
 from thorvaldc.cli.faults import Faults, width_of
-from thorvaldc.cli.main import DONE
 
 if TYPE_CHECKING:
     from thorvaldc.library import ModuleType

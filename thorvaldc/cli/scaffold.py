@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from thorvaldc.cli.main import DONE
+from thorvaldc.cli.exits import DONE
 
 ID = re.compile(r"[a-z][a-z0-9_]*")
 

@@ -12,8 +12,8 @@ from typing import Any
 import typer
 
 from thorvaldc.cli.compiling import compile_one
+from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.faults import Faults
-from thorvaldc.cli.main import INPUT
 
 SECONDS = 5.0  # of a twist, where the user does not say
 

@@ -1,0 +1,57 @@
+"""Exit statuses, and the border that no expected fault crosses."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+
+# Exit status.  1 and 2 are the user's to mend, 3 the world's, 70 ours.
+DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
+INTERRUPTED, BROKEN_PIPE = 130, 141
+
+TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
+
+
+class OutsideError(Exception):
+    """The world failed (a disk, a display, a bus); the message is one line for the user."""
+
+
+def protect(work: Callable[[], int]) -> int:
+    """Run it; every way it can fail becomes one line on stderr and an exit status."""
+    try:
+        status = work()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return status
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the second one would find us leaving
+        return _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has left; say nothing, here and at the interpreter's end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return BROKEN_PIPE
+    except OutsideError as fault:
+        return _fail(f"error: {fault}", OUTSIDE)
+    except OSError as fault:
+        return _fail(f"error: {_one_line(fault)}", OUTSIDE)
+
+
+def _fail(line: str, status: int) -> int:
+    show_traceback()
+    print(line, file=sys.stderr)
+    return status
+
+
+def show_traceback() -> None:
+    """Where it happened, for who asked by the environment variable."""
+    if os.environ.get(TRACEBACK_VARIABLE):
+        import traceback
+
+        traceback.print_exc()
+
+
+def _one_line(fault: OSError) -> str:
+    name = f"{fault.filename}: " if fault.filename is not None else ""
+    return f"{name}{fault.strerror or fault}"
