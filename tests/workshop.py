@@ -29,6 +29,7 @@ MODULES = {
     """,
     "t/leg": """
         description: A wheel below a clamp, its axle to the left and behind if need be.
+        category: leg
         params:
           radius: {quantity: length, default: 0.2, description: Wheel., source: "chosen: round"}
           drop: {quantity: length, default: 0.4, description: To axle., source: "chosen: round"}
@@ -173,10 +174,12 @@ class Workshop:
     def compile(self, modules: str, head: str = "") -> Compilation:
         return compile_file(self.robot_file(modules, head))
 
-    def robot(self, modules: str, head: str = "") -> Robot:
-        """The model, of a robot that must have no errors."""
+    def robot(self, modules: str, head: str = "", warned: tuple[str, ...] = ()) -> Robot:
+        """The model, of a robot without errors and warned only of what is ``warned``."""
         done = self.compile(modules, head)
         assert isinstance(done.model, Robot), "\n".join(said(done))
+        others = {d.code.name for d in done.report} - {*EXPECTED, *warned}
+        assert not others, "\n".join(said(done))
         return done.model
 
     def part(self, module: str, params: str = "") -> Robot:
@@ -196,8 +199,8 @@ class Workshop:
         return [d.code.name for d in found if d.code.name not in EXPECTED]
 
 
-# What any cart of fixed driven wheels without controllers is told.
-EXPECTED = ("robot-without-controller", "skid-steering")
+# What a cart of fixed wheels without controllers, or without motors, is told anyway.
+EXPECTED = ("robot-without-controller", "motor-without-controller", "skid-steering", "no-drive")
 
 
 def said(done: Compilation) -> list[str]:

@@ -211,13 +211,16 @@ class Elaborator:
 
     def _place_joints(self, leaf: Instance, own: Hardware, parts: _Parts) -> None:
         prefix = flat(leaf.path)
-        armatures = {motor.joint: motor for motor in own.motors}
+        motors = {motor.joint: motor for motor in own.motors}
+        limits: dict[str, tuple[float, float]] = {}
         for joint in own.joints:
-            motor = armatures.get(joint.name)
+            motor = motors.get(joint.name)
             effort, velocity = joint.effort, joint.velocity
-            if motor is not None:
-                effort = motor.max_torque if effort is None else min(effort, motor.max_torque)
-                velocity = motor.max_velocity if velocity is None else velocity
+            if motor is not None:  # the weaker and the slower of joint and motor
+                effort = min(motor.max_torque, math.inf if effort is None else effort)
+                velocity = min(motor.max_velocity, math.inf if velocity is None else velocity)
+                velocity = clean(velocity)
+                limits[joint.name] = (effort, velocity)
             parts.joints.append(
                 Joint(
                     name=f"{prefix}_{joint.name}",
@@ -240,6 +243,7 @@ class Elaborator:
                 )
             )
         for motor in own.motors:
+            effort, velocity = limits.get(motor.joint, (motor.max_torque, motor.max_velocity))
             parts.actuators.append(
                 Actuator(
                     name=f"{prefix}_{motor.name}",
@@ -249,9 +253,9 @@ class Elaborator:
                     gear_ratio=motor.gear_ratio,
                     motor_max_speed=motor.motor_max_speed,
                     encoder_ppr=motor.encoder_ppr,
-                    max_velocity=clean(motor.max_velocity),
+                    max_velocity=velocity,
                     max_acceleration=clean(motor.max_acceleration),
-                    max_torque=motor.max_torque,
+                    max_torque=effort,
                     armature=clean(motor.armature),
                     node=None,
                     channel=None,
