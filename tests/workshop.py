@@ -205,3 +205,7 @@ EXPECTED = ("robot-without-controller", "motor-without-controller", "skid-steeri
 
 def said(done: Compilation) -> list[str]:
     return [f"{d.span}: {d.code.name}: {d.message}" for d in done.report]
+
+
+# A mesh file of the least size.
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"

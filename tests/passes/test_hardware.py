@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.workshop import CART, Workshop
+from tests.workshop import CART, TETRAHEDRON, Workshop
 from thorvaldc.model import Box, Cylinder, Inertial, MeshShape, Robot, Sphere
 
 SOURCE = 'source: "chosen: for a test"'
@@ -156,8 +156,6 @@ def test_a_palette_of_one_robot_colours_no_other(workshop: Workshop) -> None:
 
 
 # -- meshes -------------------------------------------------------------------------------
-
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
 def test_a_mesh_lies_beside_its_module(workshop: Workshop) -> None:
