@@ -268,7 +268,7 @@ def test_limits_hold_at_every_tick(name: str, data: st.DataObject) -> None:
     calculator.reset(states)
     start = calculator.command(ZERO_TWIST)
     before = list(start.joints.angles)
-    rates = [0.0] * n
+    rates, speeds = [0.0] * n, [0.0] * n
     dt = 0.02
     for twist in data.draw(st.lists(twists, min_size=1, max_size=4)):
         for _ in range(8):
@@ -278,6 +278,8 @@ def test_limits_hold_at_every_tick(name: str, data: st.DataObject) -> None:
                 assert math.isfinite(speed)
                 assert math.isfinite(angle)
                 assert abs(speed) <= w.max_speed * (1 + 1e-12)
+                if w.driven:
+                    assert abs(speed - speeds[i]) <= w.max_acceleration * dt * (1 + 1e-9)
                 if w.lower is not None and w.upper is not None:
                     assert w.lower <= angle <= w.upper
                 if w.steered:
@@ -286,7 +288,7 @@ def test_limits_hold_at_every_tick(name: str, data: st.DataObject) -> None:
                     if abs(angle) not in (w.lower, w.upper):
                         assert abs(rate - rates[i]) <= w.max_rate_change * dt + 1e-6
                     rates[i] = rate
-            before = list(command.joints.angles)
+            before, speeds = list(command.joints.angles), list(command.joints.speeds)
             states = JointStates(0.0, list(command.joints.speeds), before, [0.0] * n)
 
 

@@ -8,6 +8,7 @@ from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, NoOptions
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.motors import Motors
 from thorvaldc.runtime.se2 import Twist
 
 
@@ -41,6 +42,7 @@ class Differential(BaseCalculator):
             for i, w in enumerate(geometry.wheels)
             if w.driven and not w.swivel
         )
+        self._motors = Motors(geometry)
         self._across = tuple((i, s, -s * row[2], r) for i, s, row, r, _ in self._wheels)
         self._axle_places = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
 
@@ -65,7 +67,10 @@ class Differential(BaseCalculator):
         return None
 
     def reset(self, states: JointStates | None = None) -> None:
-        """Nothing is kept between commands."""
+        if states is None:
+            self._motors.reset()
+        else:
+            self._motors.reset(states, self.odometry(states).twist)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)
@@ -86,12 +91,11 @@ class Differential(BaseCalculator):
         if excess > 1.0:
             speeds = [v * scale for v in speeds]
         target = allowed.scaled(scale) if excess > 1.0 else allowed
-        for group in self.geometry.spin_groups:
-            mean = sum(speeds[i] for i in group) / len(group)
-            for i in group:
-                speeds[i] = mean
+        now, reached = self._motors.reached(target, self._motors.sharing(speeds), dt)
         infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
-        return BaseCommand(JointCommands(speeds, [0.0] * n), target, target, infeasible, scale, ())
+        zeros = (0.0,) * n
+        joints = JointCommands(reached, zeros)
+        return BaseCommand(joints, target, now, infeasible, scale, (), zeros)
 
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)

@@ -10,13 +10,14 @@ from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear import solve3
+from thorvaldc.runtime.calculators.motors import Motors
 from thorvaldc.runtime.calculators.steering import Steering
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-_FOLLOW = 0.02
+_FOLLOW = 0.01
 """Weight of following the command against not scrubbing while wheels turn."""
-_ALIGNED = 1e-9
-"""Misalignment (rad) below which wheels count as at their angles."""
+_ALIGNED = math.radians(1.0)
+"""Misalignment up to which wheels count as at their angles: what servos leave costs no speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +90,7 @@ class General(BaseCalculator):
             for i, w in enumerate(wheels)
             if w.fixed and w.driven
         )
-        self._motors = tuple(
-            (i, w.max_speed, w.max_acceleration)
-            for i, w in enumerate(wheels)
-            if w.driven and not w.swivel
-        )
+        self._motors = Motors(geometry)
         self._standing = (0.0,) * len(wheels)
         self.reset()
 
@@ -109,8 +106,10 @@ class General(BaseCalculator):
         for steering in self._steering:
             steering.reset(states.angles[steering.wheels[0]] if states else 0.0)
         self._angles = self._commanded_angles()
-        self._speeds = list(states.speeds if states else self._standing)
-        self._now = ZERO_TWIST if states is None else self.estimator.estimate(states).twist
+        if states is None:
+            self._motors.reset()
+        else:
+            self._motors.reset(states, self.estimator.estimate(states).twist)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)
@@ -142,12 +141,12 @@ class General(BaseCalculator):
         now = target
         if states is None:
             angles = commanded
-        if (dt is not None or states is not None) and not self._at_targets(angles):
-            now, asked = self._speeds_on_the_way(target, angles)
-        if dt is not None:
-            now, asked = self._within_reach(now, asked, dt)
-        self._now, self._speeds = now, asked
-        joints = JointCommands(asked, commanded)
+        if dt is not None or states is not None:
+            away = self._away(angles)
+            if away > _ALIGNED:
+                now, asked = self._speeds_on_the_way(target, angles, away)
+        now, reached = self._motors.reached(now, asked, dt)
+        joints = JointCommands(reached, commanded)
         return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
 
     # -- steering -----------------------------------------------------------------
@@ -173,19 +172,24 @@ class General(BaseCalculator):
         for steering in self._steering:
             steering.advance(dt, steering.time_to_target() / slowest if together else 1.0)
 
-    def _commanded_angles(self) -> list[float]:
+    def _commanded_angles(self) -> tuple[float, ...]:
         angles = list(self._standing)
         for i, steering in self._turned:
             angles[i] = steering.angle
-        return angles
+        return (*angles,)
 
-    def _at_targets(self, angles: Sequence[float]) -> bool:
-        """Whether every wheel has the direction that its part of the motion asks for."""
+    def _away(self, angles: Sequence[float]) -> float:
+        """How far (rad) the worst wheel is from the direction that the motion asks of it."""
+        worst = 0.0
         for steering, i, _, _, _ in self._joints:
-            away = angles[i] - steering.target
-            if steering.unreachable or not (-_ALIGNED < away < _ALIGNED or steering.held):
-                return False
-        return True
+            if steering.held:
+                if steering.unreachable:
+                    return math.inf
+            else:
+                away = abs(angles[i] - steering.target)
+                if away > worst:
+                    worst = away
+        return worst
 
     # -- speeds -------------------------------------------------------------------
 
@@ -206,7 +210,7 @@ class General(BaseCalculator):
             scale = self._straight_speeds(target, speeds, scale)
         if scale < 1.0:
             speeds = [v * scale for v in speeds]
-        return self._sharing(speeds), scale
+        return self._motors.sharing(speeds), scale
 
     def _straight_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
         """Put in those of the wheels that do not turn."""
@@ -218,19 +222,21 @@ class General(BaseCalculator):
         return scale
 
     def _speeds_on_the_way(
-        self, target: Twist, angles: Sequence[float]
+        self, target: Twist, angles: Sequence[float], away: float
     ) -> tuple[Twist, list[float]]:
         """The twist that scrubs least at these angles, and the speeds that make it.
 
         argmin of the squared side slips plus a little of the squared distance from
-        ``target``, slowed as a whole to the wheels' limits.
+        ``target`` (the more, the nearer ``away`` is to what counts as aligned), slowed
+        as a whole to the wheels' limits.
         """
+        follow = _FOLLOW / (1.0 - (_ALIGNED / away) ** 2)
         vx, vy, wz = target
         directions = []
         # Solved for the difference from the target: nothing is lost near it.
         a12 = a13 = a23 = b1 = b2 = b3 = 0.0
-        a11 = a22 = _FOLLOW
-        a33 = _FOLLOW * self._length2
+        a11 = a22 = follow
+        a33 = follow * self._length2
         for i, steering, heading, sign, x, y, trail, _, _, _ in self._scrubbing:
             direction = heading + sign * angles[i]
             c, s = math.cos(direction), math.sin(direction)
@@ -272,38 +278,8 @@ class General(BaseCalculator):
         now = Twist(vx, vy, wz)
         if self._straight:
             self._straight_speeds(now, speeds, 1.0)
-        slow = 1.0
-        for i, top, _ in self._motors:
-            v = abs(speeds[i])
-            if v * slow > top:
-                slow = top / v
-        if slow < 1.0:
-            return now.scaled(slow), self._sharing([v * slow for v in speeds])
-        return now, self._sharing(speeds)
-
-    def _sharing(self, speeds: list[float]) -> list[float]:
-        """Wheels on one motor have one speed."""
-        for group in self.geometry.spin_groups:
-            mean = sum(speeds[i] for i in group) / len(group)
-            for i in group:
-                speeds[i] = mean
-        return speeds
-
-    def _within_reach(
-        self, now: Twist, speeds: list[float], dt: float
-    ) -> tuple[Twist, list[float]]:
-        """The same part of the way from the last speeds for all, as the slowest motor needs."""
-        before = self._speeds
-        share = 1.0
-        for i, _, acceleration in self._motors:
-            change = abs(speeds[i] - before[i])
-            if change * share > acceleration * dt:
-                share = acceleration * dt / change
-        if share < 1.0:
-            speeds = [b + share * (v - b) for v, b in zip(speeds, before, strict=True)]
-            (vx, vy, wz), (bx, by, bw) = now, self._now
-            now = Twist(bx + share * (vx - bx), by + share * (vy - by), bw + share * (wz - bw))
-        return now, speeds
+        now, speeds = self._motors.slowed(now, speeds)
+        return now, self._motors.sharing(speeds)
 
     # -- skidding -----------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
 from thorvaldc.runtime.calculators.general import GeneralOptions
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.motors import Motors
 from thorvaldc.runtime.calculators.steering import Steering
 from thorvaldc.runtime.se2 import Twist
 
@@ -39,6 +40,7 @@ class OneWheel(BaseCalculator):
         self._index, self._wheel = next(
             (i, w) for i, w in enumerate(geometry.wheels) if w.steered and w.driven
         )
+        self._motors = Motors(geometry)
         w = self._wheel
         self._steering = Steering(
             w, (self._index,), w.max_acceleration * w.radius, self.options.hysteresis
@@ -67,6 +69,7 @@ class OneWheel(BaseCalculator):
 
     def reset(self, states: JointStates | None = None) -> None:
         self._steering.reset(states.angles[self._index] if states else 0.0)
+        self._motors.reset(states)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)
@@ -81,12 +84,14 @@ class OneWheel(BaseCalculator):
         angle = states.angles[i] if states else steering.angle
         speed = states.speeds[i] * wheel.radius if states else 0.0
         steering.choose(vx - wz * wheel.y, vy + wz * wheel.x, wz, angle, speed)
+        n = len(self.geometry.wheels)
+        speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
+        if dt is not None:
+            rates[i] = (steering.target - steering.angle) / dt
         if dt is None or wheel.max_rate == math.inf:
             steering.jump()
         else:
             steering.advance(dt, 1.0)
-        n = len(self.geometry.wheels)
-        speeds, angles = [0.0] * n, [0.0] * n
         angles[i] = steering.angle
         angle = states.angles[i] if states else steering.angle
         rolling, _ = wheel.rows(angle)
@@ -102,13 +107,14 @@ class OneWheel(BaseCalculator):
         turning = wheel.sign * steering.rate
         v = min(max(v * scale - wheel.lateral * turning, -top), top)
         speeds[i] = v / wheel.radius
+        _, reached = self._motors.reached(allowed, speeds, dt)
+        v = reached[i] * wheel.radius
         now = self._motion(angle, v + wheel.lateral * turning, -wheel.trail * turning)
         infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
         target = allowed.scaled(scale) if scale < 1.0 else allowed
         unreachable = (i,) if steering.unreachable else ()
-        return BaseCommand(
-            JointCommands(speeds, angles), target, now, infeasible, scale, unreachable
-        )
+        joints = JointCommands(reached, angles)
+        return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
 
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
