@@ -450,7 +450,7 @@ def test_differential_estimates_as_general(
     assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-12)
     states, _, _ = states_of(one, twist)
     states.speeds = [v + noise * (i == 0) for i, v in enumerate(states.speeds)]
-    same_estimate(one, two, states, 0.02 if sum(w.driven for w in wheels) > 2 else 1e-9)
+    same_estimate(one, two, states, 1e-9)
 
 
 @SETTINGS
@@ -476,4 +476,4 @@ def same_estimate(
     assert close(a.twist, b.twist, bound)
     largest = max(max(row) for row in b.covariance)
     for ra, rb in zip(a.covariance, b.covariance, strict=True):
-        assert ra == pytest.approx(rb, rel=1e-6 if bound < 1e-6 else 0.1, abs=1e-6 * largest)
+        assert ra == pytest.approx(rb, rel=1e-6, abs=1e-6 * largest)

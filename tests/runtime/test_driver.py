@@ -199,7 +199,7 @@ def test_without_turn_counts_the_speeds_are_integrated() -> None:
     driver = BaseDriver(ROBOT, SpeedsOnly(ROBOT))
     last = run(driver, Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
     same = run(made(), Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
-    assert last.pose == pytest.approx(same.pose, abs=2e-3)
+    assert last.pose == pytest.approx(same.pose, abs=5e-3)
 
 
 def test_after_waiting_for_the_wheels_the_robot_does_not_jump() -> None:

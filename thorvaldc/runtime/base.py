@@ -16,6 +16,7 @@ class JointStates:
     and ``angle_rates`` (rad/s) those of their steering joints.  Entries of
     joints that have no encoder (a wheel without motor, a wheel that is not
     steered) are 0 and are not looked at.  ``time`` (s) is when they were measured.
+    ``yaw_rate`` (rad/s) is that of a gyro in ``base_link``, where there is one.
     """
 
     time: float
@@ -23,6 +24,7 @@ class JointStates:
     angles: Sequence[float]
     angle_rates: Sequence[float]
     positions: Sequence[float] | None = None
+    yaw_rate: float | None = None
 
 
 @dataclass(slots=True)

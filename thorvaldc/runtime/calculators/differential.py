@@ -98,6 +98,8 @@ class Differential(BaseCalculator):
         return BaseCommand(joints, target, now, infeasible, scale, (), zeros)
 
     def odometry(self, states: JointStates) -> TwistEstimate:
+        if len(self._wheels) > 2:  # one may be wrong
+            return super().odometry(states)
         self.estimator.check(states)
         noise = self.noise
         speeds = states.speeds

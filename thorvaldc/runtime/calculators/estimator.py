@@ -1,96 +1,155 @@
-"""The robot's twist from its joints: weighted least squares over what wheels say."""
+"""The robot's twist from its joints, and which wheels not to believe."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
+from typing import NamedTuple
 
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators.fit import (
+    BOTH,
+    SIDE,
+    TEST_ROLL,
+    TEST_SIDE,
+    USE_ROLL,
+    USE_SIDE,
+    Fit,
+    Noise,
+    Reading,
+    Sums,
+    chi_squares,
+    equal_weights,
+    fit,
+    misfit,
+)
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear import solve3
+from thorvaldc.runtime.calculators.rejection import Rejection, mixture
 from thorvaldc.runtime.faults import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Twist
+
+__all__ = ["Estimation", "Noise", "TwistEstimate", "TwistEstimator"]
 
 _RANK_TOLERANCE = 1e-8
 """Smallest eigenvalue of the scaled information over the mean one that counts."""
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """What is taken of the wheels' errors.
-
-    ``speed_ratio``: of a wheel's speed, relative; ``angle``: of its direction,
-    rad; ``speed_floor`` and ``slip_floor``: m/s along and across the wheel at
-    rest; ``skid_ratio``: of the speed, for wheels that must scrub in turns.
-    """
-
-    speed_ratio: float = 0.01
-    angle: float = math.radians(0.5)
-    speed_floor: float = 0.002
-    slip_floor: float = 0.002
-    skid_ratio: float = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class TwistEstimate:
+class TwistEstimate(NamedTuple):
     """A twist, its covariance (of vx, vy, wz, in SI) and what it rests on.
 
-    ``rank`` is how many directions of the twist the wheels determine, 0 to 3.
+    ``rank`` is how many directions of the twist the joints determine, 0 to 3.
     Below 3 the rest comes from the prior that the robot stands still within
-    its top speed, and the covariance says so.
+    its top speed, and the covariance says so.  ``chi_squares`` has one entry per
+    wheel where the calculator tests them: how badly it agrees with the
+    others, chi-square of two degrees of freedom (one for a passive wheel; 0 for
+    what nothing tests).  ``dropped``: indices of the wheels that are left out, wholly
+    or in part, since they slip, stall or are not where their encoders say.
     """
 
     twist: Twist
     covariance: Cov3
     rank: int
+    chi_squares: tuple[float, ...] = ()
+    dropped: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Estimation:
+    """How a twist is estimated.
+
+    ``gate``: share of ticks at which a healthy robot may lose a wheel.
+    ``faulty``: how many wheels may be wrong at once, 0 to 2.
+    ``polish``: further Gauss-Newton steps, towards maximum likelihood.
+    """
+
+    gate: float = 0.01
+    faulty: int = 2
+    polish: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.gate < 1.0:
+            raise ValueError(f"gate is {self.gate:g}; it must be between 0 and 1")
+        if self.faulty not in (0, 1, 2):
+            raise ValueError(f"faulty is {self.faulty}; it must be 0, 1 or 2")
+        if not 0 <= self.polish <= 10:
+            raise ValueError(f"polish is {self.polish}; it must be 0 to 10")
+
+
+class _Row(NamedTuple):
+    """A wheel that holds its direction; ``cos``, ``sin``, ``x``, ``y``: with its joint at 0."""
+
+    wheel: int
+    heading: float
+    sign: float
+    cos: float
+    sin: float
+    x: float
+    y: float
+    trail: float
+    lateral: float
+    radius: float
+    kind: int
+    turns: bool
+    skids: bool
 
 
 class TwistEstimator:
-    """Least squares of rolling and no-side-slip rows, weighted by predicted speeds.
+    """Weighted least squares of what wheels say, without those that disagree.
 
-    A first solution with equal weights predicts each wheel's speed; the weights
-    follow from the prediction, not from the measured speed, so that a stalled
-    encoder is not taken for a certain one.  Side slip is measured as 0 on every
-    wheel that cannot swivel; rolling on those with an encoder.  Steering with
-    the contact beside or behind its axis moves the contact, which is counted.
+    A first solution with equal weights predicts each wheel's velocity, and one
+    Gauss-Newton step from there (``fit``) is all but maximum likelihood.  Then
+    each wheel is tested against the others; where one fails, the explanation with the
+    fewest wrong wheels is sought, and of those only what is wrong is left out:
+    a wheel that slips still says its direction.  Where there is no explanation
+    all are kept, and the covariance grows with the misfit.
+
+    Side slip is measured as 0 on every wheel that cannot swivel, rolling on those
+    with an encoder.  Steering with the contact beside or behind its axis moves
+    the contact, which is counted.  A gyro (``JointStates.yaw_rate``) is one row more.
     """
 
-    def __init__(self, geometry: BaseGeometry, noise: Noise | None = None) -> None:
-        self._noise = noise or Noise()
+    def __init__(
+        self,
+        geometry: BaseGeometry,
+        noise: Noise | None = None,
+        options: Estimation | None = None,
+    ) -> None:
+        self.noise = noise or Noise()
+        self.options = options or Estimation()
+        self._squares = self.noise.squares
         self._n = len(geometry.wheels)
         self._wheels = geometry.wheels
-        self._centre = geometry.centre
+        self._centre = xm, ym = geometry.centre
         skids = FixedWheels(geometry.wheels).skids
-        self._skidding = len(skids)
-        xm, ym = geometry.centre
-        # (index, direction at angle 0, sign, x', y', trail, lateral, radius or 0, turns, skids)
-        self._rows = tuple(
-            (
-                i,
-                w.heading,
-                w.sign,
-                w.x - xm,
-                w.y - ym,
-                w.trail,
-                w.lateral,
-                w.radius if w.encoder else 0.0,
-                w.steered,
-                i in skids,
-            )
-            for i, w in enumerate(geometry.wheels)
-            if not w.swivel
-        )
-        self._fixed = {
-            i: (math.cos(h), math.sin(h))
-            for i, h, _, _, _, _, _, _, turns, _ in self._rows
-            if not turns
-        }
+        rows = []
+        for i, w in enumerate(geometry.wheels):
+            if w.swivel:
+                continue
+            c, s = math.cos(w.heading), math.sin(w.heading)
+            kind = BOTH if w.encoder else SIDE
+            if i in skids:  # what scrubs by its place disagrees always
+                kind &= ~(TEST_ROLL | TEST_SIDE)
+            x = w.x - xm + c * w.trail - s * w.lateral
+            y = w.y - ym + s * w.trail + c * w.lateral
+            radius = w.radius if w.encoder else 0.0
+            rows.append(
+                _Row(i, w.heading, w.sign, c, s, x, y, w.trail, w.lateral, radius, kind,
+                     w.steered, i in skids)
+            )  # fmt: skip
+        self._rows = tuple(rows)
         top = geometry.fastest
         self._length2 = geometry.length**2
-        # Prior information on (vx, vy, wz): at rest within the top speed.
+        # Information on (vx, vy, wz) where the wheels have none: at rest within the top speed.
         self._prior = (1.0 / top**2, self._length2 / top**2)
+        share = self.options.gate / max(len(rows), 1)
+        both, one = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
+        self._gates = tuple(both if row.kind == BOTH else one for row in rows)
+        self._whole = len(rows) == self._n
+        self._inverse = self._constant_inverse()
 
     def check(self, states: JointStates) -> None:
         """Raise ``NotFiniteError`` or ``ValueError`` where the joints cannot be used."""
@@ -100,6 +159,8 @@ class TwistEstimator:
         if len(positions) != self._n:
             raise ValueError(f"joint states of {len(positions)} wheels for {self._n}")
         total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates) + sum(positions)
+        if states.yaw_rate is not None:
+            total += states.yaw_rate
         if math.isfinite(total):
             return
         for values, what in (
@@ -119,126 +180,109 @@ class TwistEstimator:
         Raises ``NotFiniteError`` where a joint state is not a finite number.
         """
         self.check(states)
-        speeds: Sequence[float] = states.speeds
-        angles: Sequence[float] = states.angles
-        rates: Sequence[float] = states.angle_rates
-        fixed = self._fixed
-        # All about the centre, where linear and angular motion come apart:
-        # L = (c, s, l3) measures z_l where it rolls with an encoder, T = (-s, c, t3) z_t.
-        rows: list[tuple[float, float, float, float, bool, float, float, bool]] = []
-        a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
-        for i, heading, sign, x, y, trail, lateral, radius, turns, skids in self._rows:
+        readings, (vx, vy, wz), rank = self._first(states)
+        noise, rate = self._squares, states.yaw_rate
+        prior = (0.0, 0.0) if rank == 3 else self._prior
+        found = fit(readings, vx, vy, wz, noise, prior, rate)
+        for _ in range(self.options.polish):
+            found = fit(readings, found.vx, found.vy, found.wz, noise, prior, rate)
+        tests = chi_squares(found)
+        for d, gate in zip(tests, self._gates, strict=True):
+            if d > gate:
+                return self._without_the_wrong(readings, found, tests, prior, rate, rank)
+        return self._estimate(found, tests, rank)
+
+    def least_squares(self, states: JointStates) -> Twist:
+        """The first solution: least squares of all rows with equal weights."""
+        self.check(states)
+        return self._at_base(*self._first(states)[1])
+
+    def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:
+        """Per wheel, by how much its contact moves over the ground in that twist, along and across.
+
+        In m/s, along its direction and to its left; along is that of the tread, so that
+        a wheel that spins in mud slips backwards.  0 where it has no encoder, and
+        for what swivels.
+        """
+        slips = [(0.0, 0.0)] * self._n
+        vx, vy, wz = twist
+        xm, ym = self._centre
+        vx, vy = vx - ym * wz, vy + xm * wz
+        for row, (kind, c, s, x, y, z_l, z_t, _, _) in zip(
+            self._rows, self._readings(states), strict=True
+        ):
+            ux, uy = vx - wz * y, vy + wz * x
+            along = c * ux + s * uy - z_l if kind & USE_ROLL else 0.0
+            slips[row.wheel] = (along, c * uy - s * ux - z_t)
+        return tuple(slips)
+
+    # -- the first solution ---------------------------------------------------------
+
+    def _first(self, states: JointStates) -> tuple[list[Reading], tuple[float, float, float], int]:
+        """What the wheels say; the twist by it about the centre, all weighing alike; its rank."""
+        if self._inverse is None or states.yaw_rate is not None:
+            readings = self._readings(states)
+            return readings, *self._solve(equal_weights(readings), states.yaw_rate)
+        # Most robots: however the wheels turn, the normal equations stay.
+        speeds, angles = states.speeds, states.angles
+        cos, sin = math.cos, math.sin
+        b1 = b2 = b3 = 0.0
+        readings = []
+        for i, heading, sign, c, s, x, y, _, _, radius, kind, turns, skids in self._rows:
             if turns:
                 direction = heading + sign * angles[i]
-                c, s = math.cos(direction), math.sin(direction)
-                turning = sign * rates[i]
-                z_t = -trail * turning
-                z_l = radius * speeds[i] + lateral * turning
-            else:
-                c, s = fixed[i]
-                z_t = 0.0
-                z_l = radius * speeds[i]
-            l3 = s * x - c * y - lateral
-            t3 = c * x + s * y + trail
-            rolls = radius > 0.0
-            rows.append((c, s, l3, z_l, rolls, t3, z_t, skids))
-            a11 += s * s
-            a12 -= s * c
-            a13 -= s * t3
-            a22 += c * c
-            a23 += c * t3
-            a33 += t3 * t3
-            if z_t:
-                b1 -= s * z_t
-                b2 += c * z_t
-                b3 += t3 * z_t
-            if rolls:
-                a11 += c * c
-                a12 += c * s
-                a13 += c * l3
-                a22 += s * s
-                a23 += s * l3
-                a33 += l3 * l3
-                b1 += c * z_l
-                b2 += s * z_l
-                b3 += l3 * z_l
+                c, s = cos(direction), sin(direction)
+            z_l = radius * speeds[i]
+            readings.append((kind, c, s, x, y, z_l, 0.0, turns, skids))
+            zx, zy = c * z_l, s * z_l
+            b1 += zx
+            b2 += zy
+            b3 += zy * x - zx * y
+        (q11, q12, q13, q22, q23, q33), rank = self._inverse
+        twist = (
+            q11 * b1 + q12 * b2 + q13 * b3,
+            q12 * b1 + q22 * b2 + q23 * b3,
+            q13 * b1 + q23 * b2 + q33 * b3,
+        )
+        return readings, twist, rank
+
+    def _readings(self, states: JointStates) -> list[Reading]:
+        readings: list[Reading] = []
+        for row in self._rows:
+            i, heading, sign, c, s, x, y, trail, lateral, radius, kind, turns, skids = row
+            z_l, z_t = radius * states.speeds[i], 0.0
+            if turns:
+                direction = heading + sign * states.angles[i]
+                cos, sin = math.cos(direction), math.sin(direction)
+                if trail or lateral:
+                    x += (cos - c) * trail - (sin - s) * lateral
+                    y += (sin - s) * trail + (cos - c) * lateral
+                    turning = sign * states.angle_rates[i]
+                    z_l += lateral * turning
+                    z_t = -trail * turning
+                c, s = cos, sin
+            readings.append((kind, c, s, x, y, z_l, z_t, turns, skids))
+        return readings
+
+    def _solve(self, sums: Sums, yaw_rate: float | None) -> tuple[tuple[float, float, float], int]:
+        a11, a12, a13, a22, a23, a33, b1, b2, b3 = sums
         k = self._length2
-        c11 = a22 * a33 - a23 * a23
-        det = a11 * c11 - a12 * (a12 * a33 - a13 * a23) + a13 * (a12 * a23 - a13 * a22)
+        if yaw_rate is not None:
+            a33 += k
+            b3 += k * yaw_rate
+        det = (
+            a11 * (a22 * a33 - a23 * a23)
+            - a12 * (a12 * a33 - a13 * a23)
+            + a13 * (a12 * a23 - a13 * a22)
+        )
         mean = (a11 + a22 + a33 / k) / 3.0
         rank = 3
-        p_v = p_w = 0.0
         if det <= _RANK_TOLERANCE * k * mean * mean * mean:
             rank = self._count_rank(a11, a12, a13, a22, a23, a33)
-            p_v, p_w = self._prior
-            # The first pass is in units of one, the prior in those of a top speed.
+            # This pass is in units of one, the prior in those of a top speed.
             weak = 1e-6 * max(mean, 1.0)
             a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * k
-        vx, vy, wz = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
-
-        n = self._noise
-        ratio2, angle2, skid2 = n.speed_ratio**2, n.angle**2, n.skid_ratio**2
-        speed_floor2, slip_floor2 = n.speed_floor**2, n.slip_floor**2
-        a11, a22, a33 = p_v, p_v, p_w
-        a12 = a13 = a23 = b1 = b2 = b3 = 0.0
-        w_skid = 0.0
-        if self._skidding:
-            # Friction does not ask how fast a wheel scrubs: they all weigh the same.
-            a2 = sum((c * vx + s * vy + l3 * wz) ** 2 for c, s, l3, _, _, _, _, k in rows if k)
-            w_skid = 1.0 / (skid2 * a2 / self._skidding + speed_floor2)
-        for c, s, l3, z_l, rolls, t3, z_t, skids in rows:
-            roll = c * vx + s * vy + l3 * wz
-            slip = c * vy - s * vx + t3 * wz
-            a2 = roll * roll + slip * slip
-            if skids:
-                w_l = w_t = w_skid
-            else:
-                w_l = 1.0 / (ratio2 * a2 + speed_floor2)
-                w_t = 1.0 / (angle2 * a2 + slip_floor2)
-            sw, cw, tw = s * w_t, c * w_t, t3 * w_t
-            a11 += s * sw
-            a12 -= s * cw
-            a13 -= s * tw
-            a22 += c * cw
-            a23 += c * tw
-            a33 += t3 * tw
-            if z_t:
-                b1 -= sw * z_t
-                b2 += cw * z_t
-                b3 += tw * z_t
-            if rolls:
-                sw, cw, lw = s * w_l, c * w_l, l3 * w_l
-                a11 += c * cw
-                a12 += c * sw
-                a13 += c * lw
-                a22 += s * sw
-                a23 += s * lw
-                a33 += l3 * lw
-                b1 += cw * z_l
-                b2 += sw * z_l
-                b3 += lw * z_l
-        c11 = a22 * a33 - a23 * a23
-        c12 = a13 * a23 - a12 * a33
-        c13 = a12 * a23 - a13 * a22
-        inverse = 1.0 / (a11 * c11 + a12 * c12 + a13 * c13)
-        p11, p12, p13 = c11 * inverse, c12 * inverse, c13 * inverse
-        p22 = (a11 * a33 - a13 * a13) * inverse
-        p23 = (a12 * a13 - a11 * a23) * inverse
-        p33 = (a11 * a22 - a12 * a12) * inverse
-        vx = p11 * b1 + p12 * b2 + p13 * b3
-        vy = p12 * b1 + p22 * b2 + p23 * b3
-        wz = p13 * b1 + p23 * b2 + p33 * b3
-        xm, ym = self._centre
-        if xm or ym:  # from the centre back to base_link
-            vx, vy = vx + ym * wz, vy - xm * wz
-            p11, p12, p22 = (
-                p11 + 2.0 * ym * p13 + ym * ym * p33,
-                p12 + ym * p23 - xm * p13 - xm * ym * p33,
-                p22 - 2.0 * xm * p23 + xm * xm * p33,
-            )
-            p13, p23 = p13 + ym * p33, p23 - xm * p33
-        covariance = ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33))
-        return TwistEstimate(Twist(vx, vy, wz), covariance, rank)
+        return solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3), rank
 
     def _count_rank(
         self, a11: float, a12: float, a13: float, a22: float, a23: float, a33: float
@@ -249,3 +293,91 @@ class TwistEstimator:
         )
         largest = max(values)
         return sum(1 for v in values if v > 1e-7 * largest) if largest > 1e-12 else 0
+
+    def _constant_inverse(
+        self,
+    ) -> tuple[tuple[float, float, float, float, float, float], int] | None:
+        """Inverse of the equal-weights normal matrix and its rank, where angles do not change it.
+
+        A wheel with an encoder measures its contact's velocity whole, in whatever direction.
+        """
+        if any(r.turns and (not r.kind & USE_ROLL or r.trail or r.lateral) for r in self._rows):
+            return None
+        still = equal_weights(
+            [(r.kind, r.cos, r.sin, r.x, r.y, 0.0, 0.0, False, False) for r in self._rows]
+        )
+        columns = [
+            self._solve(still._replace(b1=float(i == 0), b2=float(i == 1), b3=float(i == 2)), None)
+            for i in range(3)
+        ]
+        (q11, q12, q13), rank = columns[0]
+        (_, q22, q23), _ = columns[1]
+        return (q11, q12, q13, q22, q23, columns[2][0][2]), rank
+
+    def _without_the_wrong(
+        self,
+        readings: list[Reading],
+        found: Fit,
+        tests: list[float],
+        prior: tuple[float, float],
+        rate: float | None,
+        rank: int,
+    ) -> TwistEstimate:
+        """The estimate without the wheels that are wrong; of all where nothing explains it."""
+        steps = 1 + self.options.polish
+
+        def again(some: list[Reading], before: Fit, steps: int = steps) -> Fit:
+            for _ in range(steps):
+                before = fit(some, before.vx, before.vy, before.wz, self._squares, prior, rate)
+            return before
+
+        def fresh(some: list[Reading]) -> Fit:
+            first, _ = self._solve(equal_weights(some), rate)
+            return again(some, fit(some, *first, self._squares, prior, rate))
+
+        rejection = Rejection(self._gates, self.options.faulty, fresh, again)
+        explanations = rejection.explanations(readings, found)
+        if not explanations:
+            freedom = sum((r[0] & USE_ROLL > 0) + (r[0] & USE_SIDE > 0) for r in readings)
+            freedom += (rate is not None) - rank
+            growth = max(1.0, misfit(found) / max(freedom, 1))
+            return self._estimate(found, tests, rank, growth)
+        best = explanations[0]
+        mean, probability = mixture(explanations)
+        dropped: tuple[int, ...] = ()
+        if probability > 0.5:
+            dropped = tuple(sorted(self._rows[k].wheel for k in best.places))
+        return self._estimate(mean, chi_squares(best.found), rank, 1.0, dropped)
+
+    def _estimate(
+        self,
+        found: Fit,
+        tests: Sequence[float],
+        rank: int,
+        growth: float = 1.0,
+        dropped: tuple[int, ...] = (),
+    ) -> TwistEstimate:
+        vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = found
+        xm, ym = self._centre
+        if xm or ym:  # from the centre back to base_link
+            vx, vy = vx + ym * wz, vy - xm * wz
+            p11, p12, p22 = (
+                p11 + 2.0 * ym * p13 + ym * ym * p33,
+                p12 + ym * p23 - xm * p13 - xm * ym * p33,
+                p22 - 2.0 * xm * p23 + xm * xm * p33,
+            )
+            p13, p23 = p13 + ym * p33, p23 - xm * p33
+        if growth != 1.0:
+            p11, p12, p13 = growth * p11, growth * p12, growth * p13
+            p22, p23, p33 = growth * p22, growth * p23, growth * p33
+        if not self._whole:
+            spread = [0.0] * self._n
+            for row, d in zip(self._rows, tests, strict=True):
+                spread[row.wheel] = d
+            tests = spread
+        covariance = ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33))
+        return TwistEstimate(Twist(vx, vy, wz), covariance, rank, tuple(tests), dropped)
+
+    def _at_base(self, vx: float, vy: float, wz: float) -> Twist:
+        xm, ym = self._centre
+        return Twist(vx + ym * wz, vy - xm * wz, wz)
