@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import math
 import types
 import typing
 from typing import Any, TypeVar
@@ -84,7 +85,9 @@ def _decode(hint: Any, value: Any) -> Any:
             kind = value["kind"]
             return _decode(shapes[kind], {k: v for k, v in value.items() if k != "kind"})
         rest = [m for m in members if m is not type(None)]
-        return _decode(rest[0], value) if len(rest) == 1 else value
+        if len(rest) == 1:
+            return _decode(rest[0], value)
+        return _plain(tuple(rest), value)
     if hint is Span:
         return Span(*value)
     if dataclasses.is_dataclass(hint):
@@ -92,6 +95,7 @@ def _decode(hint: Any, value: Any) -> Any:
         cls = typing.cast(type, hint)
         return cls(**{name: _decode(hints[name], value[name]) for name in _fields(cls)})
     if origin is tuple:
+        _plain((list,), value)
         args = typing.get_args(hint)
         if len(args) == 2 and args[1] is Ellipsis:
             return tuple(_decode(args[0], v) for v in value)
@@ -99,7 +103,14 @@ def _decode(hint: Any, value: Any) -> Any:
             raise ModelFormatError(f"expected {len(args)} values, found {len(value)}")
         return tuple(_decode(a, v) for a, v in zip(args, value, strict=True))
     if hint is float:
-        return float(value)
+        return float(_plain((int, float), value))
+    return _plain((hint,), value)
+
+
+def _plain(types_: tuple[type, ...], value: Any) -> Any:
+    if type(value) not in types_ or (type(value) is float and not math.isfinite(value)):
+        wanted = " or ".join(t.__name__ for t in types_)
+        raise ModelFormatError(f"expected {wanted}, found {str(value)[:40]}")
     return value
 
 
@@ -126,5 +137,5 @@ def from_json(text: str) -> Robot | Fleet:
         return decoded
     except ModelFormatError:
         raise
-    except (KeyError, TypeError, ValueError, IndexError) as fault:
+    except (KeyError, TypeError, ValueError, IndexError, RecursionError) as fault:
         raise ModelFormatError(f"not a {FORMAT} file: {fault!r}") from fault

@@ -1,0 +1,238 @@
+"""The model as JSON: reads back equal, whatever it holds, and refuses what is none."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import pytest
+
+from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.robots import FOUR_STEERED, SPAN, make_robot
+from thorvaldc.model import (
+    Battery,
+    Box,
+    Bus,
+    CalculatorChoice,
+    Channel,
+    Collision,
+    Cylinder,
+    Fleet,
+    Frame,
+    Link,
+    Mesh,
+    MeshShape,
+    Mimic,
+    Node,
+    Placement,
+    Pose,
+    Robot,
+    Sensor,
+    Signal,
+    Sphere,
+    Visual,
+)
+from thorvaldc.model import robot as robot_module
+from thorvaldc.model.serialize import ModelFormatError, from_json, to_json
+
+POSE = Pose.from_xyz_rpy((0.1, -0.2, 1 / 3), (0.3, 0.2, 0.1))
+GREY = (0.5, 0.25, 1.0, 1.0)
+
+
+def everything() -> Robot:
+    """A robot with an element of every kind, and every field set to something of its own."""
+    shapes = (
+        Box((1.0, 2.0, 3.0)),
+        Cylinder(0.1, 0.2),
+        Sphere(0.3),
+        MeshShape("a.stl", (1.0, 2.0, 3.0)),
+    )
+    link = Link(
+        "odd",
+        "måne.ä",
+        None,
+        tuple(Visual(shape, POSE, GREY) for shape in shapes),
+        tuple(Collision(shape, POSE) for shape in shapes),
+        SPAN,
+    )
+    signal = Signal(
+        "speed",
+        32,
+        16,
+        True,
+        0.1,
+        -1.5,
+        "rad/s",
+        -1.0,
+        2.0,
+        "w0_axle",
+        False,
+        (1, 2),
+        ((0, "off"), (1, "on")),
+        "of the wheel",
+    )
+    select = Signal("content", 0, 8, multiplexer=True)
+    frame = Frame("rpdo1", 0x201, "pdo", "master", ("node",), 8, 0.02, None, (signal, select), SPAN)
+    channels = (
+        Channel("left", "propulsion", "w0_propulsion"),
+        Channel("right", "propulsion", None),
+    )
+    node = Node(
+        "node",
+        "m",
+        "thorvald_roboteq",
+        3,
+        "canopen",
+        0x469,
+        None,
+        channels,
+        (("timeout", 2.0), ("name", "x"), ("count", 3), ("on", True)),
+        SPAN,
+    )
+    robot = make_robot(FOUR_STEERED, suspended=True)
+    joint = replace(robot.joints[-1], mimic=Mimic("w0_axle", -2.0, 0.5), spring_reference=1e-17)
+    return replace(
+        robot,
+        namespace="r1",
+        description='Text with "quotes", \\ and \u2603\n',
+        links=(*robot.links, link),
+        joints=(*robot.joints[:-1], joint),
+        wheels=tuple(replace(w, radii=(("floor", 0.1), ("rail", 0.09))) for w in robot.wheels),
+        sensors=(Sensor("s", "m", "imu", "odd", (("rate", 100.0),), SPAN),),
+        batteries=(Battery("b", "m", "odd", None, (("cells", 14),), SPAN),),
+        buses=(Bus("main", 500000, 0.02, (node,), (frame,), SPAN),),
+        meshes=(Mesh("a.stl", "0" * 64, b"data"),),
+        calculator=CalculatorChoice("general", (("hysteresis", 0.2),)),
+        urdf_extensions=("<gazebo/>",),
+    )
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_examples_read_back_equal(name: str) -> None:
+    robot = example_robot(name)
+    text = to_json(robot)
+    assert from_json(text) == robot
+    assert to_json(from_json(text)) == text
+
+
+@pytest.mark.parametrize("name", FLEETS)
+def test_fleets_read_back_equal(name: str) -> None:
+    fleet = example_fleet(name)
+    assert from_json(to_json(fleet)) == fleet
+
+
+def test_a_model_with_everything_in_it_reads_back_equal() -> None:
+    robot = everything()
+    assert from_json(to_json(robot)) == robot
+    fleet = Fleet("two", "", (Placement("a", POSE, robot), Placement("b", Pose(), robot)))
+    assert from_json(to_json(fleet)) == fleet
+
+
+def test_everything_has_every_class_of_the_model_in_it() -> None:
+    seen: set[str] = set()
+
+    def walk(value: Any) -> None:
+        if is_dataclass(value):
+            seen.add(type(value).__name__)
+            for field in fields(value):
+                walk(getattr(value, field.name))
+        elif isinstance(value, tuple):
+            for item in value:
+                walk(item)
+
+    walk(everything())
+    classes = {
+        name
+        for name, value in vars(robot_module).items()
+        if is_dataclass(value) and value.__module__ == robot_module.__name__  # type: ignore[union-attr]
+    }
+    assert classes - {"Fleet", "Placement"} <= seen
+
+
+def test_types_come_back_as_they_were() -> None:
+    robot = from_json(to_json(everything()))
+    assert isinstance(robot, Robot)
+    properties = dict(robot.buses[0].nodes[0].properties)
+    assert [type(v) for v in properties.values()] == [float, str, int, bool]
+    assert type(robot.wheels[0].x) is float
+
+
+def test_a_whole_number_is_a_float_where_one_is_meant() -> None:
+    text = to_json(make_robot(FOUR_STEERED))
+    changed = json.loads(text)
+    changed["model"]["driver"]["rate"] = 50
+    robot = from_json(json.dumps(changed))
+    assert isinstance(robot, Robot)
+    assert type(robot.driver.rate) is float
+
+
+def test_mesh_bytes_lie_beside_it() -> None:
+    assert "data" not in json.loads(to_json(everything()))["model"]["meshes"][0]
+    robot = from_json(to_json(everything()))
+    assert isinstance(robot, Robot)
+    assert robot.meshes[0].data == b""
+
+
+def test_what_is_no_number_in_json_is_not_written() -> None:
+    robot = make_robot(FOUR_STEERED)
+    broken = replace(robot, driver=replace(robot.driver, rate=float("nan")))
+    with pytest.raises(ValueError, match="JSON"):
+        to_json(broken)
+
+
+GOOD = json.loads(to_json(make_robot(FOUR_STEERED)))
+
+
+def changed(path: str, value: Any) -> str:
+    copy = json.loads(json.dumps(GOOD))
+    *way, last = path.split(".")
+    place = copy
+    for key in way:
+        place = place[int(key)] if key.isdigit() else place[key]
+    if value is ...:
+        del place[last]
+    else:
+        place[int(last) if last.isdigit() else last] = value
+    return json.dumps(copy)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "3",
+        "null",
+        "[" * 100_000,
+        '{"format": "thorvaldc-model"}',
+        changed("format", "urdf"),
+        changed("version", 2),
+        changed("version", "1"),
+        changed("kind", "Rover"),
+        changed("kind", ["Robot"]),
+        changed("model", []),
+        changed("model.name", ...),
+        changed("model.name", 3),
+        changed("model.links", {}),
+        changed("model.links.0.origin", ["robot.yaml"] * 9),
+        changed("model.joints.0.pose.xyz", [0.0, 1.0]),
+        changed("model.joints.0.pose.xyz.0", "left"),
+        changed("model.joints.0.pose.xyz.0", None),
+        changed("model.joints.0.pose.xyz.0", True),
+        changed("model.links.1.visuals.0.shape.kind", "Cone"),
+        changed("model.driver.rate", None),
+        changed("model.wheels.0.driven", "yes"),
+        changed("model.driver.rate", float("nan")),
+    ],
+)
+def test_what_is_no_model_is_refused(text: str) -> None:
+    with pytest.raises(ModelFormatError) as fault:
+        from_json(text)
+    assert str(fault.value)
+
+
+def test_the_message_of_another_version_names_both() -> None:
+    with pytest.raises(ModelFormatError, match=r"version 2; this program reads 1"):
+        from_json(changed("version", 2))
