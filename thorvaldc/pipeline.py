@@ -51,6 +51,7 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
     shape, report = Report(), Report()
     done = Compilation()
     files = {path.name: path}
+    robots: dict[str, Compilation] = {}
     document = read_file(path, path.name, shape)
     if document is not None:
         fleet = _is_fleet(document)
@@ -60,11 +61,14 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
         # The next stages go on with what is sound: one run shows the faults of all.
         sound_part = sound(document, shape)
         if fleet:
-            done.model = _fleet(sound_part, path, library, report, done)
+            done.model = _fleet(sound_part, path, library, report, robots)
+            for robot in robots.values():
+                done.report.extend(robot.report)
+                done.sources.update(robot.sources)
         elif (modules := sound_part.get("modules")) is not None and modules.value:
             lost = sorted(_module_names(document) - _module_names(sound_part))
             done.model = _robot(sound_part, path, library, report, files, lost, whole)
-        done.source_sha256 = _sha256(files)
+        done.source_sha256 = _sha256(files, robots)
     for part in (shape, _without_places_of(shape, report)):
         done.report.extend(_with_paths(part, path.parent, files))
     for name, file in files.items():
@@ -182,35 +186,36 @@ def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
 
 
 def _fleet(
-    document: Node, path: Path, library: Sequence[Path], report: Report, done: Compilation
+    document: Node,
+    path: Path,
+    library: Sequence[Path],
+    report: Report,
+    compiled: dict[str, Compilation],
 ) -> Fleet | None:
+    """The fleet; ``compiled`` gathers what became of each robot file that it names."""
     scope = Scope(None, {}, Library(), report, None)
     placements: list[Placement] = []
     robots = document.get("robots")
-    compiled: dict[Path, Compilation] = {}
     for name, node in (robots.value if robots and isinstance(robots.value, dict) else {}).items():
         file_node = node.get("robot")
         if file_node is None:
             continue
-        file = path.parent / str(file_node.value)
+        named = str(file_node.value)
+        file = path.parent / named
         if not os.path.isfile(file):
-            report.add(
-                "fleet-robot-missing", f"there is no file `{file_node.value}`", file_node.span
-            )
+            report.add("fleet-robot-missing", f"there is no file `{named}`", file_node.span)
             continue
-        if file not in compiled and _is_fleet(read_file(file, file.name, Report())):
+        if named not in compiled and _is_fleet(read_file(file, file.name, Report())):
             # Before it is compiled: a fleet might name itself.
             report.add(
                 "fleet-in-fleet",
-                f"`{file_node.value}` is a fleet; a robot is wanted",
+                f"`{named}` is a fleet; a robot is wanted",
                 file_node.span,
             )
             continue
-        if file not in compiled:
-            compiled[file] = compile_file(file, library=library)
-            done.report.extend(compiled[file].report)
-            done.sources.update(compiled[file].sources)
-        robot = compiled[file].model
+        if named not in compiled:
+            compiled[named] = compile_file(file, library=library)
+        robot = compiled[named].model
         if isinstance(robot, Robot):
             x, y, z = scope.vector(node.get("xyz"), "length")
             yaw = scope.quantity(node.get("yaw"), "angle")
@@ -246,9 +251,11 @@ def _without_places_of(earlier: Report, report: Report) -> Report:
     return out
 
 
-def _sha256(files: dict[str, Path]) -> str:
-    """Of all documents that were read, by their names in spans."""
+def _sha256(files: dict[str, Path], robots: dict[str, Compilation]) -> str:
+    """Of all documents that were read, by their names in spans; of a fleet's robots too."""
     digest = hashlib.sha256()
+    for name in sorted(robots):
+        digest.update(f"{name}\0{robots[name].source_sha256}\0".encode())
     for name in sorted(files):
         digest.update(name.encode() + b"\0" + files[name].read_bytes() + b"\0")
     return digest.hexdigest()
