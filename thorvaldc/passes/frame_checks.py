@@ -117,6 +117,8 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
     """No two signals that are there at the same time have a bit in common."""
+    if _masks_are_apart(signals):
+        return True
     always: dict[int, Signal] = {}
     selected: dict[int, dict[int, Signal]] = {}  # by bit and value of the multiplexer
     pairs: dict[tuple[str, str], tuple[Signal, Signal]] = {}
@@ -144,6 +146,23 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
             labels=[Label(span_of[first.name], "first used here")],
         )
     return not pairs
+
+
+def _masks_are_apart(signals: Sequence[Signal]) -> bool:
+    """The same as a yes or no, quickly: which bits meet is worked out only where some do."""
+    always, selected = 0, dict[int, int]()
+    for signal in signals:
+        mask = ((1 << signal.length) - 1) << signal.start
+        if signal.selected_by:
+            for value in signal.selected_by:
+                if selected.get(value, 0) & mask:
+                    return False
+                selected[value] = selected.get(value, 0) | mask
+        elif always & mask:
+            return False
+        else:
+            always |= mask
+    return not any(always & mask for mask in selected.values())
 
 
 def raw_range(signal: Signal) -> tuple[int, int]:
