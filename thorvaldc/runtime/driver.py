@@ -7,13 +7,11 @@ import math
 from dataclasses import dataclass
 
 from thorvaldc.model import DriverSettings, Robot
-from thorvaldc.runtime import se2
 from thorvaldc.runtime.base import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
-from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
+from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 
-LONGEST_TICK = 0.5
-"""Time (s) between ticks beyond which joint states no longer tell the way between them."""
 LEAD = 0.1
 """Speed (m/s, of the wheels) by which the ramp may be ahead of what the wheels do."""
 _SLACK = 1e-9
@@ -80,8 +78,8 @@ class BaseDriver:
         self._asked = ZERO_TWIST
         self._asked_at = -math.inf
         self._ramped = ZERO_TWIST
-        self._joints: JointStates | None = None
-        nothing = TwistEstimate(ZERO_TWIST, ZERO_COV, 0)
+        fastest = (self.settings.max_linear_velocity, self.settings.max_angular_velocity)
+        self.odometry = Odometry(self.calculator, fastest)
         self.state = DriverState(
             -math.inf,
             DriveMode.IDLE,
@@ -90,9 +88,9 @@ class BaseDriver:
             ZERO_TWIST,
             None,
             None,
-            nothing,
-            ORIGIN,
-            ZERO_COV,
+            self.odometry.estimate,
+            self.odometry.pose,
+            self.odometry.covariance,
         )
 
     def command(self, twist: Twist, now: float) -> bool:
@@ -109,15 +107,16 @@ class BaseDriver:
 
     def reset_pose(self, pose: Pose2 = ORIGIN) -> None:
         """Set the odometry pose; its covariance starts again at zero."""
-        self.state.pose = pose
-        self.state.pose_covariance = ZERO_COV
+        self.odometry.reset(pose)
+        self.state.pose = self.odometry.pose
+        self.state.pose_covariance = self.odometry.covariance
 
     def tick(self, now: float) -> DriverState:
         """Read the joints, estimate, ramp, command.  A time that does not advance does nothing.
 
-        After a gap of more than ``LONGEST_TICK`` the way since the tick before
-        is unknown: the pose stays and its covariance grows by what the robot
-        can have driven.
+        Without usable joints, and after more than ``LONGEST_INTERVAL`` without, the
+        way is unknown: the pose stays and its covariance grows by what the robot can
+        have driven.
         """
         state = self.state
         first = not math.isfinite(state.time)
@@ -125,24 +124,24 @@ class BaseDriver:
         if not first and not dt > 0.0:
             return state
         joints = self.base.read(now)
+        odometry = self.odometry
         fault = ""
+        starts = odometry.joints is None
         try:
-            self.calculator.estimator.check(joints)
-            odometry, pose, covariance = self._odometry(joints, dt)
+            odometry.update(joints, now)
         except ValueError as bad:
             fault = str(bad)
-            odometry, pose, covariance = state.odometry, state.pose, state.pose_covariance
+            odometry.miss(now)
         mode, asked = self._mode(now, fault)
-        period = dt if 0.0 < dt <= LONGEST_TICK else 1.0 / self.settings.rate
+        period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
         if fault:
             # What the wheels do is unknown: ramp down by the commands alone.
             self._ramped = self._ramp(ZERO_TWIST, period)
             command = self.calculator.command(self._ramped, None, period)
         else:
-            if self._joints is None:
+            if starts:
                 self.calculator.reset(joints)
-            self._joints = joints
             allowed = self.calculator.allowed(asked)
             infeasible = Twist(asked.vx - allowed.vx, asked.vy - allowed.vy, asked.wz - allowed.wz)
             self._ramped = self._ramp(self._limited(allowed), period)
@@ -155,10 +154,10 @@ class BaseDriver:
             self._ramped,
             infeasible,
             command,
-            self._joints,
-            odometry,
-            pose,
-            covariance,
+            odometry.joints,
+            odometry.estimate,
+            odometry.pose,
+            odometry.covariance,
             fault,
         )
         return self.state
@@ -175,28 +174,6 @@ class BaseDriver:
         if self._asked == ZERO_TWIST and self._ramped == ZERO_TWIST:
             return DriveMode.IDLE, ZERO_TWIST
         return DriveMode.DRIVING, self._asked
-
-    def _odometry(self, joints: JointStates, dt: float) -> tuple[TwistEstimate, Pose2, Cov3]:
-        state = self.state
-        before = self._joints
-        if before is None or dt <= 0.0:
-            return self.calculator.odometry(joints), state.pose, state.pose_covariance
-        elapsed = joints.time - before.time
-        if not 0.0 < elapsed <= LONGEST_TICK:
-            estimate = self.calculator.odometry(joints)
-            if elapsed <= 0.0:
-                return estimate, state.pose, state.pose_covariance
-            way = (self.settings.max_linear_velocity * elapsed) ** 2
-            turn = (self.settings.max_angular_velocity * elapsed) ** 2
-            (a, b, c), (_, d, e), (_, _, f) = state.pose_covariance
-            grown = ((a + way, b, c), (b, d + way, e), (c, e, f + turn))
-            return estimate, state.pose, grown
-        estimate = self.calculator.odometry(_between(before, joints, elapsed))
-        pose = state.pose.moved(se2.exp(estimate.twist, elapsed))
-        covariance = se2.propagate(
-            state.pose_covariance, estimate.twist, estimate.covariance, elapsed
-        )
-        return estimate, pose, covariance
 
     def _limited(self, twist: Twist) -> Twist:
         """The twist scaled as a whole to the robot's limits."""
@@ -246,18 +223,3 @@ class BaseDriver:
             return ramped
         share = LEAD / ahead
         return Twist(doing.vx + share * dx, doing.vy + share * dy, doing.wz + share * dw)
-
-
-def _between(before: JointStates, after: JointStates, dt: float) -> JointStates:
-    """The mean joint states of an interval: speeds from the ways where they are counted."""
-    if before.positions is not None and after.positions is not None:
-        speeds = tuple((b - a) / dt for a, b in zip(before.positions, after.positions, strict=True))
-    else:
-        speeds = tuple((a + b) / 2.0 for a, b in zip(before.speeds, after.speeds, strict=True))
-    pairs = tuple(zip(before.angles, after.angles, strict=True))
-    return JointStates(
-        after.time,
-        speeds,
-        tuple((a + b) / 2.0 for a, b in pairs),
-        tuple((b - a) / dt for a, b in pairs),
-    )

@@ -89,64 +89,59 @@ def chord_over_arc(angle: float) -> float:
     return _sin_over(angle / 2.0)
 
 
-def _product(a: Cov3, b: Cov3) -> Cov3:
-    (a0, a1, a2), (b0, b1, b2) = a, b
-
-    def row(r: Row3) -> Row3:
-        return (
-            r[0] * b0[0] + r[1] * b1[0] + r[2] * b2[0],
-            r[0] * b0[1] + r[1] * b1[1] + r[2] * b2[1],
-            r[0] * b0[2] + r[1] * b1[2] + r[2] * b2[2],
-        )
-
-    return (row(a0), row(a1), row(a2))
-
-
-def congruent(a: Cov3, p: Cov3) -> Cov3:
-    """A P A^T, exactly symmetric."""
-    t: Cov3 = (
-        (a[0][0], a[1][0], a[2][0]),
-        (a[0][1], a[1][1], a[2][1]),
-        (a[0][2], a[1][2], a[2][2]),
+def _planar(c: float, s: float, a: float, b: float, p: Cov3) -> Cov3:
+    """M P M^T with M = [[c, s, a], [-s, c, b], [0, 0, 1]], exactly symmetric."""
+    (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
+    r13, r23 = c * p13 + s * p23, c * p23 - s * p13
+    r11 = c * c * p11 + 2.0 * c * s * p12 + s * s * p22
+    r12 = c * s * (p22 - p11) + (c * c - s * s) * p12
+    r22 = s * s * p11 - 2.0 * c * s * p12 + c * c * p22
+    m13, m23 = r13 + a * p33, r23 + b * p33
+    m12 = r12 + a * r23 + b * r13 + a * b * p33
+    return (
+        (r11 + 2.0 * a * r13 + a * a * p33, m12, m13),
+        (m12, r22 + 2.0 * b * r23 + b * b * p33, m23),
+        (m13, m23, p33),
     )
-    m = _product(_product(a, p), t)
-    xy, xw, yw = (m[0][1] + m[1][0]) / 2, (m[0][2] + m[2][0]) / 2, (m[1][2] + m[2][1]) / 2
-    return ((m[0][0], xy, xw), (xy, m[1][1], yw), (xw, yw, m[2][2]))
 
 
-def propagate(covariance: Cov3, twist: Twist, twist_covariance: Cov3, dt: float) -> Cov3:
+def propagate(
+    covariance: Cov3,
+    twist: Twist,
+    twist_covariance: Cov3,
+    dt: float,
+    correlation: float = 0.0,
+) -> Cov3:
     """Pose covariance after ``dt`` s of a twist known up to ``twist_covariance``.
 
     P <- Ad P Ad^T + J Q J^T dt^2, with Ad the adjoint of the inverse motion
     and J the right Jacobian of SE(2) (Sola et al., "A micro Lie theory for
     state estimation in robotics", 2018, equations 161 and 163).
+
+    With ``correlation`` 0 the errors of two steps have nothing in common.  Errors that
+    fade with a time constant of ``correlation`` s add up: over times long beside it
+    as if Q were (1 + r) / (1 - r) of itself, with r = exp(-dt / correlation)
+    what is left of one a step later.  Over shorter times this says too much.
     """
-    step = exp(twist, dt)
-    c, s = math.cos(step.yaw), math.sin(step.yaw)
+    x, y, angle = exp(twist, dt)
+    c, s = math.cos(angle), math.sin(angle)
     # A small turn before the step moves its end, at t, by w x t: seen from there R^T (w x t).
-    adjoint: Cov3 = (
-        (c, s, c * -step.y + s * step.x),
-        (-s, c, s * step.y + c * step.x),
-        (0.0, 0.0, 1.0),
-    )
-    a = step.yaw
+    moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
     dx, dy = twist.vx * dt, twist.vy * dt
-    sa, va = _sin_over(a), _versin_over(a)
-    if abs(a) < 1e-3:
-        p, q = a / 6.0, 0.5
+    sa, va = _sin_over(angle), _versin_over(angle)
+    if abs(angle) < 1e-3:
+        p, q = angle / 6.0, 0.5
     else:
-        p, q = (a - math.sin(a)) / (a * a), (1.0 - math.cos(a)) / (a * a)
-    jacobian: Cov3 = (
-        (sa, va, dx * p - dy * q),
-        (-va, sa, dx * q + dy * p),
-        (0.0, 0.0, 1.0),
-    )
-    moved = congruent(adjoint, covariance)
-    noise = congruent(jacobian, twist_covariance)
+        p, q = (angle - math.sin(angle)) / (angle * angle), va / angle
+    noise = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, twist_covariance)
     d2 = dt * dt
-
-    def row(i: int) -> Row3:
-        m, n = moved[i], noise[i]
-        return (m[0] + n[0] * d2, m[1] + n[1] * d2, m[2] + n[2] * d2)
-
-    return (row(0), row(1), row(2))
+    if correlation > 0.0:
+        d2 /= math.tanh(dt / (2.0 * correlation))
+    (m11, m12, m13), (_, m22, m23), (_, _, m33) = moved
+    (n11, n12, n13), (_, n22, n23), (_, _, n33) = noise
+    k12, k13, k23 = m12 + d2 * n12, m13 + d2 * n13, m23 + d2 * n23
+    return (
+        (m11 + d2 * n11, k12, k13),
+        (k12, m22 + d2 * n22, k23),
+        (k13, k23, m33 + d2 * n33),
+    )

@@ -164,14 +164,16 @@ class TwistEstimator:
         if math.isfinite(total):
             return
         for values, what in (
-            (positions, "position"),
             (states.speeds, "speed"),
+            (positions, "position"),
             (states.angles, "steering angle"),
             (states.angle_rates, "steering rate"),
         ):
             for wheel, value in zip(self._wheels, values, strict=True):
                 if not math.isfinite(value):
                     raise NotFiniteError(f"the {what} of wheel {wheel.name} is {value}")
+        if states.yaw_rate is not None and not math.isfinite(states.yaw_rate):
+            raise NotFiniteError(f"the yaw rate is {states.yaw_rate}")
         raise NotFiniteError("the joint states are out of all bounds")
 
     def estimate(self, states: JointStates) -> TwistEstimate:

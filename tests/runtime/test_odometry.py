@@ -1,0 +1,194 @@
+"""Pose from joints: honest growth of its covariance, and what bad joints do to it."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from tests.conformance.wheels import wheel
+from thorvaldc.runtime import se2
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry, Noise
+from thorvaldc.runtime.calculators.estimator import TwistEstimator
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.faults import NotFiniteError
+from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Pose2, Twist
+
+PLACES = [(0.55, 0.45), (0.55, -0.45), (-0.55, 0.45), (-0.55, -0.45)]
+WHEELS = [wheel(f"w{i}", x, y, "steered") for i, (x, y) in enumerate(PLACES)]
+FASTEST = (1.5, 1.0)
+
+
+def made(noise: Noise | None = None) -> Odometry:
+    calculator = General(BaseGeometry.from_wheels(WHEELS))
+    if noise is not None:
+        calculator.estimator = TwistEstimator(calculator.geometry, noise)
+    return Odometry(calculator, FASTEST)
+
+
+def joints(odometry: Odometry, twist: Twist, time: float) -> JointStates:
+    command = odometry.calculator.command(twist)
+    return JointStates(time, command.joints.speeds, command.joints.angles, [0.0] * 4)
+
+
+def driven(odometry: Odometry, twist: Twist, start: float, end: float, dt: float = 0.02) -> float:
+    """Drive, tell, return when."""
+    steps = round((end - start) / dt)
+    for k in range(steps + 1):
+        odometry.update(joints(odometry, twist, start + k * dt), start + k * dt)
+    return start + steps * dt
+
+
+def size(covariance: se2.Cov3) -> float:
+    return covariance[0][0] + covariance[1][1]
+
+
+def test_the_way_is_exact() -> None:
+    odometry = made()
+    driven(odometry, Twist(0.5, 0.2, 0.4), 0.0, 10.0)
+    assert odometry.pose == pytest.approx(se2.exp(Twist(0.5, 0.2, 0.4), 10.0), abs=1e-9)
+    assert 0.0 < size(odometry.covariance) < 0.01
+
+
+def test_a_gap_keeps_the_pose_and_admits_that_it_is_not_known() -> None:
+    odometry = made()
+    now = driven(odometry, Twist(0.5, 0.0, 0.1), 0.0, 2.0)
+    pose, before = odometry.pose, odometry.covariance
+    odometry.update(joints(odometry, Twist(0.5, 0.0, 0.1), now + 4.0), now + 4.0)
+    assert odometry.pose == pose
+    assert odometry.covariance[0][0] >= before[0][0] + (1.5 * 4.0) ** 2
+    assert odometry.covariance[2][2] >= before[2][2] + 4.0**2
+    driven(odometry, Twist(0.5, 0.0, 0.1), now + 4.02, now + 6.0)
+    assert odometry.pose != pose
+    assert odometry.estimate.twist == pytest.approx((0.5, 0.0, 0.1))
+
+
+def test_time_that_goes_back_is_a_gap_of_its_own() -> None:
+    odometry = made()
+    now = driven(odometry, Twist(0.5, 0.0, 0.1), 0.0, 2.0)
+    pose, before = odometry.pose, size(odometry.covariance)
+    odometry.update(joints(odometry, Twist(0.5, 0.0, 0.1), -7.0), now + 0.02)
+    assert odometry.pose == pose
+    assert size(odometry.covariance) == pytest.approx(before + 2 * (1.5 * 0.02) ** 2)
+    odometry.update(joints(odometry, Twist(0.5, 0.0, 0.1), -6.98), now + 0.04)
+    assert odometry.pose.relative_to(pose) == pytest.approx(
+        se2.exp(Twist(0.5, 0.0, 0.1), 0.02), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("lost", [3, 40])
+@pytest.mark.parametrize("how", ["missing", "stale", "nan", "short"])
+def test_without_joints_the_covariance_grows_until_there_are(how: str, lost: int) -> None:
+    odometry = made()
+    twist = Twist(0.5, 0.0, 0.1)
+    now = driven(odometry, twist, 0.0, 2.0)
+    pose, estimate, before = odometry.pose, odometry.estimate, size(odometry.covariance)
+    last = odometry.joints
+    assert last is not None
+    sizes = [before]
+    for _ in range(lost):
+        now += 0.02
+        if how == "missing":
+            odometry.miss(now)
+        elif how == "stale":
+            odometry.update(last, now)
+        elif how == "nan":
+            with pytest.raises(NotFiniteError, match="speed of wheel w1"):
+                odometry.update(replace(last, time=now, speeds=[0.0, math.nan, 0.0, 0.0]), now)
+            odometry.miss(now)
+        else:
+            with pytest.raises(ValueError, match="3 wheels for 4"):
+                odometry.update(replace(last, time=now, speeds=[0.0] * 3), now)
+            odometry.miss(now)
+        assert odometry.pose == pose
+        assert odometry.estimate is estimate
+        sizes.append(size(odometry.covariance))
+    assert sizes == sorted(set(sizes))
+    odometry.update(joints(odometry, twist, now + 0.02), now + 0.02)
+    if (lost + 1) * 0.02 <= LONGEST_INTERVAL:  # the wheels tell what happened meanwhile
+        step = se2.exp(twist, (lost + 1) * 0.02)
+        assert odometry.pose.relative_to(pose) == pytest.approx(step, abs=1e-9)
+        assert size(odometry.covariance) < sizes[1]
+    else:
+        assert odometry.pose == pose
+        assert size(odometry.covariance) >= sizes[-1]
+
+
+def test_resetting_the_pose() -> None:
+    odometry = made()
+    driven(odometry, Twist(0.5, 0.0, 0.0), 0.0, 2.0)
+    odometry.reset(Pose2(5.0, 1.0, math.pi / 2))
+    assert odometry.covariance == ZERO_COV
+    driven(odometry, Twist(0.5, 0.0, 0.0), 2.02, 4.0)
+    assert odometry.pose == pytest.approx((5.0, 2.0, math.pi / 2), abs=1e-9)
+
+
+def test_counted_ways_beat_speeds() -> None:
+    """A speed that was higher between the ticks than at them."""
+    odometry = made()
+    zeros = [0.0] * 4
+    for k in range(11):
+        positions = [0.1 * k] * 4
+        odometry.update(JointStates(0.1 * k, zeros, zeros, zeros, positions), 0.1 * k)
+    assert odometry.pose == pytest.approx((0.2, 0.0, 0.0))
+
+
+def test_what_no_wheel_sees_goes_on() -> None:
+    """One wheel and casters: turning about the wheel is not seen, and does not average out."""
+    wheels = [wheel("d", 0.5, 0.0, "steered"), wheel("c", -0.5, 0.3, "swivel")]
+    odometry = Odometry(General(BaseGeometry.from_wheels(wheels)), FASTEST)
+    zeros = [0.0] * 2
+    for k in range(501):
+        odometry.update(JointStates(0.02 * k, zeros, zeros, zeros), 0.02 * k)
+    # For 10 s it may have turned at whatever the estimate leaves open.
+    assert math.sqrt(odometry.covariance[2][2]) >= 10.0 * math.sqrt(
+        odometry.estimate.covariance[2][2]
+    )
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.3])
+def test_pose_errors_are_as_large_as_the_covariance_says(correlation: float) -> None:
+    """NEES / 3 of the pose near 1, with errors of their own each tick and with lasting ones."""
+    rng = random.Random(8)
+    noise = Noise(correlation=correlation)
+    dt, steps, runs = 0.02, 300, 25
+    left = math.exp(-dt / correlation) if correlation else 0.0
+    total = 0.0
+    for _ in range(runs):
+        odometry = made(noise)
+        true, last = ORIGIN, Twist(0.0, 0.0, 0.0)
+        errors = [[rng.gauss(0.0, 1.0) for _ in range(8)]]
+        for _ in range(steps):
+            old = errors[-1]
+            fresh = math.sqrt(1.0 - left * left)
+            errors.append([left * e + fresh * rng.gauss(0.0, 1.0) for e in old])
+        phase = rng.uniform(0.0, 6.0)
+        for k in range(steps + 1):
+            twist = Twist(0.8, 0.3 * math.sin(0.01 * k + phase), 0.4 * math.cos(0.013 * k + phase))
+            command = odometry.calculator.command(twist).joints
+            e = errors[k]
+            speeds = [v * (1.0 + noise.speed_ratio * e[i]) for i, v in enumerate(command.speeds)]
+            angles = [a + noise.angle * e[4 + i] for i, a in enumerate(command.angles)]
+            odometry.update(JointStates(k * dt, speeds, angles, [0.0] * 4), k * dt)
+            if k:
+                mean = Twist(*((a + b) / 2.0 for a, b in zip(twist, last, strict=True)))
+                true = true.moved(se2.exp(mean, dt))
+            last = twist
+        total += nees(true.relative_to(odometry.pose), odometry.covariance)
+    # 75 degrees of freedom; the floors of the noise are assumed but not made: below 1.
+    assert 0.65 <= total / runs / 3.0 <= 1.35
+
+
+def nees(e: Pose2, p: se2.Cov3) -> float:
+    """e^T P^-1 e, by elimination."""
+    a = [[*row, v] for row, v in zip(p, e, strict=True)]
+    for i in range(3):
+        for j in range(3):
+            if j != i:
+                f = a[j][i] / a[i][i]
+                a[j] = [u - f * v for u, v in zip(a[j], a[i], strict=True)]
+    return sum(v * a[i][3] / a[i][i] for i, v in enumerate(e))
