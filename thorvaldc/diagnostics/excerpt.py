@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import json
 import re
 import unicodedata
@@ -48,6 +49,7 @@ class Excerpts:
         self._sources = sources
         self._width = width
         self._lines: dict[str, list[str]] = {}
+        self._shown: dict[tuple[str, int], _Line | None] = {}
 
     def gutter(self, spans: Sequence[Span]) -> int:
         """Width of the column with the line numbers."""
@@ -55,19 +57,22 @@ class Excerpts:
 
     def show(self, span: Span, gutter: int) -> Excerpt | None:
         """The first line of the span, or ``None`` where there is no text for it."""
-        lines = self._of(span.file)
-        if not 1 <= span.line <= len(lines):
+        line = self._line(span)
+        if line is None:
             return None
-        line = lines[span.line - 1]
-        if not line.strip() and len(lines) == 1:
-            return None
-        first = min(max(span.column - 1, 0), len(line))
-        last = span.end_column - 1 if span.end_line == span.line else len(line.rstrip())
-        cells = [_cell(character) for character in line]
-        starts = _starts(cells)
-        begin = starts[first]
-        end = max(starts[min(max(last, first), len(line))], begin + 1)
-        return _window(cells, starts, begin, end, max(self._width - gutter - 3, 20))
+        first = min(max(span.column - 1, 0), line.length)
+        last = span.end_column - 1 if span.end_line == span.line else line.stripped
+        begin = line.starts[first]
+        end = max(line.starts[min(max(last, first), line.length)], begin + 1)
+        return _window(line, begin, end, max(self._width - gutter - 3, 20))
+
+    def _line(self, span: Span) -> _Line | None:
+        key = (span.file, span.line)
+        if key not in self._shown:
+            lines = self._of(span.file)
+            there = 1 <= span.line <= len(lines) and (len(lines) > 1 or lines[0].strip())
+            self._shown[key] = _lay_out(lines[span.line - 1]) if there else None
+        return self._shown[key]
 
     def _of(self, file: str) -> list[str]:
         if file not in self._lines:
@@ -85,8 +90,37 @@ class Excerpts:
         return _LINE_BREAK.split(data.decode("utf-8-sig", "replace"))
 
 
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """What is shown for each character, and the columns where they begin and the last ends."""
+
+    cells: list[str]
+    starts: list[int]
+    stripped: int  # characters without the blanks at the end
+
+    @property
+    def length(self) -> int:
+        return len(self.cells)
+
+
+def _lay_out(text: str) -> _Line:
+    cells: list[str] = []
+    starts: list[int] = []
+    column = 0
+    for character in text:
+        shown, width = _cell(character)
+        if character == "\t":
+            width = TAB - column % TAB
+            shown = " " * width
+        cells.append(shown)
+        starts.append(column)
+        column += width
+    starts.append(column)
+    return _Line(cells, starts, len(text.rstrip()))
+
+
 def _cell(character: str) -> tuple[str, int]:
-    """How a character is shown, and in how many columns; a tab's width is found later."""
+    """How a character is shown, and in how many columns."""
     if " " <= character <= "~":
         return character, 1
     if character == "\t":
@@ -98,37 +132,20 @@ def _cell(character: str) -> tuple[str, int]:
     return character, 2 if unicodedata.east_asian_width(character) in "WF" else 1
 
 
-def _starts(cells: list[tuple[str, int]]) -> list[int]:
-    """The column where each character begins, and the one after the last; tabs are expanded."""
-    starts, column = [], 0
-    for i, (character, width) in enumerate(cells):
-        starts.append(column)
-        if character == "\t":
-            width = TAB - column % TAB
-            cells[i] = (" " * width, width)
-        column += width
-    starts.append(column)
-    return starts
-
-
-def _window(
-    cells: list[tuple[str, int]], starts: list[int], begin: int, end: int, width: int
-) -> Excerpt:
+def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
     """The line from ``begin`` to ``end`` and what fits around it."""
-    total = starts[-1]
+    total = line.starts[-1]
     if max(total, end) <= width:
-        text = "".join(shown for shown, _ in cells).rstrip()
-        return Excerpt(text, begin, end - begin)
+        return Excerpt("".join(line.cells).rstrip(), begin, end - begin)
     length = min(end - begin, width - 2)
     left = max(0, min(begin - (width - length) // 2, total - width + 1))
     right = left + width
-    shown = []
-    for (text, size), start in zip(cells, starts, strict=False):
-        if start >= left + (left > 0) and start + size <= right - (right < total):
-            shown.append((start, text))
-    offset = shown[0][0] if shown else left
+    # Whole characters only, with room for a mark where the line is cut.
+    first = bisect.bisect_left(line.starts, left + (left > 0))
+    last = bisect.bisect_right(line.starts, right - (right < total)) - 1
+    text = "".join(line.cells[first:last]).rstrip()
+    offset = line.starts[min(first, line.length)]
     before = _ELLIPSIS if left > 0 else ""
     after = _ELLIPSIS if right < total else ""
-    text = before + "".join(part for _, part in shown).rstrip() + after
     visible = min(length, max(right - (right < total) - begin, 1))
-    return Excerpt(text, begin - offset + len(before), visible)
+    return Excerpt(before + text + after, begin - offset + len(before), visible)

@@ -173,7 +173,7 @@ def _github(diagnostic: Diagnostic) -> str:
     properties: dict[str, str] = {}
     span = diagnostic.span
     if span is not None:
-        properties["file"] = span.file
+        properties["file"] = printable(span.file)
         properties["line"] = str(span.line)
         properties["endLine"] = str(span.end_line)
         if span.end_line == span.line:  # columns of other spans are refused

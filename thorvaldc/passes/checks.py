@@ -109,17 +109,24 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
     for wheel in robot.wheels:
         x, y = contact_point(wheel)
         i, j = math.floor(x / size), math.floor(y / size)
-        for di in (-1, 0, 1):
-            for dj in (-1, 0, 1):
-                for other in cells.get((i + di, j + dj), ()):
-                    if _rectangles_overlap(wheel, other):
-                        report.add(
-                            "wheels-overlap",
-                            f"the wheels of `{other.module}` and `{wheel.module}` are in one place",
-                            wheel.origin,
-                            labels=[Label(other.origin, "the other wheel")],
-                            hint="move one of the mounts",
-                        )
+        near = [
+            other
+            for di in (-1, 0, 1)
+            for dj in (-1, 0, 1)
+            for other in cells.get((i + di, j + dj), ())
+        ]
+        other = next((other for other in near if _rectangles_overlap(wheel, other)), None)
+        if other is not None:
+            # The first is enough to find the mistake; wheels that overlap do not count again,
+            # so that a thousand in one place are not half a million faults.
+            report.add(
+                "wheels-overlap",
+                f"the wheels of `{other.module}` and `{wheel.module}` are in one place",
+                wheel.origin,
+                labels=[Label(other.origin, "the other wheel")],
+                hint="move one of the mounts",
+            )
+            continue
         cells.setdefault((i, j), []).append(wheel)
 
 

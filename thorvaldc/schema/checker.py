@@ -13,12 +13,14 @@ from thorvaldc.schema.gate import passes
 from thorvaldc.source.node import Node
 from thorvaldc.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
 
+MAX_FAULTS = 1000
+
 
 def check(node: Node, kind: Kind, report: Report) -> bool:
     """Whether the document has the shape of its kind.
 
-    What is wrong goes to ``report``, all of it, but nothing about a value that
-    the report has an error at already.
+    What is wrong goes to ``report``, all of it (but of thousands of faults the
+    first), and nothing about a value that the report has an error at already.
     """
     schema = inlined(kind)
     # A scalar that the reader found fault with has only a likely meaning.
@@ -28,7 +30,11 @@ def check(node: Node, kind: Kind, report: Report) -> bool:
     for error in () if passes(schema, plain) else _validator(kind).iter_errors(plain):
         found = True
         faults.explain(error, node, kind, known, report)
+        if len(report) > MAX_FAULTS:
+            return False
     for span, fault in _quantity_faults(node, schema, kind):
+        if len(report) > MAX_FAULTS:
+            return False
         if span not in known:
             found = True
             report.add(fault.code, fault.message, span, hint=fault.hint)
