@@ -148,20 +148,15 @@ for path in sys.argv[1:]:
 """
 
 
-def test_the_same_bytes_whatever_the_hash_seed_and_the_order(workshop: Workshop) -> None:
-    mine = str(workshop.robot_file(CART + "    part: {type: battery/enclosure, mount: body.front}"))
+def test_the_same_bytes_whatever_the_hash_seed(workshop: Workshop) -> None:
     mine = str(workshop.robot_file(CART))
     examples = [
         str(FOLDER / name) for name in ("4wd4ws_wide/robot.yaml", "fleet_of_four/fleet.yaml")
     ]
     outputs = []
-    for seed, paths in (
-        ("0", [mine, *examples]),
-        ("1", [mine, *examples]),
-        ("7", [mine, *examples]),
-    ):
+    for seed in ("0", "1", "7"):
         done = subprocess.run(
-            [sys.executable, "-c", SCRIPT, *paths],
+            [sys.executable, "-c", SCRIPT, mine, *examples],
             check=True,
             capture_output=True,
             env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)},

@@ -161,14 +161,28 @@ def test_a_relative_folder_is_found_from_anywhere(
     workshop.write("my_modules/t/part/a.obj", TETRAHEDRON)
     workshop.module(
         "t/part",
-        f"mount: {{kinds: [clamp]}}\nlinks: {{a: {{parts: "
-        f"[{{shape: {{mesh: {{file: a.obj}}}}, {SOURCE}}}]}}}}\n",
+        f"""
+        params:
+          n: {{type: integer, description: Of it., default: 0, {SOURCE}}}
+        mount: {{kinds: [clamp]}}
+        links: {{a: {{parts: [{{shape: {{mesh: {{file: a.obj}}}}, {SOURCE}}}]}}}}
+        """,
     )
-    workshop.robot_file(CART + "    part: {type: t/part, mount: body.front}")
-    for start in (tmp_path, tmp_path / "deep", workshop.folder):
+    cart = CART + "    part: {type: t/part, mount: body.front, params: {n: %d}}"
+    for n, start in enumerate((tmp_path, tmp_path / "deep", workshop.folder)):
+        workshop.robot_file(cart % n)
         monkeypatch.chdir(start)
         done = compile_file(os.path.relpath(workshop.folder / "robot.yaml"))
         assert isinstance(done.model, Robot), list(done.report)
+
+
+@pytest.mark.parametrize("text", ["- red", "tyre: [1, 2]", "tyre: 3", "tyre: ["])
+def test_a_broken_palette_is_said_at_its_place(workshop: Workshop, text: str) -> None:
+    workshop.write("my_modules/palette.yaml", text + "\n")
+    for _ in range(2):
+        (fault,) = [d for d in workshop.faults(CART) if d.severity.value == "error"]
+        assert fault.span is not None
+        assert fault.span.file == str(workshop.folder / "my_modules/palette.yaml")
 
 
 def test_the_projects_library_is_sound() -> None:

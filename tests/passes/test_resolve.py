@@ -91,6 +91,34 @@ def test_a_free_place_on_an_assembly_is_on_its_first_part(workshop: Workshop) ->
     assert place(robot, "on_top_box") == (0.1, 0.0, 1.6)
 
 
+def test_free_places_are_measured_from_where_the_module_says(workshop: Workshop) -> None:
+    workshop.module(
+        "t/shelf",
+        ARM + "free_mount: {kind: clamp, link: base, xyz: [0, 0, 1], rpy: [0, 0, 90 deg]}\n",
+    )
+    robot = workshop.robot(
+        CART
+        + """
+    shelf: {type: t/shelf, mount: body.front}
+    box: {type: t/block, mount: {parent: shelf, xyz: [0.2, 0, 0]}}
+    """
+    )
+    assert place(robot, "box_box") == (0.5, 0.2, 1.6)
+
+
+def test_a_module_fits_ports_of_its_kinds_only(workshop: Workshop) -> None:
+    workshop.module("t/arm", ARM.replace("kind: clamp", "kind: tool"))
+    arm = CART + "    arm: {type: t/arm, mount: body.front}\n"
+    assert "port-kind" in [
+        d.code.name for d in workshop.faults(f"{arm}    b: {{type: t/block, mount: arm.tip}}")
+    ]
+    block = "links:\n  box: {}\nmount: {kinds: [clamp, tool]}\n"
+    workshop.module("t/any", block)
+    workshop.robot(
+        f"{arm}    a: {{type: t/any, mount: arm.tip}}\n    b: {{type: t/any, mount: body.front}}"
+    )
+
+
 def test_ports_are_offered_through_assemblies(workshop: Workshop) -> None:
     workshop.module("t/arm", ARM)
     workshop.module(

@@ -128,9 +128,9 @@ def test_limits_hold_at_their_value_and_may_be_expressions(workshop: Workshop) -
 
 
 def test_choices_are_compared_as_values(workshop: Workshop) -> None:
-    params = f"  e: {{quantity: length, default: 20 mm, choices: [20 mm, 0.05], {PARAM}}}"
+    params = f"  e: {{quantity: length, default: 20 mm, choices: [20 mm, 5 cm], {PARAM}}}"
     module = document(params, '["${e}", 1, 1]')
-    assert size(workshop, module, "e: 5 cm")[0] == 0.05
+    assert size(workshop, module, "e: 50 mm")[0] == 0.05
     assert workshop.part_faults(module, "e: 50") == ["param-range"]
 
 
