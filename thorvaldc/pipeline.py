@@ -168,8 +168,13 @@ def _design(document: Node, library: Library, report: Report) -> Design:
         )
         return default
 
-    slope = angle("slope", 0.0) if node.get("slope") is not None else None
-    return Design(slope, angle("minimum_tip_over_angle", Design().tip_over_angle))
+    slope, tip_over = node.get("slope"), node.get("minimum_tip_over_angle")
+    return Design(
+        angle("slope", 0.0) if slope is not None else None,
+        angle("minimum_tip_over_angle", Design().tip_over_angle),
+        slope.where if slope is not None else None,
+        tip_over.where if tip_over is not None else None,
+    )
 
 
 def _check_calculator(robot: Robot, document: Node, report: Report) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.passes.base import GRAVITY, contact_point
 
@@ -15,10 +15,12 @@ DEFAULT_TIP_OVER = math.radians(15)
 
 
 class Design(NamedTuple):
-    """What the file asks of the robot: ``slope`` to climb, ``tip_over_angle`` to keep, rad."""
+    """What the file asks: ``slope`` to climb, ``tip_over_angle`` to keep, rad; and where."""
 
     slope: float | None = None
     tip_over_angle: float = DEFAULT_TIP_OVER
+    slope_place: Span | None = None
+    tip_over_place: Span | None = None
 
 
 def check_robot(robot: Robot, design: Design, report: Report) -> None:
@@ -182,7 +184,7 @@ def check_stability(robot: Robot, design: Design, report: Report) -> None:
             f"the robot tips over at {math.degrees(angle):.1f} deg "
             f"(centre of mass {z:.3f} m high, {margin:.3f} m from the nearest edge); "
             f"at least {math.degrees(design.tip_over_angle):.1f} deg is asked for",
-            robot.origin,
+            design.tip_over_place or robot.origin,
             hint="widen the base, lower the masses, "
             "or state another `design: {minimum_tip_over_angle: ..}`",
         )
@@ -361,6 +363,6 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
             report.add(
                 "slope-too-steep",
                 f"{word} with {force:.0f} N; a slope of {degrees:.1f} deg needs {needed:.0f} N",
-                robot.origin,
+                design.slope_place or robot.origin,
                 hint=hint,
             )
