@@ -372,7 +372,7 @@ def test_bad_numbers_change_nothing(name: str, data: st.DataObject) -> None:
         one.command(Twist(*values))
     fields = [[0.0] * n, [0.0] * n, [0.0] * n]
     fields[k][data.draw(st.integers(0, n - 1))] = bad
-    states = JointStates(0.0, *fields)
+    states = JointStates(0.0, fields[0], fields[1], fields[2])
     with pytest.raises(NotFiniteError):
         one.odometry(states)
     with pytest.raises(NotFiniteError):

@@ -20,6 +20,7 @@ from thorvaldc.runtime.calculators.fit import (
     Fit,
     Noise,
     Reading,
+    Row,
     Sums,
     chi_squares,
     equal_weights,
@@ -34,7 +35,7 @@ from thorvaldc.runtime.se2 import Cov3, Twist
 
 __all__ = ["Estimation", "Noise", "TwistEstimate", "TwistEstimator"]
 
-_RANK_TOLERANCE = 1e-8
+RANK_TOLERANCE = 1e-8
 """Smallest eigenvalue of the scaled information over the mean one that counts."""
 
 
@@ -62,7 +63,7 @@ class Estimation:
     """How a twist is estimated.
 
     ``gate``: share of ticks at which a healthy robot may lose a wheel.
-    ``faulty``: how many wheels may be wrong at once, 0 to 2.
+    ``faulty``: how many wheels may be wrong at once, 0 (they are only tested) to 2.
     ``polish``: further Gauss-Newton steps, towards maximum likelihood.
     """
 
@@ -79,24 +80,6 @@ class Estimation:
             raise ValueError(f"polish is {self.polish}; it must be 0 to 10")
 
 
-class _Row(NamedTuple):
-    """A wheel that holds its direction; ``cos``, ``sin``, ``x``, ``y``: with its joint at 0."""
-
-    wheel: int
-    heading: float
-    sign: float
-    cos: float
-    sin: float
-    x: float
-    y: float
-    trail: float
-    lateral: float
-    radius: float
-    kind: int
-    turns: bool
-    skids: bool
-
-
 class TwistEstimator:
     """Weighted least squares of what wheels say, without those that disagree.
 
@@ -110,6 +93,11 @@ class TwistEstimator:
     Side slip is measured as 0 on every wheel that cannot swivel, rolling on those
     with an encoder.  Steering with the contact beside or behind its axis moves
     the contact, which is counted.  A gyro (``JointStates.yaw_rate``) is one row more.
+
+    ``rows``: the wheels that hold their direction; ``gates``: the D of each beyond
+    which it is suspected; ``inverse``: of the normal matrix with equal weights (upper
+    half), and its rank, where the wheels' angles do not change it; ``prior``: the
+    information on velocity and yaw rate that stands in below rank 3.
     """
 
     def __init__(
@@ -120,7 +108,7 @@ class TwistEstimator:
     ) -> None:
         self.noise = noise or Noise()
         self.options = options or Estimation()
-        self._squares = self.noise.squares
+        self.squares = self.noise.squares
         self._n = len(geometry.wheels)
         self._wheels = geometry.wheels
         self._centre = xm, ym = geometry.centre
@@ -137,19 +125,19 @@ class TwistEstimator:
             y = w.y - ym + s * w.trail + c * w.lateral
             radius = w.radius if w.encoder else 0.0
             rows.append(
-                _Row(i, w.heading, w.sign, c, s, x, y, w.trail, w.lateral, radius, kind,
+                Row(i, w.heading, w.sign, c, s, x, y, w.trail, w.lateral, radius, kind,
                      w.steered, i in skids)
             )  # fmt: skip
-        self._rows = tuple(rows)
+        self.rows = tuple(rows)
         top = geometry.fastest
-        self._length2 = geometry.length**2
+        self.length2 = geometry.length**2
         # Information on (vx, vy, wz) where the wheels have none: at rest within the top speed.
-        self._prior = (1.0 / top**2, self._length2 / top**2)
+        self.prior = (1.0 / top**2, self.length2 / top**2)
         share = self.options.gate / max(len(rows), 1)
         both, one = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
-        self._gates = tuple(both if row.kind == BOTH else one for row in rows)
+        self.gates = tuple(both if row.kind == BOTH else one for row in rows)
         self._whole = len(rows) == self._n
-        self._inverse = self._constant_inverse()
+        self.inverse = self._constant_inverse()
 
     def check(self, states: JointStates) -> None:
         """Raise ``NotFiniteError`` or ``ValueError`` where the joints cannot be used."""
@@ -183,14 +171,14 @@ class TwistEstimator:
         """
         self.check(states)
         readings, (vx, vy, wz), rank = self._first(states)
-        noise, rate = self._squares, states.yaw_rate
-        prior = (0.0, 0.0) if rank == 3 else self._prior
+        noise, rate = self.squares, states.yaw_rate
+        prior = (0.0, 0.0) if rank == 3 else self.prior
         found = fit(readings, vx, vy, wz, noise, prior, rate)
         for _ in range(self.options.polish):
             found = fit(readings, found.vx, found.vy, found.wz, noise, prior, rate)
         tests = chi_squares(found)
-        for d, gate in zip(tests, self._gates, strict=True):
-            if d > gate:
+        for d, gate in zip(tests, self.gates, strict=True):
+            if d > gate and self.options.faulty:
                 return self._without_the_wrong(readings, found, tests, prior, rate, rank)
         return self._estimate(found, tests, rank)
 
@@ -211,7 +199,7 @@ class TwistEstimator:
         xm, ym = self._centre
         vx, vy = vx - ym * wz, vy + xm * wz
         for row, (kind, c, s, x, y, z_l, z_t, _, _) in zip(
-            self._rows, self._readings(states), strict=True
+            self.rows, self._readings(states), strict=True
         ):
             ux, uy = vx - wz * y, vy + wz * x
             along = c * ux + s * uy - z_l if kind & USE_ROLL else 0.0
@@ -222,7 +210,7 @@ class TwistEstimator:
 
     def _first(self, states: JointStates) -> tuple[list[Reading], tuple[float, float, float], int]:
         """What the wheels say; the twist by it about the centre, all weighing alike; its rank."""
-        if self._inverse is None or states.yaw_rate is not None:
+        if self.inverse is None or states.yaw_rate is not None:
             readings = self._readings(states)
             return readings, *self._solve(equal_weights(readings), states.yaw_rate)
         # Most robots: however the wheels turn, the normal equations stay.
@@ -230,7 +218,7 @@ class TwistEstimator:
         cos, sin = math.cos, math.sin
         b1 = b2 = b3 = 0.0
         readings = []
-        for i, heading, sign, c, s, x, y, _, _, radius, kind, turns, skids in self._rows:
+        for i, heading, sign, c, s, x, y, _, _, radius, kind, turns, skids in self.rows:
             if turns:
                 direction = heading + sign * angles[i]
                 c, s = cos(direction), sin(direction)
@@ -240,7 +228,7 @@ class TwistEstimator:
             b1 += zx
             b2 += zy
             b3 += zy * x - zx * y
-        (q11, q12, q13, q22, q23, q33), rank = self._inverse
+        (q11, q12, q13, q22, q23, q33), rank = self.inverse
         twist = (
             q11 * b1 + q12 * b2 + q13 * b3,
             q12 * b1 + q22 * b2 + q23 * b3,
@@ -250,7 +238,7 @@ class TwistEstimator:
 
     def _readings(self, states: JointStates) -> list[Reading]:
         readings: list[Reading] = []
-        for row in self._rows:
+        for row in self.rows:
             i, heading, sign, c, s, x, y, trail, lateral, radius, kind, turns, skids = row
             z_l, z_t = radius * states.speeds[i], 0.0
             if turns:
@@ -268,7 +256,7 @@ class TwistEstimator:
 
     def _solve(self, sums: Sums, yaw_rate: float | None) -> tuple[tuple[float, float, float], int]:
         a11, a12, a13, a22, a23, a33, b1, b2, b3 = sums
-        k = self._length2
+        k = self.length2
         if yaw_rate is not None:
             a33 += k
             b3 += k * yaw_rate
@@ -279,7 +267,7 @@ class TwistEstimator:
         )
         mean = (a11 + a22 + a33 / k) / 3.0
         rank = 3
-        if det <= _RANK_TOLERANCE * k * mean * mean * mean:
+        if det <= RANK_TOLERANCE * k * mean * mean * mean:
             rank = self._count_rank(a11, a12, a13, a22, a23, a33)
             # This pass is in units of one, the prior in those of a top speed.
             weak = 1e-6 * max(mean, 1.0)
@@ -289,7 +277,7 @@ class TwistEstimator:
     def _count_rank(
         self, a11: float, a12: float, a13: float, a22: float, a23: float, a33: float
     ) -> int:
-        k = math.sqrt(self._length2)
+        k = math.sqrt(self.length2)
         values = symmetric_eigenvalues(
             ((a11, a12, a13 / k), (a12, a22, a23 / k), (a13 / k, a23 / k, a33 / k / k))
         )
@@ -303,10 +291,10 @@ class TwistEstimator:
 
         A wheel with an encoder measures its contact's velocity whole, in whatever direction.
         """
-        if any(r.turns and (not r.kind & USE_ROLL or r.trail or r.lateral) for r in self._rows):
+        if any(r.turns and (not r.kind & USE_ROLL or r.trail or r.lateral) for r in self.rows):
             return None
         still = equal_weights(
-            [(r.kind, r.cos, r.sin, r.x, r.y, 0.0, 0.0, False, False) for r in self._rows]
+            [(r.kind, r.cos, r.sin, r.x, r.y, 0.0, 0.0, False, False) for r in self.rows]
         )
         columns = [
             self._solve(still._replace(b1=float(i == 0), b2=float(i == 1), b3=float(i == 2)), None)
@@ -330,14 +318,14 @@ class TwistEstimator:
 
         def again(some: list[Reading], before: Fit, steps: int = steps) -> Fit:
             for _ in range(steps):
-                before = fit(some, before.vx, before.vy, before.wz, self._squares, prior, rate)
+                before = fit(some, before.vx, before.vy, before.wz, self.squares, prior, rate)
             return before
 
         def fresh(some: list[Reading]) -> Fit:
             first, _ = self._solve(equal_weights(some), rate)
-            return again(some, fit(some, *first, self._squares, prior, rate))
+            return again(some, fit(some, *first, self.squares, prior, rate))
 
-        rejection = Rejection(self._gates, self.options.faulty, fresh, again)
+        rejection = Rejection(self.gates, self.options.faulty, fresh, again)
         explanations = rejection.explanations(readings, found)
         if not explanations:
             freedom = sum((r[0] & USE_ROLL > 0) + (r[0] & USE_SIDE > 0) for r in readings)
@@ -348,7 +336,7 @@ class TwistEstimator:
         mean, probability = mixture(explanations)
         dropped: tuple[int, ...] = ()
         if probability > 0.5:
-            dropped = tuple(sorted(self._rows[k].wheel for k in best.places))
+            dropped = tuple(sorted(self.rows[k].wheel for k in best.places))
         return self._estimate(mean, chi_squares(best.found), rank, 1.0, dropped)
 
     def _estimate(
@@ -374,7 +362,7 @@ class TwistEstimator:
             p22, p23, p33 = growth * p22, growth * p23, growth * p33
         if not self._whole:
             spread = [0.0] * self._n
-            for row, d in zip(self._rows, tests, strict=True):
+            for row, d in zip(self.rows, tests, strict=True):
                 spread[row.wheel] = d
             tests = spread
         covariance = ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33))

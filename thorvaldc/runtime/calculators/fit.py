@@ -28,7 +28,7 @@ measures (x, y), the variances of that along and across."""
 
 Squares = tuple[float, float, float, float, float, float]
 
-_UNTESTABLE = 1e-6
+UNTESTABLE = 1e-6
 """Share of a reading's variance that the others must leave of it to test it."""
 
 
@@ -64,6 +64,24 @@ class Noise:
             self.skid_ratio**2,
             self.gyro**2,
         )
+
+
+class Row(NamedTuple):
+    """A wheel that holds its direction; ``cos``, ``sin``, ``x``, ``y``: with its joint at 0."""
+
+    wheel: int
+    heading: float
+    sign: float
+    cos: float
+    sin: float
+    x: float
+    y: float
+    trail: float
+    lateral: float
+    radius: float
+    kind: int
+    turns: bool
+    skids: bool
 
 
 class Fit(NamedTuple):
@@ -200,7 +218,7 @@ def chi_squares(found: Fit) -> list[float]:
             s12 = kc * s - p12 - x * p13 + y * (p23 + x * p33)
             s22 = v_t + k * s * s - p22 - x * (x * p33 + 2.0 * p23)
             det = s11 * s22 - s12 * s12
-            if det > _UNTESTABLE * v_l * v_t:
+            if det > UNTESTABLE * v_l * v_t:
                 rx, ry = mx - vx + wz * y, my - vy - wz * x
                 result.append(((s22 * rx - 2.0 * s12 * ry) * rx + s11 * ry * ry) / det)
                 continue
@@ -234,7 +252,7 @@ def test(found: Fit, line: Line) -> Test:
     uses_l, uses_t = bool(kind & USE_ROLL), bool(kind & USE_SIDE)
     s_l = v_l - h_l if uses_l else v_l + h_l
     s_t = v_t - h_t if uses_t else v_t + h_t
-    spare_l, spare_t = s_l > _UNTESTABLE * v_l, s_t > _UNTESTABLE * v_t
+    spare_l, spare_t = s_l > UNTESTABLE * v_l, s_t > UNTESTABLE * v_t
     roll = r_l * r_l / s_l if kind & TEST_ROLL and spare_l else 0.0
     side = r_t * r_t / s_t if kind & TEST_SIDE and spare_t else 0.0
     if not (kind & TEST_ROLL and kind & TEST_SIDE and uses_l == uses_t):
@@ -243,12 +261,12 @@ def test(found: Fit, line: Line) -> Test:
     if uses_l:
         s_lt = -s_lt
     det = s_l * s_t - s_lt * s_lt
-    if det > _UNTESTABLE * v_l * v_t:
+    if det > UNTESTABLE * v_l * v_t:
         both = (s_t * r_l * r_l - 2.0 * s_lt * r_l * r_t + s_l * r_t * r_t) / det
         return Test(both, roll, side, True)
     # Of two directions the others know one, and the residual lies in it.
     known = s_l / v_l + s_t / v_t
-    both = (r_l * r_l / v_l + r_t * r_t / v_t) / known if known > _UNTESTABLE else 0.0
+    both = (r_l * r_l / v_l + r_t * r_t / v_t) / known if known > UNTESTABLE else 0.0
     return Test(both, roll, side, False)
 
 

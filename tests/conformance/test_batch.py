@@ -1,0 +1,216 @@
+"""Arrays of states and one state at a time: the same to 1e-12, over random robots."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.conformance.test_calculators import (
+    SETTINGS,
+    SUITED,
+    any_wheels,
+    axle_wheels,
+    make,
+    tricycle_wheels,
+)
+from tests.conformance.wheels import wheel
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators import BaseCalculator, BaseGeometry, WheelGeometry
+from thorvaldc.runtime.calculators.batch import Array, Batch
+from thorvaldc.runtime.calculators.estimator import Estimation, TwistEstimate, TwistEstimator
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.faults import NotFiniteError
+from thorvaldc.runtime.se2 import Twist
+
+N = 24
+TOLERANCE = 1e-12
+
+
+def random_twists(seed: int) -> Array:
+    """Of all sizes, with rest, pure motions and motions about a point near the robot."""
+    rng = np.random.default_rng(seed)
+    twists = rng.uniform(-2.0, 2.0, (3, N))
+    twists[:, 0] = 0.0
+    twists[:, 1] = (1.0, 0.0, 0.0)
+    twists[:, 2] = (0.0, 1.0, 0.0)
+    twists[:, 3] = (0.0, 0.0, 1.0)
+    twists[:, 4] = (-1.0, 0.0, 0.0)
+    twists[:, 5] *= 1e-3
+    twists[:, 6] *= 50.0
+    return twists
+
+
+def random_joints(
+    seed: int, wheels: list[WheelGeometry], calculator: BaseCalculator
+) -> list[Array]:
+    """Speeds, angles and rates; half of them near a motion, half of them anything."""
+    rng = np.random.default_rng(seed)
+    n = len(wheels)
+    speeds, angles = rng.uniform(-8.0, 8.0, (n, N)), rng.uniform(-3.0, 3.0, (n, N))
+    rates = rng.uniform(-2.0, 2.0, (n, N))
+    for k in range(N // 2):
+        command = calculator.command(Twist(*rng.uniform(-1.0, 1.0, 3)))
+        speeds[:, k] = np.array(command.joints.speeds) * (1.0 + 0.02 * rng.normal(size=n))
+        angles[:, k] = np.array(command.joints.angles) + 0.01 * rng.normal(size=n)
+        rates[:, k] = 0.0
+    speeds[:, 0] = angles[:, 0] = rates[:, 0] = 0.0
+    return [speeds, angles, rates]
+
+
+def state(arrays: list[Array], k: int, yaw_rates: Array | None = None) -> JointStates:
+    speeds, angles, rates = ([float(v) for v in a[:, k]] for a in arrays)
+    return JointStates(
+        0.0, speeds, angles, rates, None, None if yaw_rates is None else float(yaw_rates[k])
+    )
+
+
+def near(got: Array, expected: Array) -> None:
+    """To 1e-12 of the largest that the scalar path has, or of one."""
+    scale = np.maximum(1.0, np.abs(expected).max(axis=0, initial=0.0))
+    assert np.all(np.abs(got - expected) <= TOLERANCE * scale)
+
+
+@pytest.mark.parametrize("name", ["general", "differential", "one_wheel"])
+@SETTINGS
+@given(data=st.data(), seed=st.integers(0, 10**6))
+def test_inverse_is_that_of_a_fresh_calculator(name: str, data: st.DataObject, seed: int) -> None:
+    wheels = data.draw(SUITED[name]())
+    calculator = make(name, wheels)
+    twists = random_twists(seed)
+    speeds, angles = np.full((2, len(wheels), N), np.nan)
+    if any(w.steered and w.trail for w in wheels):
+        with pytest.raises(ValueError, match="have no inverse over arrays"):
+            Batch(calculator).inverse(twists, speeds, angles)
+        return
+    calculator.command(Twist(0.3, 0.2, -0.1))  # what it does elsewhere is its own affair
+    Batch(calculator).inverse(twists, speeds, angles)
+    for k in range(N):
+        calculator.reset()
+        joints = calculator.command(Twist(*(float(v) for v in twists[:, k]))).joints
+        near(angles[:, k], np.array(joints.angles))
+        near(speeds[:, k], np.array(joints.speeds))
+
+
+def same(told: TwistEstimate, twist: Array, covariance: Array, tests: Array) -> None:
+    # What is hardly known has as many digits less.
+    (a, b, c), (_, d, e), (_, _, f) = told.covariance
+    bound = TOLERANCE * max(1.0, math.sqrt(max(a, d, f)) / 1e-2)
+    scale = max(1.0, *(abs(v) for v in told.twist))
+    assert np.all(np.abs(twist - np.array(told.twist)) <= bound * scale)
+    assert np.all(np.abs(covariance - np.array([a, b, c, d, e, f])) <= bound * max(a, d, f))
+    expected = np.array(told.chi_squares)
+    assert np.all(np.abs(tests - expected) <= 1e-9 * np.maximum(1.0, expected))
+
+
+@SETTINGS
+@given(
+    wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()),
+    seed=st.integers(0, 10**6),
+    gyro=st.booleans(),
+    polish=st.integers(0, 2),
+)
+def test_estimates_are_those_of_the_estimator(
+    wheels: list[WheelGeometry], seed: int, gyro: bool, polish: int
+) -> None:
+    calculator = make("general", wheels)
+    geometry = calculator.geometry
+    joints = random_joints(seed, wheels, calculator)
+    yaw_rates = np.random.default_rng(seed).uniform(-1.0, 1.0, N) if gyro else None
+    speeds, angles, rates = joints
+    twists, covariances = np.empty((3, N)), np.empty((6, N))
+    tests = np.empty((len(wheels), N))
+    for faulty in (0, 2):
+        estimator = TwistEstimator(geometry, None, Estimation(faulty=faulty, polish=polish))
+        calculator.estimator = estimator
+        batch = Batch(calculator)
+        run = batch.estimate if faulty else batch.weighted
+        dropped = run(speeds, angles, twists, covariances, tests, rates, yaw_rates)
+        for k in range(N):
+            told = estimator.estimate(state(joints, k, yaw_rates))
+            same(told, twists[:, k], covariances[:, k], tests[:, k])
+            if dropped is not None:
+                assert dropped.get(k, ()) == told.dropped
+
+
+@SETTINGS
+@given(wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()), seed=st.integers(0, 10**6))
+def test_least_squares_are_those_of_the_estimator(wheels: list[WheelGeometry], seed: int) -> None:
+    calculator = make("general", wheels)
+    joints = random_joints(seed, wheels, calculator)
+    speeds, angles, rates = joints
+    twists = np.empty((3, N))
+    Batch(calculator).least_squares(speeds, angles, twists, rates)
+    for k in range(N):
+        told = calculator.estimator.least_squares(state(joints, k))
+        scale = max(1.0, *(abs(v) for v in told)) * max(1.0, 1.0 / calculator.geometry.length) ** 2
+        assert np.all(np.abs(twists[:, k] - np.array(told)) <= TOLERANCE * scale)
+
+
+FOUR = [
+    wheel(f"w{i}", x, y, "steered")
+    for i, (x, y) in enumerate([(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)])
+]
+
+
+def batch() -> Batch:
+    return Batch(General(BaseGeometry.from_wheels(FOUR)))
+
+
+def test_pieces_join() -> None:
+    """More states than one piece holds, and none at all."""
+    n = 20000
+    twists = np.random.default_rng(1).uniform(-0.5, 0.5, (3, n))
+    speeds, angles, back = np.empty((4, n)), np.empty((4, n)), np.empty((3, n))
+    batch().inverse(twists, speeds, angles)
+    for estimate in (batch().least_squares, batch().weighted):
+        back[:] = np.nan
+        estimate(speeds, angles, back)
+        speed = np.hypot(*twists[:2]) + np.abs(twists[2])
+        # But for wheels beside the centre of rotation, which hold.
+        assert (np.abs(back - twists).max(axis=0) < 1e-9)[speed > 0.1].mean() > 0.99
+    empty = np.empty((4, 0))
+    assert batch().estimate(empty, empty, np.empty((3, 0))) == {}
+
+
+def test_the_wheels_left_out_are_told_by_state() -> None:
+    twists = np.zeros((3, 5))
+    twists[0] = 0.5
+    speeds, angles = np.empty((4, 5)), np.empty((4, 5))
+    batch().inverse(twists, speeds, angles)
+    speeds[2, 3] *= 1.5
+    assert batch().estimate(speeds, angles, twists) == {3: (2,)}
+    assert twists[0] == pytest.approx(0.5, abs=1e-9)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_bad_numbers_write_nothing(bad: float) -> None:
+    twists, speeds, angles = np.zeros((3, 5)), np.full((4, 5), 7.0), np.full((4, 5), 7.0)
+    twists[1, 2] = bad
+    with pytest.raises(NotFiniteError):
+        batch().inverse(twists, speeds, angles)
+    assert (speeds == 7.0).all()
+    angles[1, 2] = bad
+    twists[:] = 7.0
+    for estimate in (batch().least_squares, batch().weighted, batch().estimate):
+        with pytest.raises(NotFiniteError):
+            estimate(speeds, angles, twists)
+    with pytest.raises(NotFiniteError):
+        batch().weighted(speeds, speeds, twists, yaw_rates=np.full(5, bad))
+    assert (twists == 7.0).all()
+
+
+def test_arrays_of_other_shapes_are_refused() -> None:
+    twists, joints = np.zeros((3, 5)), np.zeros((4, 5))
+    wrong: list[Any] = [np.zeros((4, 6)), np.zeros((3, 5)), np.zeros(5), joints.astype(np.float32)]
+    for bad in wrong:
+        with pytest.raises(ValueError, match=r"expected float64 \(4, 5\)"):
+            batch().inverse(twists, joints, bad)
+        with pytest.raises(ValueError, match=r"expected float64 \(4, 5\)"):
+            batch().weighted(bad, joints, twists)
+    with pytest.raises(ValueError, match=r"expected float64 \(6, 5\)"):
+        batch().weighted(joints, joints, twists, covariances=twists)
