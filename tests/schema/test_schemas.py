@@ -140,6 +140,11 @@ def good(text: str, kind: Kind) -> None:
     assert [(d.code.name, str(d.span), d.message) for d in report] == []
 
 
+def test_the_page_lists_every_kind_of_quantity() -> None:
+    text = (ROOT / "docs" / "language.md").read_text(encoding="utf-8")
+    assert [name for name in QUANTITIES if f"`{name}`" not in text] == []
+
+
 HEAD = "thorvaldc: 1\ndescription: x\n"
 
 

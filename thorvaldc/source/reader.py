@@ -8,7 +8,6 @@ likely meaning, so that the faults of later stages are found in the same run.
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ import yaml
 
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.source import yaml_errors
-from thorvaldc.source.node import Node, Value
+from thorvaldc.source.node import Node
+from thorvaldc.source.scalars import key_kind, plain_scalar
 
 MAX_BYTES = 1_000_000
 MAX_VALUES = 100_000
@@ -265,7 +265,7 @@ class _Reader:
         span = self._span(raw)
         if raw.style:
             return Node(raw.value, span, key_span, True)
-        return Node(self._scalar(raw.value, span), span, key_span)
+        return Node(plain_scalar(raw.value, span, self.report), span, key_span)
 
     def _span(self, raw: Any) -> Span:
         start, end = raw.start_mark, raw.end_mark
@@ -330,7 +330,7 @@ class _Reader:
                 hint="write the entries out, or put what modules share under `defaults`",
             )
             return None
-        kind = _key_kind(text)
+        kind = key_kind(text)
         if kind is not None:
             self.report.add(
                 "yaml-key-not-text",
@@ -348,99 +348,3 @@ class _Reader:
             _point(raw.start_mark, self.file),
             hint="leave it off; quote the value if it is text",
         )
-
-    # -- plain scalars ---------------------------------------------------------------
-
-    def _scalar(self, text: str, span: Span) -> Value:
-        if text in _WORDS:
-            return _WORDS[text]
-        if text[0] in "-+.0123456789":
-            return self._number(text, span)
-        if text in _AMBIGUOUS:
-            truth = _AMBIGUOUS[text]
-            self.report.add(
-                "yaml-ambiguous-word",
-                f"`{text}` is a truth value to some YAML readers and text to others",
-                span,
-                hint=f'write `{"true" if truth else "false"}`, or `"{text}"` for text',
-            )
-            return truth if len(text) > 1 else text
-        return text
-
-    def _number(self, text: str, span: Span) -> Value:
-        if _INTEGER.fullmatch(text):
-            digits = text.lstrip("+-")
-            if digits[0] == "0" and len(digits) > 1:
-                plain = digits.lstrip("0") or "0"
-                self.report.add(
-                    "yaml-leading-zero",
-                    f"`{text}` begins with 0: octal to some YAML readers, decimal to others",
-                    span,
-                    hint=f'write `{plain}`, `0o{plain}` for octal, or `"{text}"` for text',
-                )
-                if len(plain) > 20:
-                    return 0
-                return int(plain)
-            if len(digits) > 20 or not -(2**63) <= int(text) < 2**64:
-                return self._too_large(text, span)
-            return int(text)
-        if _FLOAT.fullmatch(text):
-            value = float(text)
-            return value if math.isfinite(value) else self._too_large(text, span)
-        if _HEX_OR_OCTAL.fullmatch(text):
-            return int(text, 0) if len(text) <= 18 else self._too_large(text, span)
-        if text.lstrip("+-").lower() in (".inf", ".nan"):
-            self.report.add(
-                "yaml-not-finite",
-                f"`{text}` is not a finite number",
-                span,
-                hint="leave the key out where there is no limit",
-            )
-            return 0.0
-        return text
-
-    def _too_large(self, text: str, span: Span) -> Value:
-        shown = text if len(text) <= 40 else text[:37] + "..."
-        self.report.add(
-            "yaml-number-range",
-            f"the number `{shown}` is too large",
-            span,
-            hint="integers have 64 bits, other numbers end at 1.8e308",
-        )
-        return 0
-
-
-_INTEGER = re.compile(r"[-+]?[0-9]+")
-_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
-_HEX_OR_OCTAL = re.compile(r"0x[0-9a-fA-F]+|0o[0-7]+")
-
-_WORDS: dict[str, bool | None] = {
-    "": None,
-    "~": None,
-    "null": None,
-    "Null": None,
-    "NULL": None,
-    "true": True,
-    "True": True,
-    "TRUE": True,
-    "false": False,
-    "False": False,
-    "FALSE": False,
-}
-_AMBIGUOUS = {
-    form: truth
-    for words, truth in ((("on", "yes", "y"), True), (("off", "no", "n"), False))
-    for word in words
-    for form in (word, word.capitalize(), word.upper())
-}
-
-
-def _key_kind(text: str) -> str | None:
-    """What a plain key is, if not text.  ``on`` and ``y`` are: no reader of 1.2 differs."""
-    if text in _WORDS:
-        return "null" if _WORDS[text] is None else "a truth value"
-    if text[0] in "-+.0123456789" and (
-        _INTEGER.fullmatch(text) or _FLOAT.fullmatch(text) or _HEX_OR_OCTAL.fullmatch(text)
-    ):
-        return "a number"
-    return None
