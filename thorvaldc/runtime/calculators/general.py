@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.linear import solve3
+from thorvaldc.runtime.calculators.motors import Motors
 from thorvaldc.runtime.calculators.steering import Steering
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
@@ -79,17 +81,16 @@ class General(BaseCalculator):
             for i, s, w in turned
             if w.driven
         )
-        self._scrubbing = tuple((i, s, w.heading, w.sign, w.x, w.y, w.trail) for i, s, w in turned)
+        self._scrubbing = tuple(
+            (i, s, w.heading, w.sign, w.x, w.y, w.trail, w.lateral, w.radius, w.driven)
+            for i, s, w in turned
+        )
         self._straight = tuple(
             (i, *w.rows(0.0)[0], w.radius, w.max_speed)
             for i, w in enumerate(wheels)
             if w.fixed and w.driven
         )
-        self._motors = tuple(
-            (i, w.max_speed, w.max_acceleration)
-            for i, w in enumerate(wheels)
-            if w.driven and not w.swivel
-        )
+        self._motors = Motors(geometry)
         self._standing = (0.0,) * len(wheels)
         self.reset()
 
@@ -105,8 +106,10 @@ class General(BaseCalculator):
         for steering in self._steering:
             steering.reset(states.angles[steering.wheels[0]] if states else 0.0)
         self._angles = self._commanded_angles()
-        self._speeds = list(states.speeds if states else self._standing)
-        self._now = ZERO_TWIST if states is None else self.estimator.estimate(states).twist
+        if states is None:
+            self._motors.reset()
+        else:
+            self._motors.reset(states, self.estimator.estimate(states).twist)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)
@@ -120,28 +123,30 @@ class General(BaseCalculator):
             target = self._fixed.allowed(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         vx, vy, wz = target
-        if states is None:
-            angles, speeds = self._angles, self._standing
-        else:
+        angles: Sequence[float] = self._angles
+        speeds: Sequence[float] = self._standing
+        if states is not None:
             angles, speeds = states.angles, states.speeds
         unreachable: tuple[int, ...] = ()
         for steering, i, x, y, radius in self._joints:
             steering.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
             if steering.unreachable:
                 unreachable += steering.wheels
+        rates: Sequence[float] = self._standing if dt is None else self._required_rates(dt)
+        self._move_steering(dt)
+        self._angles = commanded = self._commanded_angles()
         asked, scale = self._speeds_at_targets(target)
         if scale < 1.0:
             target = target.scaled(scale)
-        rates = self._standing if dt is None else self._required_rates(dt)
-        self._move_steering(dt)
-        self._angles = commanded = self._commanded_angles()
         now = target
-        if not self._at_targets(commanded if states is None else angles):
-            now, asked = self._speeds_on_the_way(target, commanded if states is None else angles)
-        if dt is not None:
-            now, asked = self._within_reach(now, asked, dt)
-        self._now, self._speeds = now, asked
-        joints = JointCommands(asked, commanded)
+        if states is None:
+            angles = commanded
+        if dt is not None or states is not None:
+            away = self._away(angles)
+            if away > _ALIGNED:
+                now, asked = self._speeds_on_the_way(target, angles, away)
+        now, reached = self._motors.reached(now, asked, dt)
+        joints = JointCommands(reached, commanded)
         return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
 
     # -- steering -----------------------------------------------------------------
@@ -167,19 +172,24 @@ class General(BaseCalculator):
         for steering in self._steering:
             steering.advance(dt, steering.time_to_target() / slowest if together else 1.0)
 
-    def _commanded_angles(self) -> list[float]:
+    def _commanded_angles(self) -> tuple[float, ...]:
         angles = list(self._standing)
         for i, steering in self._turned:
             angles[i] = steering.angle
-        return angles
+        return (*angles,)
 
-    def _at_targets(self, angles: Sequence[float]) -> bool:
-        """Whether every wheel has the direction that its part of the motion asks for."""
+    def _away(self, angles: Sequence[float]) -> float:
+        """How far (rad) the worst wheel is from the direction that the motion asks of it."""
+        worst = 0.0
         for steering, i, _, _, _ in self._joints:
-            away = angles[i] - steering.target
-            if steering.unreachable or not (-_ALIGNED < away < _ALIGNED or steering.held):
-                return False
-        return True
+            if steering.held:
+                if steering.unreachable:
+                    return math.inf
+            else:
+                away = abs(angles[i] - steering.target)
+                if away > worst:
+                    worst = away
+        return worst
 
     # -- speeds -------------------------------------------------------------------
 
@@ -190,8 +200,9 @@ class General(BaseCalculator):
         wz = target.wz
         for i, steering, share, lateral, radius, top in self._rolling:
             v = steering.rolling * share
-            if lateral:  # at the centre of rotation a contact beside the axis still rolls
-                v -= lateral * wz
+            if lateral and not steering.unreachable:
+                # At the centre of rotation a contact beside the axis still rolls.
+                v -= lateral * (wz + steering.wheel.sign * steering.rate)
             speeds[i] = v = v / radius
             if v * scale > top or v * scale < -top:
                 scale = top / abs(v)
@@ -199,7 +210,7 @@ class General(BaseCalculator):
             scale = self._straight_speeds(target, speeds, scale)
         if scale < 1.0:
             speeds = [v * scale for v in speeds]
-        return self._sharing(speeds), scale
+        return self._motors.sharing(speeds), scale
 
     def _straight_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
         """Put in those of the wheels that do not turn."""
@@ -209,6 +220,66 @@ class General(BaseCalculator):
             if v * scale > top or v * scale < -top:
                 scale = top / abs(v)
         return scale
+
+    def _speeds_on_the_way(
+        self, target: Twist, angles: Sequence[float], away: float
+    ) -> tuple[Twist, list[float]]:
+        """The twist that scrubs least at these angles, and the speeds that make it.
+
+        argmin of the squared side slips plus a little of the squared distance from
+        ``target`` (the more, the nearer ``away`` is to what counts as aligned), slowed
+        as a whole to the wheels' limits.
+        """
+        follow = _FOLLOW / (1.0 - (_ALIGNED / away) ** 2)
+        vx, vy, wz = target
+        directions = []
+        # Solved for the difference from the target: nothing is lost near it.
+        a12 = a13 = a23 = b1 = b2 = b3 = 0.0
+        a11 = a22 = follow
+        a33 = follow * self._length2
+        for i, steering, heading, sign, x, y, trail, _, _, _ in self._scrubbing:
+            direction = heading + sign * angles[i]
+            c, s = math.cos(direction), math.sin(direction)
+            directions.append((c, s))
+            if steering.held and not steering.unreachable:
+                continue
+            t3 = c * x + s * y + trail
+            slip = c * vy - s * vx + t3 * wz
+            if trail:
+                slip += trail * sign * steering.rate
+            a11 += s * s
+            a12 -= s * c
+            a13 -= s * t3
+            a22 += c * c
+            a23 += c * t3
+            a33 += t3 * t3
+            b1 += s * slip
+            b2 -= c * slip
+            b3 -= t3 * slip
+        for t1, t2, t3 in self._fixed.rows:
+            a11 += t1 * t1
+            a12 += t1 * t2
+            a13 += t1 * t3
+            a22 += t2 * t2
+            a23 += t2 * t3
+            a33 += t3 * t3
+        dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
+        vx, vy, wz = vx + dx, vy + dy, wz + dw
+        speeds = list(self._standing)
+        for (i, steering, _, sign, x, y, _, lateral, radius, driven), (c, s) in zip(
+            self._scrubbing, directions, strict=True
+        ):
+            if not driven or steering.unreachable:
+                continue
+            v = -lateral * (wz + sign * steering.rate) if lateral else 0.0
+            if not steering.held:
+                v += c * (vx - wz * y) + s * (vy + wz * x)
+            speeds[i] = v / radius
+        now = Twist(vx, vy, wz)
+        if self._straight:
+            self._straight_speeds(now, speeds, 1.0)
+        now, speeds = self._motors.slowed(now, speeds)
+        return now, self._motors.sharing(speeds)
 
     # -- skidding -----------------------------------------------------------------
 
