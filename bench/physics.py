@@ -1,0 +1,233 @@
+"""The generated MJCF against closed-form answers, and its step time against a minimal model."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import mujoco
+
+from bench.figure import ROOT, Figure
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.simulation import Simulation
+
+RATES = (0.1, 0.5, 1.0, 2.0)  # rad/s
+# Four driven wheels at the corners: it turns on the spot by skidding alone.
+SKID = """
+thorvaldc: 1
+name: skid
+defaults: {drive: {motor_max_speed: 9000 rpm}}
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1 m, width: 800 mm}}
+  fl: {type: assembly/fixed_drive, mount: frame.front_left}
+  fr: {type: assembly/fixed_drive, mount: frame.front_right}
+  rl: {type: assembly/fixed_drive, mount: frame.rear_left}
+  rr: {type: assembly/fixed_drive, mount: frame.rear_right}
+  left: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 300 mm, 70 mm]}}
+  right: {type: battery/enclosure, mount: {parent: frame, xyz: [0, -300 mm, 70 mm]}}
+"""
+
+
+def figures() -> Iterator[Figure]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "skid.yaml")
+        path.write_text(SKID, encoding="utf-8")
+        skid, files = _built(path)
+        ours = max(abs(_skid_error(skid, files, rate)) for rate in RATES)
+        defaults = max(abs(_skid_error(skid, files, rate, True)) for rate in RATES)
+    yield Figure(
+        "skid steering on the spot",
+        100 * ours,
+        "%",
+        0.5,
+        "lower",
+        "worst error of the yaw rate against 2 W v/(W^2 + L^2) at 0.1, 0.5, 1 and 2 rad/s; "
+        f"MuJoCo's default contact: {100 * defaults:.0f} %",
+    )
+    robot, files = _built(_example("4wd4ws_wide"))
+    straight = _drive(robot, files, Twist(0.8, 0.0, 0.0), 12.0)
+    yield Figure(
+        "straight line",
+        100 * abs(straight[0] / straight[1] - 1.0),
+        "%",
+        0.01,
+        "lower",
+        "way of 4WD4WS against its wheels' own, 10 m at 0.8 m/s",
+    )
+    turning = _drive(robot, files, Twist(0.0, 0.0, 0.6), 12.0)
+    yield Figure(
+        "turning on the spot",
+        100 * abs(turning[2] / turning[3] - 1.0),
+        "%",
+        0.1,
+        "lower",
+        "angle of 4WD4WS against what its encoders say, 7 rad at 0.6 rad/s",
+    )
+    yield Figure(
+        "creep on a slope",
+        1000 * _creep(files, math.radians(10.0)),
+        "mm/s",
+        0.1,
+        "lower",
+        "speed of 4WD4WS that holds on 10 deg, between 3 s and 8 s",
+    )
+    for name in ("4wd4ws_wide", "6wd6ws"):
+        robot, files = _built(_example(name))
+        ratio, ours = _step_ratio(robot, files)
+        yield Figure(
+            f"step time of {name}",
+            ratio,
+            "",
+            1.4,
+            "lower",
+            f"over a minimal model of the same freedoms and contacts; ours {ours * 1e6:.1f} us",
+        )
+
+
+def _example(name: str) -> Path:
+    return ROOT / "examples" / name / "robot.yaml"
+
+
+def _built(path: Path) -> tuple[Robot, dict[str, bytes]]:
+    model = compile_file(path).model
+    if not isinstance(model, Robot):
+        raise SystemExit(f"{path} does not compile")
+    return model, emit(model, ["mjcf"], Report())
+
+
+def _skid_error(
+    robot: Robot, files: dict[str, bytes], rate: float, default_contact: bool = False
+) -> float:
+    """Relative error of the yaw rate, wheels driven so that it should be ``rate`` rad/s."""
+    scene = MujocoScene(files)
+    model = scene.model
+    if default_contact:
+        model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+        model.opt.impratio = 1.0
+        model.geom_solref[:] = (0.02, 1.0)
+        model.geom_solimp[:] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    base = MujocoBase(robot, scene)
+    track = 2 * abs(robot.wheels[0].y)
+    wheelbase = 2 * abs(robot.wheels[0].x)
+    v = rate * (track**2 + wheelbase**2) / (2 * track)
+    for actuator, wheel in zip(robot.actuators, robot.wheels, strict=True):
+        number = scene.index("actuator", actuator.name, robot)
+        scene.data.ctrl[number] = math.copysign(v, -wheel.y) / wheel.radius
+    scene.advance(2.0)
+    before, angle, ticks = base.true_pose().yaw, 0.0, 400
+    for i in range(ticks):
+        scene.advance(2.0 + (i + 1) * 0.005)
+        yaw = base.true_pose().yaw
+        angle += math.remainder(yaw - before, 2 * math.pi)
+        before = yaw
+    return angle / (ticks * 0.005) / rate - 1.0
+
+
+def _drive(
+    robot: Robot, files: dict[str, bytes], twist: Twist, duration: float
+) -> tuple[float, float, float, float]:
+    """Way and angle, true and by odometry, of a robot that starts and stops (m, rad)."""
+    plan = [(0.0, twist), (duration, Twist(0.0, 0.0, 0.0))]
+    run = Simulation(robot, files).run(duration + 3.0, plan).robots[0]
+    wanted = twist.wz * duration
+    true = wanted + math.remainder(run.pose_true.yaw - wanted, 2 * math.pi)
+    told = wanted + math.remainder(run.pose_odometry.yaw - wanted, 2 * math.pi)
+    return run.path_true, run.path_odometry, true, told
+
+
+def _creep(files: dict[str, bytes], slope: float) -> float:
+    """Speed (m/s) at which a standing robot slides or rolls down."""
+    scene = MujocoScene(files)
+    # Turning gravity is turning the ground.
+    scene.model.opt.gravity[:] = (-9.81 * math.sin(slope), 0.0, -9.81 * math.cos(slope))
+    scene.advance(3.0)
+    start = scene.data.qpos[:3].copy()
+    scene.advance(8.0)
+    return float(math.dist(scene.data.qpos[:3], start)) / 5.0
+
+
+def _step_ratio(robot: Robot, files: dict[str, bytes]) -> tuple[float, float]:
+    """Least time of a step over that of the minimal model, in turns; and our own in s."""
+    ours, minimal = MujocoScene(files).model, _minimal(robot)
+    models = (ours, minimal)
+    data = []
+    for model in models:
+        state = mujoco.MjData(model)
+        if model.nkey:
+            mujoco.mj_resetDataKeyframe(model, state, 0)
+        mujoco.mj_step(model, state, 500)
+        data.append(state)
+    best = [math.inf, math.inf]
+    for _ in range(9):
+        for i, (model, state) in enumerate(zip(models, data, strict=True)):
+            started = time.process_time()
+            mujoco.mj_step(model, state, 2000)
+            best[i] = min(best[i], (time.process_time() - started) / 2000)
+    if data[0].ncon != data[1].ncon or ours.nv != minimal.nv:
+        raise SystemExit("the minimal model has other freedoms or contacts")
+    return best[0] / best[1], best[0]
+
+
+def _minimal(robot: Robot) -> Any:
+    """A body on steered, driven wheels with the same joints and contacts, and no more."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.005
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 100
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+    base = spec.worldbody.add_body(name="base")
+    base.add_freejoint()
+    share = robot.inertial.mass / (2 * len(robot.wheels) + 4)
+    _add_mass(base, 4 * share)
+    for wheel in robot.wheels:
+        holder = base.add_body(pos=[wheel.x, wheel.y, 0.65])
+        if wheel.suspension_joint is not None:
+            # Twice the weight on the spring's rest, as the generated model has it.
+            holder.add_joint(
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=[0, 0, 1],
+                stiffness=[2e4, 0, 0],
+                damping=[900, 0, 0],
+                springref=-wheel.load / 2e4,
+            )
+            _add_mass(holder, share / 4)
+            holder = holder.add_body()
+        leg = holder
+        leg.add_joint(name=f"{wheel.name}_steer", axis=[0, 0, 1])
+        _add_mass(leg, 3 * share / 4)
+        tyre = leg.add_body(pos=[0, 0, wheel.radius - 0.65])
+        tyre.add_joint(name=f"{wheel.name}_spin", axis=[0, 1, 0])
+        _add_mass(tyre, share)
+        tyre.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+            size=[wheel.radius, wheel.width / 2, wheel.radius],
+            condim=4,
+            priority=1,
+            friction=[wheel.friction, 0.01, 0.0005],
+            solref=[0.01, 1],
+            solimp=[0.02, 0.95, 0.002, 0.5, 2],
+            mass=0,
+        )
+    for wheel in robot.wheels:
+        steer = spec.add_actuator(name=f"{wheel.name}_steer", target=f"{wheel.name}_steer")
+        steer.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        steer.set_to_position(kp=4000, kv=300)
+        spin = spec.add_actuator(name=f"{wheel.name}_spin", target=f"{wheel.name}_spin")
+        spin.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        spin.set_to_intvelocity(kp=1000, kv=100)
+    return spec.compile()
+
+
+def _add_mass(body: Any, mass: float) -> None:
+    body.mass = mass
+    body.inertia = [0.1 * mass, 0.1 * mass, 0.1 * mass]
+    body.explicitinertial = True
