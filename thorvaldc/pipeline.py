@@ -180,14 +180,13 @@ def _design(document: Node, library: Library, report: Report) -> Design:
 def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
     """That there is such a calculator, that its options are right and that it suits the robot."""
     from thorvaldc.runtime import calculators
-    from thorvaldc.runtime.faults import RuntimeFault
 
     node = document.get("base_calculator")
     named = node.get("name") if node is not None else None
-    try:
-        calculators.for_robot(robot)
-    except RuntimeFault as fault:
-        report.put(replace(fault.diagnostic, span=(named or node or document).span))
+    options = node.get("options") if node is not None else None
+    for fault in calculators.faults(robot):
+        option = options.get(fault.option) if options is not None and fault.option else None
+        report.put(replace(fault.diagnostic, span=(option or named or node or document).span))
 
 
 def _fleet(

@@ -8,7 +8,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``neighbour``: files that differ as little as may be and compile without errors;
 - ``entry``: the file to compile (default ``robot.yaml``);
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``sim`` (with
-  ``twist`` for ``seconds``), ``demo`` (of the build folder ``entry``) or ``import``;
+  ``twist`` for ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``) or
+  ``import``;
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
@@ -25,7 +26,10 @@ from thorvaldc.diagnostics import CODES, Diagnostic
 
 HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
-KEYS = {"code", "line", "file", "files", "neighbour", "entry", "run", "targets", "twist", "seconds"}
+KEYS = {
+    *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
+    *("twist", "seconds", "parameters"),
+}
 OWN = "neighbour_"
 
 
@@ -73,7 +77,8 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         from thorvaldc.runtime.simulation import Simulation
 
         try:
-            simulation = Simulation(done.model, emit(done.model, ["mjcf"], done.report))
+            files = emit(done.model, ["mjcf"], done.report)
+            simulation = Simulation(done.model, files, case.get("parameters"))
             simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), done.report)
         except RuntimeFault as fault:
             done.report.put(fault.diagnostic)

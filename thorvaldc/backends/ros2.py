@@ -60,6 +60,20 @@ def base_driver(robot: Robot) -> Parameters:
     }
     if robot.calculator.options:
         parameters["base_calculator_options"] = dict(robot.calculator.options)
+    sets: dict[str, Parameters] = {}
+    for found in robot.parameter_sets:
+        limits = found.driver
+        chosen: Parameters = {
+            "max_linear_velocity": limits.max_linear_velocity,
+            "max_angular_velocity": limits.max_angular_velocity,
+            "max_linear_acceleration": limits.max_linear_acceleration,
+            "max_angular_acceleration": limits.max_angular_acceleration,
+        }
+        if found.radii is not None:
+            chosen["radii"] = found.radii
+        sets[found.name] = chosen
+    if sets:
+        parameters["parameter_sets"] = sets
     if robot.buses:
         parameters["can_interface_type"] = "socketcan"
         parameters["can_interface_name"] = "can0"

@@ -111,6 +111,10 @@ def sim(
             " can do.",
         ),
     ] = "",
+    parameters: Annotated[
+        str,
+        typer.Option("--parameters", metavar="SET", help="Parameter set of the robot's file."),
+    ] = "",
     ideal: Annotated[bool, typer.Option("--ideal", help="Ideal joints, no physics.")] = False,
     json: Json = False,
     library: Library = [],  # noqa: B006
@@ -118,7 +122,7 @@ def sim(
     """Drive a robot in simulation, without a display."""
     from thorvaldc.cli.simulating import simulate
 
-    return simulate(file, duration, twist, json, ideal, library)
+    return simulate(file, duration, twist, parameters, json, ideal, library)
 
 
 @app.command("import", cls=LightCommand)

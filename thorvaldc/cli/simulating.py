@@ -19,7 +19,13 @@ SECONDS = 5.0  # of a twist, where the user does not say
 
 
 def simulate(
-    file: str, duration: str, twist: str, json: bool, ideal: bool, library: Sequence[str]
+    file: str,
+    duration: str,
+    twist: str,
+    parameters: str,
+    json: bool,
+    ideal: bool,
+    library: Sequence[str],
 ) -> int:
     """One twist for a time, or without a twist the manoeuvre that suits the robot."""
     seconds = _seconds(duration) if duration else 0.0
@@ -36,7 +42,8 @@ def simulate(
     report = Report()
     faults = Faults("text", sys.stderr)
     try:
-        simulation = Simulation(done.model, None if ideal else emit(done.model, ["mjcf"], report))
+        files = None if ideal else emit(done.model, ["mjcf"], report)
+        simulation = Simulation(done.model, files, parameters or None)
         if twist:
             result = simulation.run(seconds or SECONDS, parse_twist(twist), report)
         else:

@@ -147,6 +147,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV324", "fleet-robot-missing", "error", "a fleet names a robot file that is not there"),
     Code("TV325", "fleet-in-fleet", "error", "a fleet names another fleet as a robot"),
     Code("TV326", "too-many-parts", "error", "a module or a robot has more parts than are read"),
+    Code("TV327", "parameter-set-radii", "error", "a parameter set names radii no wheel has"),
     Code("TV340", "calibration-missing", "error", "a robot names a calibration that is not there"),
     Code("TV341", "calibration-wheel", "error", "a calibration is of a wheel the robot lacks"),
     Code("TV342", "calibration-robot", "warning", "a calibration is of a robot of another name"),
@@ -320,6 +321,8 @@ _TABLE: tuple[Code, ...] = (
     ),
     Code("TV808", "twist-infeasible", "warning", "fixed wheels do not allow the asked motion"),
     Code("TV809", "model-unreadable", "error", "a model file cannot be read"),
+    Code("TV810", "parameter-set-unknown", "error", "there is no parameter set of that name"),
+    Code("TV811", "parameter-set-scene", "warning", "a scene's wheels have other radii"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),

@@ -354,7 +354,8 @@ class DriverSettings:
     """``rate`` Hz of the control loop; ``command_timeout`` s; twist limits in SI.
 
     The limits are what the modules allow together or what the file says, at
-    the robot: m/s, rad/s, m/s^2, rad/s^2.
+    the robot: m/s, rad/s, m/s^2, rad/s^2.  ``noise`` holds what the file says of
+    the odometry's errors, in SI, by the names of the estimator's ``Noise``.
     """
 
     rate: float
@@ -363,6 +364,21 @@ class DriverSettings:
     max_angular_velocity: float
     max_linear_acceleration: float
     max_angular_acceleration: float
+    noise: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """Values that the robot can switch to while it drives.
+
+    ``radii`` names those of the wheels (``None``: the ordinary ones; a wheel without
+    such keeps its own); ``driver`` are the robot's settings with what the set changes.
+    """
+
+    name: str
+    radii: str | None
+    driver: DriverSettings
+    origin: Span
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,6 +405,7 @@ class Robot:
     inertial: Inertial
     origin: Span
     urdf_extensions: tuple[str, ...] = ()
+    parameter_sets: tuple[ParameterSet, ...] = ()
 
     def link(self, name: str) -> Link:
         """The link of that name; ``KeyError`` where there is none."""

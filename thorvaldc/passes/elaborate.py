@@ -14,7 +14,6 @@ from thorvaldc.model.robot import (
     CalculatorChoice,
     Collision,
     Cylinder,
-    DriverSettings,
     Joint,
     Link,
     Mesh,
@@ -41,13 +40,12 @@ from thorvaldc.passes.calibration import (
     raise_axles,
 )
 from thorvaldc.passes.hardware import Hardware, hardware_of
+from thorvaldc.passes.parameters import DEFAULT_RATE, DriverParameters
 from thorvaldc.passes.resolve import Instance, Resolver, flat, used_by
 from thorvaldc.passes.scope import Scope
 from thorvaldc.passes.wiring import Wiring
 from thorvaldc.source.node import Node
 
-DEFAULT_RATE = 50.0  # Hz, facts of the original: the base driver's `rate`
-DEFAULT_TIMEOUT = 0.5  # s, the original's command time-out
 HEIGHT_TOLERANCE = 1e-3
 
 
@@ -139,7 +137,12 @@ class Elaborator:
         joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
         sound = not self.report.has_errors
         # A limit that the modules allow stays right where a wheel was measured to be smaller.
-        driver = self._driver(wheels, actuated, 1e-6 if calibration is None else MOST_RADIUS)
+        tolerance = 1e-6 if calibration is None else MOST_RADIUS
+        parameters = DriverParameters(
+            self.document, self.scope, wheels, actuated, tolerance, self.report
+        )
+        driver = parameters.driver()
+        parameter_sets = parameters.sets(driver)
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate)
         if not sound:
             return None
@@ -160,6 +163,7 @@ class Elaborator:
             inertial=body.clean(),
             origin=self.document.span,
             urdf_extensions=extensions,
+            parameter_sets=parameter_sets,
         )
 
     # -- links, joints, motors ------------------------------------------------------------
@@ -401,62 +405,6 @@ class Elaborator:
             return joint
         return replace(
             joint, spring_reference=spring_reference(joint, tree, wheels, [w.load for w in wheels])
-        )
-
-    def _driver(
-        self, wheels: list[Wheel], actuated: dict[str, Actuator], tolerance: float
-    ) -> DriverSettings:
-        """The limits that the modules allow together, lowered by what the file says."""
-        speed = turn = math.inf
-        acceleration = turn_acceleration = math.inf
-        for wheel in wheels:
-            actuator = actuated.get(wheel.spin_joint)
-            if actuator is None:
-                continue
-            v = actuator.max_velocity * wheel.radius
-            a = actuator.max_acceleration * wheel.radius
-            arm = max(math.hypot(*contact_point(wheel)), 0.05)
-            speed, turn = min(speed, v), min(turn, v / arm)
-            acceleration, turn_acceleration = min(acceleration, a), min(turn_acceleration, a / arm)
-        driver = self.document.get("driver") or Node({}, self.document.span)
-        q = self.scope.quantity
-
-        def limit(key: str, quantity: str, allowed: float) -> float:
-            node = driver.get(key)
-            stated = q(node, quantity, allowed)
-            if node is not None and stated <= 0:
-                self.report.add(
-                    "size-not-positive", f"`{key}` is {stated:g}; it must be positive", node.span
-                )
-            if node is not None and stated > allowed * (1 + tolerance):
-                self.report.add(
-                    "driver-limit-too-high",
-                    f"`{key}` is {stated:g}; the slowest module allows {allowed:.4g}",
-                    node.span,
-                    hint="lower it, or leave it out to have what the modules allow",
-                )
-            value = min(stated, allowed)
-            return clean(value) if math.isfinite(value) else 0.0
-
-        rate = q(driver.get("rate"), "frequency", DEFAULT_RATE)
-        timeout = q(driver.get("command_timeout"), "time", DEFAULT_TIMEOUT)
-        for key, value in (("rate", rate), ("command_timeout", timeout)):
-            if value <= 0:
-                node = driver.get(key)
-                self.report.add(
-                    "size-not-positive",
-                    f"`{key}` is {value:g}; it must be positive",
-                    node.span if node is not None else None,
-                )
-        return DriverSettings(
-            rate=rate if rate > 0 else DEFAULT_RATE,
-            command_timeout=timeout,
-            max_linear_velocity=limit("max_linear_velocity", "velocity", speed),
-            max_angular_velocity=limit("max_angular_velocity", "angular_velocity", turn),
-            max_linear_acceleration=limit("max_linear_acceleration", "acceleration", acceleration),
-            max_angular_acceleration=limit(
-                "max_angular_acceleration", "angular_acceleration", turn_acceleration
-            ),
         )
 
     def _calculator(self) -> CalculatorChoice:

@@ -452,7 +452,7 @@ class _Builder:
             self._link_name(node.get("link")),
             self._above_zero(node, "radius", "length", 0.1),
             self._above_zero(node, "width", "length", 0.1),
-            tuple((k, scope.quantity(v, "length")) for k, v in named.items()),
+            tuple((k, self._above_zero(radii, k, "length", 0.1)) for k in named) if radii else (),
             scope.quantity(node.get("friction"), "ratio", 0.8),
             scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
             node.where,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.runtime.base import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
+from thorvaldc.runtime.parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 
 LEAD = 0.1
@@ -69,17 +71,26 @@ class BaseDriver:
         base: BaseHandle,
         calculator: BaseCalculator | None = None,
         settings: DriverSettings | None = None,
+        parameters: str | None = None,
     ) -> None:
-        """Raises ``RuntimeFault`` where the robot's calculator cannot drive it."""
+        """``parameters`` names the set to start with, in place of the ordinary values.
+
+        Raises ``RuntimeFault`` where the robot's calculator cannot drive it and
+        where it has no such set.
+        """
         self.robot = robot
         self.base = base
-        self.calculator = calculator or for_robot(robot)
-        self.settings = settings or robot.driver
+        self.parameters = Parameters.of(robot, parameters)
+        if settings is not None:
+            self.parameters = replace(self.parameters, settings=settings)
+        self.calculator = calculator or for_robot(robot).with_parameters(
+            self.parameters.radii, self.parameters.noise
+        )
+        self._staged: tuple[Parameters, BaseCalculator] | None = None
         self._asked = ZERO_TWIST
         self._asked_at = -math.inf
         self._ramped = ZERO_TWIST
-        fastest = (self.settings.max_linear_velocity, self.settings.max_angular_velocity)
-        self.odometry = Odometry(self.calculator, fastest)
+        self.odometry = Odometry(self.calculator, self._fastest)
         self.state = DriverState(
             -math.inf,
             DriveMode.IDLE,
@@ -104,6 +115,52 @@ class BaseDriver:
         self._asked = twist
         self._asked_at = now
         return True
+
+    @property
+    def settings(self) -> DriverSettings:
+        """The settings in force."""
+        return self.parameters.settings
+
+    @property
+    def _fastest(self) -> tuple[float, float]:
+        return self.settings.max_linear_velocity, self.settings.max_angular_velocity
+
+    def use(self, parameters: str | None) -> None:
+        """Switch to a parameter set of the robot's file, to the ordinary values for ``None``.
+
+        In force from the end of the next tick's odometry on: the way until then is
+        that of the radii before, and the pose stays.  Raises ``RuntimeFault`` where
+        there is no such set; then nothing changes.
+        """
+        self._stage(Parameters.of(self.robot, parameters))
+
+    def update(
+        self,
+        *,
+        radii: Mapping[str, float] | None = None,
+        noise: Mapping[str, float] | None = None,
+        **limits: float,
+    ) -> None:
+        """Change some parameters: radii (m) by wheel, noise by name, limits such as
+        ``max_linear_velocity`` (SI).
+
+        All or none, from the end of the next tick's odometry on, as with ``use``.
+        Raises ``ParameterError`` where a name is not known or a value cannot be.
+        """
+        current = self._staged[0] if self._staged is not None else self.parameters
+        self._stage(current.changed(self.robot, radii, noise, limits))
+
+    def _stage(self, parameters: Parameters) -> None:
+        made = self.calculator.with_parameters(parameters.radii, parameters.noise)
+        self._staged = (parameters, made)
+
+    def _change_over(self) -> None:
+        if self._staged is not None:
+            self.parameters, made = self._staged
+            self._staged = None
+            made.resume(self.calculator)
+            self.calculator = self.odometry.calculator = made
+            self.odometry.fastest = self._fastest
 
     def reset_pose(self, pose: Pose2 = ORIGIN) -> None:
         """Set the odometry pose; its covariance starts again at zero."""
@@ -132,6 +189,7 @@ class BaseDriver:
         except ValueError as bad:
             fault = str(bad)
             odometry.miss(now)
+        self._change_over()
         mode, asked = self._mode(now, fault)
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST

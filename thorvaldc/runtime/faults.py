@@ -21,3 +21,7 @@ class RuntimeFault(Exception):
 
 class NotFiniteError(ValueError):
     """A twist or a joint state holds a NaN or an infinity; nothing was changed."""
+
+
+class ParameterError(ValueError):
+    """A parameter cannot have that value; nothing was changed."""

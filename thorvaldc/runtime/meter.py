@@ -56,10 +56,17 @@ class RobotRun:
 class Meter:
     """One robot of a run: its driver, and what is measured beside it."""
 
-    def __init__(self, name: str, robot: Robot, base: BaseHandle, manoeuvre: Manoeuvre) -> None:
+    def __init__(
+        self,
+        name: str,
+        robot: Robot,
+        base: BaseHandle,
+        manoeuvre: Manoeuvre,
+        parameters: str | None = None,
+    ) -> None:
         self.name = name
         self.robot = robot
-        self.driver = BaseDriver(robot, base)
+        self.driver = BaseDriver(robot, base, parameters=parameters)
         self.base = base
         self.manoeuvre = manoeuvre
         self.ticks = 0

@@ -24,6 +24,7 @@ from thorvaldc.runtime.manoeuvre import (
 )
 from thorvaldc.runtime.meter import NOTICEABLE, Meter, RobotRun, size
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.runtime.parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.runtime.sim_base import SimBase
 
@@ -62,9 +63,16 @@ class Simulation:
     """
 
     def __init__(
-        self, model: Robot | Fleet, files: Path | str | Mapping[str, bytes] | None = None
+        self,
+        model: Robot | Fleet,
+        files: Path | str | Mapping[str, bytes] | None = None,
+        parameters: str | None = None,
     ) -> None:
-        """Raises ``RuntimeFault`` where the scene cannot be read or is not of this model."""
+        """``parameters`` names the parameter set that the robots drive by.
+
+        Raises ``RuntimeFault`` where the scene cannot be read or is not of this model,
+        and where a robot has no such set.
+        """
         if isinstance(model, Fleet):
             self.robots = [(p.name, p.robot) for p in model.placements]
             self.starts = {
@@ -74,6 +82,9 @@ class Simulation:
         else:
             self.robots = [(model.name, model)]
             self.starts = {model.name: se2.ORIGIN}
+        for _, robot in self.robots:
+            Parameters.of(robot, parameters)
+        self.parameters = parameters
         self.scene = None if files is None else MujocoScene(files)
 
     def run(
@@ -94,7 +105,7 @@ class Simulation:
         if self.scene is not None:
             self.scene.reset()
         meters = [
-            Meter(name, robot, self._base(robot), _manoeuvre(motion, name))
+            Meter(name, robot, self._base(robot), _manoeuvre(motion, name), self.parameters)
             for name, robot in self.robots
         ]
         started = time.perf_counter()
@@ -118,6 +129,8 @@ class Simulation:
             tuple(meter.result() for meter in meters),
         )
         if report is not None:
+            if self.scene is not None:
+                self._tell_radii(report)
             _tell(meters, result, report)
         return result
 
@@ -133,6 +146,22 @@ class Simulation:
             placed = [(name, robot, self.starts[name]) for name, robot in self.robots]
             plans, end = fleet_manoeuvres(placed)
         return self.run(duration or end, plans, report)
+
+    def _tell_radii(self, report: Report) -> None:
+        """A scene's wheels roll on their ordinary radii, whatever set is in force."""
+        for name, robot in self.robots:
+            radii = Parameters.of(robot, self.parameters).radii
+            for wheel, radius in zip(robot.wheels, radii, strict=True):
+                if wheel.driven and radius != wheel.radius:
+                    report.add(
+                        "parameter-set-scene",
+                        f"{name} drives by `{self.parameters}`, with {wheel.name} on "
+                        f"{radius * 1000:.6g} mm; in this scene it rolls on "
+                        f"{wheel.radius * 1000:.6g} mm",
+                        robot.origin,
+                        hint="drive with ideal joints (--ideal), or by a set of these radii",
+                    )
+                    break
 
     def _base(self, robot: Robot) -> BaseHandle:
         return SimBase(robot) if self.scene is None else MujocoBase(robot, self.scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Self
 
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, NoOptions
@@ -71,6 +72,9 @@ class Differential(BaseCalculator):
             self._motors.reset()
         else:
             self._motors.reset(states, self.odometry(states).twist)
+
+    def resume(self, before: Self) -> None:
+        self._motors.resume(before._motors)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)

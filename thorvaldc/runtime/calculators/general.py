@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
@@ -110,6 +111,12 @@ class General(BaseCalculator):
             self._motors.reset()
         else:
             self._motors.reset(states, self.estimator.estimate(states).twist)
+
+    def resume(self, before: Self) -> None:
+        for steering, its in zip(self._steering, before._steering, strict=True):
+            steering.resume(its)
+        self._angles = before._angles
+        self._motors.resume(before._motors)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)

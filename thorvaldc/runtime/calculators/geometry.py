@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from thorvaldc.model import Robot, Wheel
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
@@ -123,6 +123,11 @@ class BaseGeometry:
             (xm, ym),
             length,
         )
+
+    def with_radii(self, radii: Sequence[float]) -> BaseGeometry:
+        """The same wheels on these radii (m), one for each."""
+        wheels = zip(self.wheels, radii, strict=True)
+        return replace(self, wheels=tuple(replace(w, radius=r) for w, r in wheels))
 
     @property
     def driven(self) -> tuple[WheelGeometry, ...]:

@@ -27,9 +27,9 @@ class Motors:
         self._speeds: tuple[float, ...] = self._standing if states is None else (*states.speeds,)
         self._twist = twist
 
-    def follow(self, other: Motors) -> None:
-        """Start from what the motors of ``other`` were commanded."""
-        self._speeds, self._twist = other._speeds, other._twist
+    def resume(self, before: Motors) -> None:
+        """Go on from what those of ``before`` were commanded."""
+        self._speeds, self._twist = before._speeds, before._twist
 
     def sharing(self, speeds: list[float]) -> list[float]:
         """Wheels on one motor have one speed, the mean of theirs (in place)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Self
 
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
@@ -70,6 +71,10 @@ class OneWheel(BaseCalculator):
     def reset(self, states: JointStates | None = None) -> None:
         self._steering.reset(states.angles[self._index] if states else 0.0)
         self._motors.reset(states)
+
+    def resume(self, before: Self) -> None:
+        self._steering.resume(before._steering)
+        self._motors.resume(before._motors)
 
     def allowed(self, twist: Twist) -> Twist:
         return self._fixed.allowed(twist)

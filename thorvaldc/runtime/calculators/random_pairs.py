@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
+from typing import Self
 
 from thorvaldc.runtime.base import JointStates
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
@@ -78,6 +79,10 @@ class RandomPairs(General):
     def reset(self, states: JointStates | None = None) -> None:
         super().reset(states)
         self._random.seed(self._pairs.seed)
+
+    def resume(self, before: Self) -> None:
+        super().resume(before)
+        self._random = before._random
 
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)

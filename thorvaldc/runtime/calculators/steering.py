@@ -77,6 +77,13 @@ class Steering:
         self.held = True
         self.unreachable = False
 
+    def resume(self, before: Steering) -> None:
+        """Go on from where another for the same joint is."""
+        self.angle, self.target, self.rate = before.angle, before.target, before.rate
+        self._take(before.direction)
+        self.rolling, self.held = before.rolling, before.held
+        self.unreachable = before.unreachable
+
     def _take(self, direction: float) -> None:
         """Be on that branch: forward (1.0) or backwards (-1.0)."""
         self.direction = direction
