@@ -30,6 +30,7 @@ NOISE = {
     "slip_floor": "velocity",
     "skid_ratio": "ratio",
     "gyro": "angular_velocity",
+    "correlation": "time",
 }
 
 
@@ -145,7 +146,7 @@ class DriverParameters:
             if key not in NOISE:  # the schema has said so
                 continue
             value = self._scope.quantity(entry, NOISE[key])
-            if value > 0:
+            if value > 0 or (value == 0 and key == "correlation"):
                 found[key] = clean(value)
             else:
                 self._not_positive(key, value, entry)

@@ -79,7 +79,8 @@ class Parameters:
         errors = dict(self.settings.noise)
         for name, value in (noise or {}).items():
             _known("noise", name, _NOISE)
-            _positive(f"the noise {name}", value, "", math.inf)
+            if not (name == "correlation" and value == 0):
+                _positive(f"the noise {name}", value, "", math.inf)
             errors[name] = float(value)
         settings = replace(
             self.settings,
