@@ -25,6 +25,7 @@ from thorvaldc.model import (
     MeshShape,
     Mimic,
     Node,
+    ParameterSet,
     Placement,
     Pose,
     Robot,
@@ -105,6 +106,10 @@ def everything() -> Robot:
         meshes=(Mesh("a.stl", "0" * 64, b"data"),),
         calculator=CalculatorChoice("general", (("hysteresis", 0.2),)),
         urdf_extensions=("<gazebo/>",),
+        parameter_sets=(
+            ParameterSet("a", "rail", replace(robot.driver, noise=(("angle", 0.1),)), SPAN),
+            ParameterSet("b", None, robot.driver, SPAN),
+        ),
     )
 
 
