@@ -15,6 +15,7 @@ from bench.figure import ROOT, Figure
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime.manoeuvre import Segment
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.runtime.simulation import Simulation
@@ -135,7 +136,7 @@ def _drive(
     robot: Robot, files: dict[str, bytes], twist: Twist, duration: float
 ) -> tuple[float, float, float, float]:
     """Way and angle, true and by odometry, of a robot that starts and stops (m, rad)."""
-    plan = [(0.0, twist), (duration, Twist(0.0, 0.0, 0.0))]
+    plan = [Segment(0.0, twist), Segment(duration, Twist(0.0, 0.0, 0.0))]
     run = Simulation(robot, files).run(duration + 3.0, plan).robots[0]
     wanted = twist.wz * duration
     true = wanted + math.remainder(run.pose_true.yaw - wanted, 2 * math.pi)
