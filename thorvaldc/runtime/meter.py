@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base import BaseHandle
+from thorvaldc.runtime.base import BaseHandle, JointStates
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.manoeuvre import Manoeuvre, twist_at
 from thorvaldc.runtime.mujoco_base import MujocoBase
@@ -51,6 +52,26 @@ class RobotRun:
     infeasible: Twist
     unreachable: tuple[str, ...]
     tipped: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What a tick of a robot saw: time in s, twists of ``base_link`` in itself, its poses.
+
+    ``asked`` is the twist of the script, ``aimed`` what the driver made of it within its
+    limits and ramps, ``estimated`` and ``pose_estimated`` are the odometry's, ``true`` and
+    ``pose_true`` the simulated world's.  Both poses are in the world, the estimated one
+    from the true start on; yaw is not wrapped.  With ideal joints true is estimated.
+    """
+
+    time: float
+    asked: Twist
+    aimed: Twist
+    estimated: Twist
+    true: Twist
+    pose_estimated: Pose2
+    pose_true: Pose2
+    joints: JointStates | None
 
 
 class Meter:
@@ -118,6 +139,19 @@ class Meter:
         upright = min(max(self.base.uprightness(), -1.0), 1.0)
         self.largest_tilt = max(self.largest_tilt, math.acos(upright))
 
+    def sample(self) -> Sample:
+        """The last tick."""
+        state = self.driver.state
+        estimated, pose = state.odometry.twist, self.start.moved(state.pose)
+        true, pose_true = estimated, pose
+        if isinstance(self.base, MujocoBase):
+            true = self.base.true_twist()
+            pose_true = Pose2(self.true.x, self.true.y, self.start.yaw + self.turned)
+        aimed = ZERO_TWIST if state.command is None else state.command.target
+        return Sample(
+            state.time, state.asked, aimed, estimated, true, pose, pose_true, state.joints
+        )
+
     @property
     def tipped(self) -> bool:
         return math.cos(self.largest_tilt) < TIPPED
@@ -147,3 +181,7 @@ class Meter:
             unreachable=tuple(robot.wheels[i].name for i in self.unreachable),
             tipped=self.tipped,
         )
+
+
+Watch = Callable[[Meter], None]
+"""Called after each tick of each robot of a run."""

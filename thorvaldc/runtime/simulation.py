@@ -22,7 +22,7 @@ from thorvaldc.runtime.manoeuvre import (
     default_manoeuvre,
     fleet_manoeuvres,
 )
-from thorvaldc.runtime.meter import NOTICEABLE, Meter, RobotRun, size
+from thorvaldc.runtime.meter import NOTICEABLE, Meter, RobotRun, Watch, size
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
@@ -92,13 +92,15 @@ class Simulation:
         duration: float,
         motion: Twist | Manoeuvre | Mapping[str, Manoeuvre],
         report: Report | None = None,
+        watch: Watch | None = None,
     ) -> SimulationResult:
         """Drive for ``duration`` s from rest and measure.
 
         ``motion`` is one twist, a manoeuvre for all, or one by robot.  What goes
         wrong on the way (a robot falls over, the simulation diverges, a twist
-        cannot be driven) goes to ``report`` and the run ends there.  Raises
-        ``RuntimeFault`` where it cannot start.
+        cannot be driven) goes to ``report`` and the run ends there.  ``watch`` is
+        called with the robot's meter after each of its ticks (``Meter.sample``).
+        Raises ``RuntimeFault`` where it cannot start.
         """
         if not 0.0 < duration < math.inf:
             raise RuntimeFault("twist-invalid", f"a run of {duration:g} s; it must be positive")
@@ -117,6 +119,8 @@ class Simulation:
                 break
             simulated = meter.next
             meter.tick()
+            if watch is not None:
+                watch(meter)
             stopped = meter.tipped or (self.scene is not None and self.scene.diverged)
         wall = time.perf_counter() - started
         diverged = self.scene is not None and self.scene.diverged
@@ -135,7 +139,10 @@ class Simulation:
         return result
 
     def demonstrate(
-        self, report: Report | None = None, duration: float | None = None
+        self,
+        report: Report | None = None,
+        duration: float | None = None,
+        watch: Watch | None = None,
     ) -> SimulationResult:
         """Drive the default manoeuvre, for ``duration`` s or to its end."""
         if len(self.robots) == 1:
@@ -145,7 +152,7 @@ class Simulation:
         else:
             placed = [(name, robot, self.starts[name]) for name, robot in self.robots]
             plans, end = fleet_manoeuvres(placed)
-        return self.run(duration or end, plans, report)
+        return self.run(duration or end, plans, report, watch)
 
     def _tell_radii(self, report: Report) -> None:
         """A scene's wheels roll on their ordinary radii, whatever set is in force."""
