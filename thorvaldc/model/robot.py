@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 Scalar = bool | int | float | str
@@ -19,28 +20,28 @@ Scalar = bool | int | float | str
 # -- geometry -----------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Box(Element):
     """Full edge lengths along x, y, z in m, centred on the frame."""
 
     size: Vec3
 
 
-@dataclass(frozen=True, slots=True)
-class Cylinder:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Cylinder(Element):
     """Radius and full length in m, along z, centred on the frame."""
 
     radius: float
     length: float
 
 
-@dataclass(frozen=True, slots=True)
-class Sphere:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Sphere(Element):
     radius: float
 
 
-@dataclass(frozen=True, slots=True)
-class MeshShape:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MeshShape(Element):
     """A mesh by its name in ``Robot.meshes``; ``scale`` per axis."""
 
     mesh: str
@@ -50,8 +51,8 @@ class MeshShape:
 Shape = Box | Cylinder | Sphere | MeshShape
 
 
-@dataclass(frozen=True, slots=True)
-class Mesh:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Mesh(Element):
     """A mesh file that goes along: ``name`` is its file name in the output.
 
     Only STL and OBJ occur here (what URDF readers and MuJoCo share); other
@@ -63,8 +64,8 @@ class Mesh:
     data: bytes = field(default=b"", compare=False, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Visual:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Visual(Element):
     """What is seen: ``pose`` in the link's frame, ``color`` RGBA in 0..1."""
 
     shape: Shape
@@ -72,8 +73,8 @@ class Visual:
     color: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Collision:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Collision(Element):
     """What touches: ``pose`` in the link's frame."""
 
     shape: Shape
@@ -83,8 +84,8 @@ class Collision:
 # -- the tree -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Link(Element):
     """A rigid body.  ``inertial`` is given in the link's frame; ``None``: massless.
 
     ``module`` is the path of the module that it came from, ``fl.steering``.
@@ -98,8 +99,8 @@ class Link:
     origin: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Mimic:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Mimic(Element):
     """q = multiplier * q_joint + offset."""
 
     joint: str
@@ -107,8 +108,8 @@ class Mimic:
     offset: float
 
 
-@dataclass(frozen=True, slots=True)
-class Joint:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Joint(Element):
     """``pose`` is that of the child link in the parent link at joint position 0.
 
     ``type`` is ``fixed``, ``revolute`` (limited), ``continuous`` or
@@ -145,8 +146,8 @@ class Joint:
 # -- the base -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Wheel:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Wheel(Element):
     """A wheel and its geometry in ``base_link`` with every joint at zero.
 
     ``x``, ``y`` (m): where the steering (or swivel) axis meets the ground; for
@@ -188,8 +189,8 @@ class Wheel:
         return self.steering_joint is not None
 
 
-@dataclass(frozen=True, slots=True)
-class Actuator:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Actuator(Element):
     """A motor with its gear on a joint; every limit is at the joint.
 
     ``role`` is ``propulsion`` (speed-controlled) or ``steering`` (position-
@@ -219,8 +220,8 @@ class Actuator:
     encoder_offset: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Sensor:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Sensor(Element):
     """``type``: ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another module's own.
 
     ``link`` is the frame in which it measures; ``properties`` in SI.
@@ -234,8 +235,8 @@ class Sensor:
     origin: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Battery:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Battery(Element):
     """A battery enclosure; ``node`` is ``None`` where no battery is in it."""
 
     name: str
@@ -249,8 +250,8 @@ class Battery:
 # -- the bus ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Signal:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Signal(Element):
     """A field of a frame, little endian: physical = raw * scale + offset.
 
     ``start`` and ``length`` in bits.  ``joint`` names the joint that the value
@@ -275,8 +276,8 @@ class Signal:
     description: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Frame(Element):
     """A standard CAN frame; ``producer``/``consumers`` are node names or ``master``.
 
     ``kind`` is ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``,
@@ -297,8 +298,8 @@ class Frame:
     description: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Channel(Element):
     """A channel of a controller and the actuator on it (``None``: not wired)."""
 
     name: str
@@ -306,8 +307,8 @@ class Channel:
     actuator: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Node(Element):
     """A device on a bus.  ``id_space`` keeps batteries' ids apart from node ids."""
 
     name: str
@@ -322,8 +323,8 @@ class Node:
     origin: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Bus:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Bus(Element):
     """A CAN bus: ``bitrate`` bit/s, ``sync_period`` s (the control cycle).
 
     ``master_id`` is the CANopen node id of the master.
@@ -341,16 +342,16 @@ class Bus:
 # -- the whole ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class CalculatorChoice:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CalculatorChoice(Element):
     """The base calculator's plugin name and its options."""
 
     name: str = "general"
     options: tuple[tuple[str, Scalar], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class DriverSettings:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class DriverSettings(Element):
     """``rate`` Hz of the control loop; ``command_timeout`` s; twist limits in SI.
 
     The limits are what the modules allow together or what the file says, at
@@ -367,8 +368,8 @@ class DriverSettings:
     noise: tuple[tuple[str, float], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterSet:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ParameterSet(Element):
     """Values that the robot can switch to while it drives.
 
     ``radii`` names those of the wheels (``None``: the ordinary ones; a wheel without
@@ -381,8 +382,8 @@ class ParameterSet:
     origin: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Robot:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Robot(Element):
     """A whole robot.  ``links[0]`` is ``base_link``, which lies on the ground.
 
     ``namespace`` prefixes names in outputs (empty: none).  ``urdf_extensions``
@@ -429,8 +430,8 @@ class Robot:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class Placement:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Placement(Element):
     """A robot of a fleet: its name in the scene, its name space, ``base_link`` in the world."""
 
     name: str
@@ -438,8 +439,8 @@ class Placement:
     robot: Robot
 
 
-@dataclass(frozen=True, slots=True)
-class Fleet:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Fleet(Element):
     """Several robots in one scene, in file order."""
 
     name: str
