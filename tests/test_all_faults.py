@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from thorvaldc.pipeline import compile_file
 
 # (the file's line or lines, the codes planted there); misspellings are deliberate.
@@ -64,3 +66,32 @@ design: {minimum_tip_over_angle: 80 deg}
     )
     names = [d.code.name for d in compile_file(file).report]
     assert names == ["can-id-duplicate", "tip-over"]
+
+
+CART = """\
+thorvaldc: 1
+name: cart
+{head}modules:
+  frame: {{type: frame/tube_rectangular}}
+  fl: {{type: assembly/steered_drive, mount: frame.front_left}}
+  fr: {{type: assembly/steered_drive, mount: frame.front_right}}
+  rl: {{type: assembly/steered_drive, mount: frame.rear_left}}
+  rr: {{type: assembly/steered_drive, {rr}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("rr", "head", "code"),
+    [
+        ("mount: frame.", "", "bad-id"),
+        ("mount: [frame, rear_right]", "", "wrong-type"),
+        ("mount: frame", "", "port-unknown"),
+        ("mount: {port: frame.rear_right, rpy: [0, 0, 90 m]}", "", "wrong-dimension"),
+        ("mount: frame.rear_right", "buses: {main: {bitrate: 333 kbit/s}}\n", "can-bitrate"),
+        ("mount: frame.rear_right", "driver: {rate: 0}\n", "size-not-positive"),
+    ],
+)
+def test_one_mistake_is_said_once(rr: str, head: str, code: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(CART.format(rr=rr, head=head), encoding="utf-8")
+    assert [d.code.name for d in compile_file(file).report] == [code]

@@ -56,6 +56,35 @@ def test_every_place_in_a_report_leads_to_a_file(workshop: Workshop) -> None:
         assert done.sources[place].is_file(), place
 
 
+def test_what_is_said_later_is_located_as_well(workshop: Workshop) -> None:
+    workshop.write("xacro/x.xacro", "<robot name='x'><link name='a'/><gazebo/><gazebo/></robot>")
+    for name in ("one", "two"):
+        workshop.robot_file(CART, "extras: [{xacro: ../xacro/x.xacro}]\n", f"{name}/robot.yaml")
+    fleet = workshop.write(
+        "fleets/fleet.yaml",
+        """
+        thorvaldc: 1
+        name: pair
+        robots:
+          a: {robot: ../one/robot.yaml}
+          b: {robot: ../two/robot.yaml, xyz: [0, 5, 0]}
+        """,
+    )
+    for file, wanted in (
+        (workshop.folder / "one/robot.yaml", ["one"]),
+        (fleet, ["one", "two"]),
+    ):
+        done = compiled(file)
+        assert done.model is not None
+        found = Report()
+        emit(done.model, ["mjcf"], found)
+        (note, *_) = found
+        assert note.message.endswith(": 2 x <gazebo>")
+        places = [d.span.file for d in done.located(found) if d.span is not None]
+        assert places == [str(workshop.folder / name / "robot.yaml") for name in wanted]
+        assert all(place in done.sources for place in places)
+
+
 def test_places_in_a_model_do_not_depend_on_where_it_lies(tmp_path: Path) -> None:
     models = []
     for name in ("here", "over there/deep"):

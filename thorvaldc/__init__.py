@@ -2,7 +2,8 @@
 
 ``compile(path)`` gives a ``Compilation`` (``model``, ``report``), ``emit(model, targets, report)``
 the files of the targets in memory, ``Simulation(model, files)`` drives them in MuJoCo,
-``BaseDriver(robot, base)`` drives a base.  Each is imported when it is first asked for.
+``BaseDriver(robot, base)`` drives a base, such as ``SimBase(robot)``, by a ``Twist``.  Each is
+imported when it is first asked for.
 """
 
 from __future__ import annotations
@@ -10,13 +11,15 @@ from __future__ import annotations
 from typing import Any
 
 __version__ = "0.1.0"
-__all__ = ["BaseDriver", "Simulation", "__version__", "compile", "emit"]
+__all__ = ["BaseDriver", "SimBase", "Simulation", "Twist", "__version__", "compile", "emit"]
 
 _API = {
     "compile": "thorvaldc.pipeline:compile_file",
     "emit": "thorvaldc.pipeline:emit",
     "Simulation": "thorvaldc.runtime.simulation:Simulation",
     "BaseDriver": "thorvaldc.runtime.driver:BaseDriver",
+    "SimBase": "thorvaldc.runtime.sim_base:SimBase",
+    "Twist": "thorvaldc.runtime.se2:Twist",
 }
 
 

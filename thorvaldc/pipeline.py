@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import posixpath
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,13 +34,20 @@ class Compilation:
 
     Spans in ``model`` are relative to the file's own folder, so that outputs do
     not depend on where that lies; spans in ``report`` are paths as the user gave
-    them.  ``sources`` maps the latter to files, for excerpts.
+    them.  ``sources`` maps the latter to files, for excerpts.  ``folder`` is that of
+    the file, and ``files`` has what was read by its names in the model's spans.
     """
 
     model: Robot | Fleet | None = None
     report: Report = field(default_factory=Report)
     source_sha256: str = ""
     sources: dict[str, Path] = field(default_factory=dict)
+    folder: Path = field(default_factory=Path)
+    files: dict[str, Path] = field(default_factory=dict)
+
+    def located(self, report: Report) -> Report:
+        """What was said of ``model`` later on, with paths as the user would write them."""
+        return _with_paths(report, self.folder, self.files)
 
 
 def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilation:
@@ -48,11 +56,16 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
     Every fault that the file holds is in the report; nothing is raised for bad input.
     """
     path = Path(path)
+    return _compile(path, path.name or str(path), path.parent, library)
+
+
+def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Compilation:
+    """Compile a file that spans are to call ``name``, which is relative to ``folder``."""
     shape, report = Report(), Report()
-    done = Compilation()
-    files = {path.name: path}
+    files = {name: path}
+    done = Compilation(folder=folder, files=files)
     robots: dict[str, Compilation] = {}
-    document = read_file(path, path.name, shape)
+    document = read_file(path, name, shape)
     if document is not None:
         fleet = _is_fleet(document)
         check(document, "fleet" if fleet else "robot", shape)
@@ -70,9 +83,11 @@ def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilati
             done.model = _robot(sound_part, path, library, report, files, lost, whole)
         done.source_sha256 = _sha256(files, robots)
     for part in (shape, _without_places_of(shape, report)):
-        done.report.extend(_with_paths(part, path.parent, files))
-    for name, file in files.items():
-        done.sources[name if name.startswith(OWN) else str(file)] = file
+        done.report.extend(done.located(part))
+    for shown, file in files.items():
+        done.sources[shown if shown.startswith(OWN) else os.path.normpath(file)] = file
+    for robot in robots.values():
+        files.update(robot.files)
     if done.report.has_errors:
         done.model = None
     return done
@@ -97,19 +112,22 @@ def check_library(folder: Path | None) -> LibraryCheck:
     return done
 
 
-def emit(model: Robot | Fleet, targets: Sequence[str], report: Report) -> dict[str, bytes]:
+def emit(
+    model: Robot | Fleet, targets: Sequence[str], report: Report | None = None
+) -> dict[str, bytes]:
     """The files of the targets by relative path, and ``model.json``.
 
     Raises ``KeyError`` for an unknown target.  What a format cannot say of the
-    model is added to the report.
+    model is added to the report, with spans as in the model.
     """
     files = {MODEL_FILE: to_json(model).encode()}
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     for target in dict.fromkeys(targets):
         backend = backends.load(target)
-        for robot in robots:
-            for diagnostic in backend.unsupported(robot):
-                report.put(diagnostic)
+        if report is not None:
+            for robot in robots:
+                for diagnostic in backend.unsupported(robot):
+                    report.put(diagnostic)
         made = backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model)
         files.update(made)
     return files
@@ -126,12 +144,13 @@ def _robot(
 ) -> Robot | None:
     """The robot of a document; of a faulty one, its further faults are found as well."""
     base = path.parent
+    above = posixpath.dirname(document.span.file)
     folders: list[tuple[Path, str]] = []
     own = document.get("library")
     for node in own.value if own is not None and isinstance(own.value, tuple) else ():
         folder = base / str(node.value)
         if os.path.isdir(folder):
-            folders.append((folder, str(node.value)))
+            folders.append((folder, posixpath.normpath(posixpath.join(above, str(node.value)))))
         else:
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
     folders.extend((folder, folder.name) for folder in library)
@@ -218,7 +237,7 @@ def _fleet(
             )
             continue
         if named not in compiled:
-            compiled[named] = compile_file(file, library=library)
+            compiled[named] = _compile(file, named, path.parent, library)
         robot = compiled[named].model
         if isinstance(robot, Robot):
             x, y, z = scope.vector(node.get("xyz"), "length")
@@ -271,7 +290,8 @@ def _with_paths(report: Report, folder: Path, files: dict[str, Path]) -> Report:
     def moved(span: Span) -> Span:
         if span.file.startswith(OWN):
             return span
-        shown = str(files.get(span.file) or folder / span.file)
+        # Without detours: annotations of changes go by the path in the repository.
+        shown = os.path.normpath(files.get(span.file) or folder / span.file)
         return Span(shown, *span[1:])
 
     out = Report()

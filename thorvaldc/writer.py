@@ -21,12 +21,12 @@ import hashlib
 import json
 import os
 import shutil
-import signal
 import stat
 import sys
-import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
+
+from thorvaldc.passes.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
 FORMAT = "thorvaldc-manifest"
@@ -127,7 +127,7 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
             _check_ours(_survey(target), files, shown)  # fail early, before the work
     with _staging(target) as stage:
         _fill(stage, files)
-        with _locked(target.parent), _uninterrupted():
+        with _locked(target.parent), uninterrupted():
             if not target.exists():
                 os.rename(stage, target)
                 return
@@ -220,7 +220,7 @@ def _staging(target: Path) -> Iterator[Path]:
                     raise
         yield stage
     finally:
-        with _uninterrupted():
+        with uninterrupted():
             shutil.rmtree(stage, ignore_errors=True)
             if handle is not None:
                 os.close(handle)
@@ -287,23 +287,6 @@ def _locked(folder: Path) -> Iterator[None]:
     finally:
         if handle is not None:
             os.close(handle)
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back for the few system calls of the exchange."""
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield
-        return
-    pending: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _frame: pending.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if pending:
-            raise KeyboardInterrupt
 
 
 # -- the exchange ---------------------------------------------------------------------------------

@@ -45,6 +45,19 @@ def test_ctrl_c_is_one_line_and_130() -> None:
     assert (process.returncode, err) == (130, "interrupted\n")
 
 
+def test_ctrl_c_that_a_package_takes_for_a_fault_of_its_own() -> None:
+    process = start(
+        "print('started', flush=True)\n"
+        "try: time.sleep(30)\n"
+        "except KeyboardInterrupt: raise ImportError('initialization failed')"
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=10)
+    assert (process.returncode, err) == (130, "interrupted\n")
+
+
 def test_a_reader_that_leaves_is_not_an_error() -> None:
     process = start("for i in range(100000): print('line', i)\nreturn 0")
     assert process.stdout is not None

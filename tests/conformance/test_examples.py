@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.examples import FLEETS, FOLDER, ROBOTS, example_robot
-from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
 from thorvaldc.pipeline import compile_file, emit
 
 PAPER = {
@@ -25,6 +25,7 @@ PAPER = {
     "9wd9ws": (9, 9),
     "6wd6ws_asymmetric": (6, 6),
 }
+ROOT = Path(__file__).resolve().parents[2]
 VISUAL = 2  # the group of what is seen
 
 
@@ -69,8 +70,8 @@ def test_every_wheel_stands_and_carries(name: str) -> None:
 class Scene:
     """A robot's MJCF in its home pose, asked about distances of what is seen (convex hulls)."""
 
-    def __init__(self, name: str, folder: Path) -> None:
-        for path, data in emit(example_robot(name), ["mjcf"], Report()).items():
+    def __init__(self, robot: Robot, folder: Path) -> None:
+        for path, data in emit(robot, ["mjcf"]).items():
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(data)
         self.model = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
@@ -108,20 +109,45 @@ class Scene:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_nothing_floats(name: str, tmp_path: Path) -> None:
-    scene = Scene(name, tmp_path)
+    assert floating(example_robot(name), tmp_path) == []
+
+
+@pytest.mark.parametrize("preset", sorted(p.stem for p in (ROOT / "templates/robot").iterdir()))
+def test_nothing_floats_of_what_new_makes(preset: str, tmp_path: Path) -> None:
+    text = (ROOT / f"templates/robot/{preset}.yaml").read_text().replace("@NAME@", "mine")
+    assert floating(compiled(text, tmp_path), tmp_path) == []
+
+
+def test_nothing_floats_of_the_readmes_first_robot(tmp_path: Path) -> None:
+    readme = (ROOT / "README.md").read_text()
+    text = readme.split("```yaml\n", 1)[1].split("```", 1)[0]
+    assert floating(compiled(text, tmp_path), tmp_path) == []
+
+
+def compiled(text: str, folder: Path) -> Robot:
+    (folder / "robot.yaml").write_text(text)
+    done = compile_file(folder / "robot.yaml")
+    assert isinstance(done.model, Robot)
+    assert not list(done.report)
+    return done.model
+
+
+def floating(robot: Robot, folder: Path) -> list[str]:
+    """Bodies of which something is seen that touches nothing of what carries it."""
+    scene = Scene(robot, folder)
     reached, waiting = {scene.seen[0]}, [scene.seen[0]]
     while waiting:
         for found in scene.near(waiting.pop(), scene.seen, 0.002):
             if found not in reached:
                 reached.add(found)
                 waiting.append(found)
-    assert sorted({scene.name(g) for g in scene.seen if g not in reached}) == []
+    return sorted({scene.name(g) for g in scene.seen if g not in reached})
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
     """Over the whole steering range nothing below the axis meets anything beside it."""
-    scene = Scene(name, tmp_path)
+    scene = Scene(example_robot(name), tmp_path)
     m = scene.model
     for wheel in example_robot(name).wheels:
         turning = wheel.steering_joint or wheel.swivel_joint
@@ -146,7 +172,7 @@ def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_tyres_run_clear(name: str, tmp_path: Path) -> None:
     """A tyre meets neither its leg or fork nor anything else of the robot."""
-    scene = Scene(name, tmp_path)
+    scene = Scene(example_robot(name), tmp_path)
     m, d = scene.model, scene.data
     for wheel in example_robot(name).wheels:
         body = m.body(wheel.link).id

@@ -390,7 +390,7 @@ def test_drive_with_the_masters_id(bench: Bench) -> None:
     bench.build()
     fault = bench.fault("can-cob-id-conflict")
     assert "0x77f" in fault.message
-    assert fault.labels[0].span == line(99)
+    assert not fault.labels  # the master is in no line of the file
 
 
 @pytest.mark.parametrize(

@@ -407,7 +407,7 @@ def test_every_element_says_where_in_the_robots_file_it_comes_from(workshop: Wor
         ("robot.yaml", 7)
     }
     assert all(e.origin.line == lines[e.module] for e in elements)
-    assert robot.links[0].origin.line == 1
+    assert robot.links[0].origin.line == 2
 
 
 def test_two_modules_of_one_type_share_nothing_that_differs(workshop: Workshop) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import subprocess
 import sys
@@ -212,3 +213,29 @@ def test_stl_needs_neither_numpy_nor_trimesh(tmp_path: Path) -> None:
         "assert not {'numpy', 'trimesh'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+def test_an_interrupt_is_not_taken_for_a_package_that_is_missing(tmp_path: Path) -> None:
+    write(
+        tmp_path / "trimesh.py",
+        "import os, signal, time\n"
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(1)\n"
+        "except BaseException:\n    pass\n",
+    )
+    mesh = write(tmp_path / "a.dae", "<COLLADA/>")
+    script = (
+        "from pathlib import Path\n"
+        "from thorvaldc.diagnostics import Report, Span\n"
+        "from thorvaldc.passes.meshes import load_mesh\n"
+        f"load_mesh(Path({str(mesh)!r}), Span('x'), Report(), display='a.dae')\n"
+        "print('went on')\n"
+    )
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    assert done.stdout == ""
+    assert done.stderr.endswith("KeyboardInterrupt\n")

@@ -71,8 +71,8 @@ class Mjcf(Backend):
             tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
             yield Diagnostic(
                 CODES["urdf-only-element"],
-                f"MJCF has no place for what the extras hold besides links and joints: "
-                f"{len(tags)} x {', '.join(dict.fromkeys(tags))}",
+                "MJCF has no place for what the extras hold besides links and joints: "
+                + ", ".join(f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)),
                 robot.origin,
                 "it is in the URDF",
             )

@@ -33,6 +33,7 @@ def build_files(
     check_format(format)
     wanted = check_targets(targets)
     from thorvaldc import __version__
+    from thorvaldc.diagnostics import Report
     from thorvaldc.pipeline import emit
     from thorvaldc.writer import WriteError, write_build
 
@@ -40,7 +41,9 @@ def build_files(
     builds: list[dict[str, Any]] = []
     taken: dict[str, str] = {}
     for file, done in zip(files, _compile_all(files, library), strict=True):
-        made = emit(done.model, wanted, done.report) if done.model is not None else {}
+        found = Report()
+        made = emit(done.model, wanted, found) if done.model is not None else {}
+        done.report.extend(done.located(found))
         faults.add(done.report, done.sources)
         if done.model is None or done.report.has_errors:
             continue

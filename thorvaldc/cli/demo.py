@@ -87,7 +87,9 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
     rows: list[DemoRow] = []
     run = Report()
     if done.model is not None:
-        made = emit(done.model, TARGETS, done.report)
+        found = Report()
+        made = emit(done.model, TARGETS, found)
+        done.report.extend(done.located(found))
         folder = Path(output) / done.model.name
         try:
             write_build(
@@ -102,8 +104,8 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
         rows = drive(folder, run)
         if isinstance(done.model, Fleet):
             rows = [_of_fleet(row, done.model.name) for row in rows]
+    done.report.extend(done.located(run))
     faults.add(done.report, done.sources)
-    faults.add(run, done.sources)
     return Outcome(rows, text.getvalue(), faults.finish() == DONE)
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from types import FrameType
 
 # Exit status.  1 and 2 are the user's to mend, 3 the world's, 70 ours.
 DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
@@ -20,14 +21,14 @@ class OutsideError(Exception):
 
 def protect(work: Callable[[], int]) -> int:
     """Run it; every way it can fail becomes one line on stderr and an exit status."""
+    interrupts = _watch_interrupts()
     try:
         status = work()
         if sys.stdout is not None:
             sys.stdout.flush()
         return status
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the second one would find us leaving
-        return _fail("interrupted", INTERRUPTED)
+        return _interrupted()
     except BrokenPipeError:
         # Whoever read our output has left; say nothing, here and at the interpreter's end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -36,6 +37,37 @@ def protect(work: Callable[[], int]) -> int:
         return _fail(f"error: {fault}", OUTSIDE)
     except OSError as fault:
         return _fail(f"error: {_one_line(fault)}", OUTSIDE)
+    except Exception:
+        # A package that is interrupted in its import may say that it is broken instead.
+        if interrupts.seen:
+            return _interrupted()
+        raise
+
+
+class _Interrupts:
+    """Handles Ctrl-C as Python does, and remembers that there was one."""
+
+    def __init__(self) -> None:
+        self.seen = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.seen = True
+        signal.default_int_handler(number, frame)
+
+
+def _watch_interrupts() -> _Interrupts:
+    now = signal.getsignal(signal.SIGINT)
+    if isinstance(now, _Interrupts):
+        return now
+    interrupts = _Interrupts()
+    if now is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupts)
+    return interrupts
+
+
+def _interrupted() -> int:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the second one would find us leaving
+    return _fail("interrupted", INTERRUPTED)
 
 
 def _fail(line: str, status: int) -> int:

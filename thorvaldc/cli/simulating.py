@@ -50,13 +50,13 @@ def simulate(
             result = simulation.demonstrate(report, seconds or None)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
-        faults.add(report, done.sources)
+        faults.add(done.located(report), done.sources)
         return faults.finish()
     if json:
         print(json_format.dumps(_finite(result.as_json()), indent=1, ensure_ascii=False))
     else:
         print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
-    faults.add(report, done.sources)
+    faults.add(done.located(report), done.sources)
     return faults.finish()
 
 

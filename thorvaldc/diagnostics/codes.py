@@ -97,6 +97,12 @@ _TABLE: tuple[Code, ...] = (
         "an expression has no usable value, such as a division by zero",
     ),
     Code("TV216", "expression-cycle", "error", "a value needs itself"),
+    Code(
+        "TV217",
+        "angle-in-radians",
+        "warning",
+        "an angle without a unit is more than a full turn: degrees may be meant",
+    ),
     # -- 3xx: references -----------------------------------------------------
     Code("TV301", "module-type-unknown", "error", "a module has a type that no library has"),
     Code("TV302", "module-unknown", "error", "a reference names a module that is not there"),

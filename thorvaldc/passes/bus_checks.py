@@ -164,19 +164,28 @@ def _check_serials(placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    for device in placed:
-        if device.bitrates and bus.bitrate not in device.bitrates:
-            able = ", ".join(f"{rate / 1000:g}" for rate in device.bitrates)
-            report.add(
-                "can-bitrate",
-                f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s; "
-                f"`{device.path}` can do {able} kbit/s",
-                bus.origin,
-                labels=[
-                    Label(device.span, "this device is on it"),
-                    Label(device.module_span, "what it can do is said here"),
-                ],
-            )
+    """One fault for the bus, whatever the number of devices that cannot follow it."""
+    choosy = [device for device in placed if device.bitrates]
+    unable = [device for device in choosy if bus.bitrate not in device.bitrates]
+    if not unable:
+        return
+    first = unable[0]
+    others = len(unable) - 1
+    who = f"`{first.path}`" + (f" and {others} more of its devices" if others else "")
+    common = [rate for rate in first.bitrates if all(rate in device.bitrates for device in choosy)]
+    rates = ", ".join(f"{rate / 1000:g}" for rate in common)
+    report.add(
+        "can-bitrate",
+        f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s, which {who} cannot do",
+        bus.origin,
+        labels=[
+            *(Label(device.span, "this device is on it") for device in unable[:2]),
+            Label(first.module_span, f"what `{first.path}` can do is said here"),
+        ],
+        hint=f"all devices on it can do {rates} kbit/s"
+        if rates
+        else "no bitrate suits all devices on it: put some on another bus",
+    )
 
 
 def _check_restricted(placed: Sequence[Placed], report: Report) -> None:
@@ -216,6 +225,7 @@ def _check_cob_ids(
     for pairs in conflicts.values():
         other, claim = pairs[0]
         named = ", ".join(f"{c.cob_id:#05x} ({o.what}, {c.what})" for o, c in pairs)
+        labels = [Label(other.span, "first used here")] if other.device is not None else []
         who = f"`{claim.owner}`"
         if claim.owner == other.owner:
             message = f"two frames of {who} have one COB-ID on the bus `{bus.name}`: {named}"
@@ -228,8 +238,10 @@ def _check_cob_ids(
             "can-cob-id-conflict",
             message,
             claim.span,
-            labels=[Label(other.span, "first used here")],
-            hint="change the id of one of them, or put one on another bus",
+            labels=labels,
+            hint="change the id of one of them, or put one on another bus"
+            if labels
+            else "give it another id; this one is for the bus's master, the base driver",
         )
 
 

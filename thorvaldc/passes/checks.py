@@ -89,6 +89,7 @@ def check_wheels_present(robot: Robot, report: Report) -> None:
 
 
 def check_wheels_on_ground(robot: Robot, report: Report) -> None:
+    lowest = min(robot.wheels, key=lambda wheel: wheel.contact_height)
     for wheel in robot.wheels:
         if wheel.contact_height > WHEEL_OFF_GROUND:
             report.add(
@@ -96,6 +97,7 @@ def check_wheels_on_ground(robot: Robot, report: Report) -> None:
                 f"the wheel of `{wheel.module}` ends {wheel.contact_height * 1000:.3g} mm "
                 "above the ground",
                 wheel.origin,
+                labels=[Label(lowest.origin, "the lowest wheel")],
                 hint=f"lower its mount by {wheel.contact_height * 1000:.3g} mm "
                 "(`mount: {port: .., xyz: [0, 0, ..]}`) or use legs of another length",
             )

@@ -82,6 +82,8 @@ class Elaborator:
         self.resolver = resolver
         self.base_dir = base_dir
         self.files = files
+        # What is said of the robot as a whole is said where it is named.
+        self.origin = (document.get("name") or document).span
         self.report = report
         self.scope = Scope(None, {}, resolver.library, report, None)
 
@@ -91,7 +93,7 @@ class Elaborator:
         Then nothing is said about its geometry, which would be that of another
         robot; the bus is checked in either case.
         """
-        parts = _Parts(links=[Link("base_link", "", None, (), (), self.document.span)])
+        parts = _Parts(links=[Link("base_link", "", None, (), (), self.origin)])
         calibration = load_calibration(self.document, self.base_dir, self.report, self.files)
         hardware: dict[str, Hardware] = {}
         self.resolver.library.palette(self.report)
@@ -161,7 +163,7 @@ class Elaborator:
             calculator=self._calculator(),
             driver=driver,
             inertial=body.clean(),
-            origin=self.document.span,
+            origin=self.origin,
             urdf_extensions=extensions,
             parameter_sets=parameter_sets,
         )

@@ -233,12 +233,13 @@ def _read(entry: _Entry, expanded: Expanded, report: Report) -> UrdfParts | None
     for name in expanded.unused_arguments:
         node = entry.node.get("args")
         given = node.get(name) if node is not None else None
-        known = [a for a in expanded.known_arguments if a not in entry.args]
+        known = list(expanded.known_arguments)
         report.add(
             "extra-argument-unused",
             f"the xacro file does not ask for the argument `{name}`",
             given.where if given is not None else entry.span,
-            hint=did_you_mean(name, known) or f"it asks for {', '.join(known) or 'none'}",
+            hint=did_you_mean(name, [a for a in known if a not in entry.args])
+            or "it asks for " + (", ".join(f"`{a}`" for a in known) or "none"),
         )
     if not any(e.tag != "material" for e in expanded.elements):
         _report_empty(entry, expanded.macros, report)

@@ -22,6 +22,7 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3, combine, norm, scale
 from thorvaldc.passes.parts import PartReader
 from thorvaldc.passes.scope import FAULT, Scope, nearest
 from thorvaldc.source.node import Node
+from thorvaldc.source.unit_table import QUANTITIES
 from thorvaldc.source.units import UnitError, parse_any
 
 MAX_REPEATED = 1000  # of one part by its `for`
@@ -427,7 +428,9 @@ class _Builder:
         value = self.scope.quantity(found, quantity)
         if value < 0 and found is not None:
             self.report.add(
-                "size-not-positive", f"`{key}` is {value:g}; it must not be negative", found.span
+                "size-not-positive",
+                f"`{key}` is {QUANTITIES[quantity].shown(value)}; it must not be negative",
+                found.span,
             )
         return max(value, 0.0)
 
@@ -438,7 +441,9 @@ class _Builder:
             return value
         if found is not None:
             self.report.add(
-                "size-not-positive", f"`{key}` is {value:g}; it must be positive", found.span
+                "size-not-positive",
+                f"`{key}` is {QUANTITIES[quantity].shown(value)}; it must be positive",
+                found.span,
             )
         return default
 

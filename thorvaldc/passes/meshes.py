@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh, Vec3
+from thorvaldc.passes.interrupts import uninterrupted
 
 # MuJoCo's STL reader takes 1..200000 faces; more helps no viewer either.
 MAX_TRIANGLES = 200_000
@@ -236,6 +237,12 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _Fault:
 
 def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Fault:
     """Binary STL of another format, in m, z up; every instance in it, placed."""
+    # trimesh takes an interrupt for a package that cannot be imported, and goes on without it.
+    with uninterrupted():
+        return _converted(path, data, suffix)
+
+
+def _converted(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Fault:
     import logging
     import warnings
 

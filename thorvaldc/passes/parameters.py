@@ -13,6 +13,7 @@ from thorvaldc.model.spatial import clean
 from thorvaldc.passes.base import contact_point
 from thorvaldc.passes.scope import Scope
 from thorvaldc.source.node import Node
+from thorvaldc.source.unit_table import QUANTITIES
 
 DEFAULT_RATE = 50.0  # Hz, facts of the original: the base driver's `rate`
 DEFAULT_TIMEOUT = 0.5  # s, the original's command time-out
@@ -126,12 +127,13 @@ class DriverParameters:
 
     def _limit(self, node: Node | None, key: str, allowed: float) -> float:
         stated = self._scope.quantity(node, LIMITS[key], allowed)
+        shown = QUANTITIES[LIMITS[key]].shown
         if node is not None and stated <= 0:
             self._not_positive(key, stated, node)
         if node is not None and stated > allowed * (1 + self._tolerance):
             self._report.add(
                 "driver-limit-too-high",
-                f"`{key}` is {stated:g}; the slowest module allows {allowed:.4g}",
+                f"`{key}` is {shown(stated)}; the slowest module allows {shown(allowed)}",
                 node.span,
                 hint="lower it, or leave it out to have what the modules allow",
             )

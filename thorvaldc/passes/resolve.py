@@ -105,11 +105,10 @@ class Resolver:
             with self.report.used_by(used_by(name, entry.where)):
                 self._expand(robot, name, entry, entry.where, ())
         self._check_defaults(robot)
-        root = self._root_part(robot, document.get("modules") or document)
+        self._root_part(robot, document.get("modules") or document)
         self._mount_parts(robot)
         self._check_devices(robot)
-        if root is not None:
-            self._check_reached(robot, root)
+        self._check_reached(robot)
         return robot
 
     # -- expansion ------------------------------------------------------------------
@@ -324,7 +323,7 @@ class Resolver:
             if not rest:
                 first = next(iter(offered), None)
                 message = f"`{reference}` is a module, not a {word}"
-                hint = f"name its {word}: `{reference}.{first}`" if first else None
+                hint = f"name its {word}: `{reference}.{first}`" if first else "it has none"
             elif rest[0] in offered:
                 message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
                 hint = f"write `{reference.removesuffix('.' + '.'.join(rest[1:]))}`"
@@ -506,26 +505,23 @@ class Resolver:
             labels=[Label(socket.where, f"`{kind}` is declared here")],
         )
 
-    def _check_reached(self, robot: Instance, root: Instance) -> None:
-        """Modules that hang on one another and not on the root."""
-        reached = {id(root)}
-        waiting = [leaf for leaf in robot.leaves() if leaf.mount is not None]
-        grew = True
-        while grew:
-            left = []
-            for leaf in waiting:
-                if leaf.mount is not None and id(leaf.mount.leaf) in reached:
-                    reached.add(id(leaf))
-                else:
-                    left.append(leaf)
-            grew = len(left) < len(waiting)
-            waiting = left
-        if not self.report.has_errors and waiting:
-            leaf = waiting[0]
+    def _check_reached(self, robot: Instance) -> None:
+        """Modules that hang on one another; one with a mount at fault holds up nothing."""
+        hangs: dict[int, bool] = {}  # by leaf: whether its way up ends somewhere
+        for leaf in robot.leaves():
+            way = [leaf]
+            while id(way[-1]) not in hangs and (mount := way[-1].mount) is not None:
+                hangs[id(way[-1])] = False  # so that a circle ends
+                way.append(mount.leaf)
+            ends = hangs.get(id(way[-1]), True)
+            hangs.update((id(part), ends) for part in way)
+        round_and_round = [leaf for leaf in robot.leaves() if not hangs[id(leaf)]]
+        if round_and_round:
+            leaf = round_and_round[0]
             self.report.add(
                 "mount-cycle",
                 "these modules are mounted on one another and not on the frame: "
-                + ", ".join(f"`{w.path}`" for w in waiting),
+                + ", ".join(f"`{w.path}`" for w in round_and_round),
                 leaf.mount.span if leaf.mount is not None else leaf.origin,
             )
 

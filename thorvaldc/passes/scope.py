@@ -22,6 +22,7 @@ from thorvaldc.source.units import UnitError, parse_any, parse_quantity
 NONE = "none"
 LARGEST = 1e12  # in SI, of any quantity: its squares and products stay far from overflow
 SMALLEST = 1e-15
+FULL_TURN = 2.0 * math.pi
 MAX_CHAIN = 30  # values that need one another in a row
 MAX_CHOICES = 12  # modules chosen by parameters of modules chosen by parameters ...
 WHEEL_SIZES = ("radius", "width")
@@ -380,6 +381,8 @@ class Scope(Mapping[str, Any]):
         if isinstance(value, bool):
             pass
         elif isinstance(value, int | float):
+            if quantity == "angle" and abs(value) > FULL_TURN and node.value == value:
+                self._doubt_radians(value, node)
             return self._bounded(value, node, default)
         elif isinstance(value, str):
             try:
@@ -391,6 +394,14 @@ class Scope(Mapping[str, Any]):
             "wrong-type", f"a {quantity.replace('_', ' ')} is wanted, not {_found(node)}", node.span
         )
         return default
+
+    def _doubt_radians(self, value: float, node: Node) -> None:
+        self.report.add(
+            "angle-in-radians",
+            f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
+            node.span,
+            hint=f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
+        )
 
     def _bounded(self, value: float, node: Node, default: float) -> float:
         if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:

@@ -42,7 +42,8 @@ class Wiring(NamedTuple):
     def _specs(self) -> list[BusSpec]:
         node = self.document.get("buses")
         if node is None or not isinstance(node.value, dict) or not node.value:
-            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, self.document.span)]
+            named = self.document.get("name") or self.document
+            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, named.span)]
         return [
             BusSpec(
                 name,

@@ -153,7 +153,8 @@ class Expansion:
         except OSError as fault:
             self.xacro.filestack.pop()  # as xacro does: the fault is the includer's
             text = f"file `{filename}` cannot be read: {fault.strerror}"
-            raise self.xacro.XacroException(text, exc=fault) from fault
+            # xacro looks for an OSError (an include may be optional) and prints it.
+            raise self.xacro.XacroException(exc=OSError(text)) from fault
         if len(data) > MAX_SOURCE_BYTES:
             raise Refused("limit", f"file `{filename}` has over {MAX_SOURCE_BYTES >> 20} MB")
         if filename not in self.files:

@@ -9,7 +9,7 @@ from typing import Any
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema import faults
 from thorvaldc.schema.documents import Kind, inlined
-from thorvaldc.schema.gate import passes
+from thorvaldc.schema.gate import matches, passes
 from thorvaldc.source.node import Node
 from thorvaldc.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
 
@@ -43,14 +43,21 @@ def check(node: Node, kind: Kind, report: Report) -> bool:
 
 @functools.cache
 def _validator(kind: Kind) -> Any:
-    from jsonschema import Draft202012Validator
+    from jsonschema import Draft202012Validator, ValidationError
     from jsonschema.validators import extend
 
     # 3.0 is an integer to JSON Schema, but no id of a device.
     checker = Draft202012Validator.TYPE_CHECKER.redefine(
         "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
     )
-    strict: Any = extend(Draft202012Validator, type_checker=checker)  # type: ignore[no-untyped-call]
+
+    def pattern(_validator: Any, wanted: str, value: Any, _schema: Any) -> Iterator[Any]:
+        if isinstance(value, str) and not matches(wanted, value):
+            yield ValidationError(f"{value!r} does not match {wanted!r}")
+
+    strict: Any = extend(  # type: ignore[no-untyped-call]
+        Draft202012Validator, {"pattern": pattern}, type_checker=checker
+    )
     return strict(inlined(kind))
 
 

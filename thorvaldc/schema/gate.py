@@ -25,6 +25,13 @@ def passes(schema: dict[str, Any], value: Any) -> bool:
         return False
 
 
+def matches(pattern: str, text: str) -> bool:
+    """As in a JSON Schema: `$` is the end of the text, not a line feed before it."""
+    if pattern.endswith("$"):
+        pattern = pattern[:-1] + r"\Z"
+    return re.search(pattern, text) is not None
+
+
 def _valid(schema: Any, value: Any) -> bool:
     if isinstance(schema, bool):
         return schema
@@ -100,7 +107,7 @@ _CHECKS: dict[str, _Check] = {
     "items": _on(list, lambda w, v, s: all(_valid(w, item) for item in v)),
     "minItems": _on(list, lambda w, v, s: len(v) >= w),
     "maxItems": _on(list, lambda w, v, s: len(v) <= w),
-    "pattern": _on(str, lambda w, v, s: re.search(w, v) is not None),
+    "pattern": _on(str, lambda w, v, s: matches(w, v)),
     "minLength": _on(str, lambda w, v, s: len(v) >= w),
     "minimum": _on(_NUMBER, lambda w, v, s: v >= w),
     "maximum": _on(_NUMBER, lambda w, v, s: v <= w),

@@ -26,6 +26,10 @@ class Quantity(NamedTuple):
     def __str__(self) -> str:
         return f"{self.article} {self.name.replace('_', ' ')}"
 
+    def shown(self, value: float) -> str:
+        """A value in SI as people read it: ``1.5 m/s``."""
+        return f"{value:.6g}" if self.unit == "1" else f"{value:.6g} {self.unit}"
+
 
 class Unit(NamedTuple):
     """One in SI is ``numerator / denominator * pi**pi_power`` (plus ``offset`` hundredths)."""
