@@ -329,6 +329,20 @@ _TABLE: tuple[Code, ...] = (
     Code("TV809", "model-unreadable", "error", "a model file cannot be read"),
     Code("TV810", "parameter-set-unknown", "error", "there is no parameter set of that name"),
     Code("TV811", "parameter-set-scene", "warning", "a scene's wheels have other radii"),
+    Code("TV830", "joint-log-header", "error", "a file's first line is none of a joint log"),
+    Code("TV831", "joint-log-joint", "error", "a joint log has other joints than the robot"),
+    Code("TV832", "joint-log-value", "error", "a value of a joint log is not a finite number"),
+    Code("TV833", "joint-log-time", "error", "the time of a joint log does not go forward"),
+    Code("TV834", "joint-log-gap", "warning", "a joint log has gaps"),
+    Code("TV835", "joint-log-short", "error", "the robot hardly moves in a joint log"),
+    Code("TV836", "calibration-forced", "warning", "the wheels of a log only did as commanded"),
+    Code("TV837", "calibration-undetermined", "warning", "a log leaves open what wheels measure"),
+    Code("TV838", "calibration-distance", "error", "a measured distance does not fit the log"),
+    Code("TV839", "calibration-fit", "error", "no errors of the wheels explain a log"),
+    Code(
+        "TV841", "calibration-steering", "note", "a log's steering only confirms the robot's file"
+    ),
+    Code("TV840", "hidden-error", "error", "a simulated wheel shall have an impossible error"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),
