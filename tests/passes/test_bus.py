@@ -166,7 +166,7 @@ def test_drive_has_the_published_frames(bench: Bench) -> None:
     ]
     (node,) = bus.nodes
     assert (node.id, node.vendor_id, node.protocol) == (3, 0x469, "thorvald_roboteq")
-    assert node.properties == (("heartbeat_timeout", 2.0),)
+    assert (node.heartbeat_timeout, node.heartbeat_consumer_time) == (2.0, None)
 
 
 def test_scalings_are_the_published_ones(bench: Bench) -> None:
@@ -683,12 +683,6 @@ def test_load_of_four_drives(bench: Bench) -> None:
     bench.report = Report()
     bench.build(slow, cycle=0.009)
     assert "80 %" in bench.fault("can-overload").message
-
-
-def test_worst_case_bits_of_a_frame() -> None:
-    from thorvaldc.passes.bus_checks import frame_bits
-
-    assert [frame_bits(n) for n in (0, 1, 8)] == [55, 65, 135]
 
 
 # -- wiring ---------------------------------------------------------------------------
