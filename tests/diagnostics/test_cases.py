@@ -7,8 +7,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
 - ``neighbour``: files that differ as little as may be and compile without errors;
 - ``entry``: the file to compile (default ``robot.yaml``);
-- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``sim`` (with
-  ``twist`` for ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``),
+- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write the
+  lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``),
   ``import``, or ``log`` and ``calibrate`` (reading joints.csv, which ``record`` makes by its
   arguments, and calibrating by it, with ``distance``);
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
@@ -16,6 +16,7 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
-    *("twist", "seconds", "parameters", "record", "distance"),
+    *("twist", "seconds", "parameters", "record", "distance", "read_only"),
 }
 OWN = "neighbour_"
 
@@ -72,6 +73,14 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     done = compile_file(entry)
     if how == "emit" and done.model is not None:
         emit(done.model, case.get("targets", DEFAULT_TARGETS), done.report)
+    if how == "pin":
+        from thorvaldc.writer import write_locks
+
+        os.chmod(".", 0o555 if case.get("read_only") else 0o755)
+        try:
+            write_locks(done.locks, done.report)
+        finally:
+            os.chmod(".", 0o755)
     if how == "sim" and done.model is not None:
         from thorvaldc.runtime.faults import RuntimeFault
         from thorvaldc.runtime.manoeuvre import parse_twist

@@ -336,10 +336,9 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
         for frame in bus.frames
         if frame.deadline is not None
         and frame.period is not None
-        and bus.load > 0.0  # else they were not computed
         and (frame.response_time is None or frame.response_time > frame.deadline)
     ]
-    if not late:
+    if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported
         return
     worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
     named = ", ".join(f"`{frame.name}`" for frame in late[:3])

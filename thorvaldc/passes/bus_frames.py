@@ -27,6 +27,7 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
             "encoder_ppr": wire.actuator.encoder_ppr,
             "motor_max_speed": wire.actuator.motor_max_speed,
             "max_velocity": wire.actuator.max_velocity,
+            "max_acceleration": wire.actuator.max_acceleration,
             "lower": -math.pi if wire.lower is None else wire.lower,
             "upper": math.pi if wire.upper is None else wire.upper,
         }
@@ -52,7 +53,7 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
         deadline = node.get("deadline")
         number, mapping = _pdo(device, node, length, report)
         synchronous = scope.boolean(node.get("synchronous"), False)
-        if synchronous and period != sync_period:
+        if synchronous and (node.get("period") or node).value != "cycle":
             report.add(
                 "can-period",
                 f"the frame `{key}` comes with SYNC, once in a control cycle; its period differs",

@@ -75,11 +75,16 @@ def lock_text(robot: Robot, file: str) -> str:
     for bus in robot.buses:
         pinned = [node for node in bus.nodes if node.automatic]
         if pinned:
-            lines.append(f"  {bus.name}:\n")
+            lines.append(f"  {_key(bus.name)}:\n")
         for id_space in dict.fromkeys(node.id_space for node in pinned):
-            lines.append(f"    {id_space}:\n")
-            lines += [f"      {n.module}: {n.id}\n" for n in pinned if n.id_space == id_space]
+            lines.append(f"    {_key(id_space)}:\n")
+            lines += [f"      {_key(n.module)}: {n.id}\n" for n in pinned if n.id_space == id_space]
     return "".join(lines)
+
+
+def _key(name: str) -> str:
+    """A name as a key; names are lower-case, and three of those words are no text in YAML."""
+    return f'"{name}"' if name in ("true", "false", "null") else name
 
 
 def has_pins(robot: Robot) -> bool:

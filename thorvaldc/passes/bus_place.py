@@ -213,7 +213,8 @@ def _pinned(
                 hint=f"give `{owner[0]}` another id, or take the line out of the lock file "
                 f"to have a new id chosen for `{device.path}`",
             )
-        kept[request.bus, id_space, device.path] = pin
+        else:
+            kept[request.bus, id_space, device.path] = pin
     return kept
 
 
