@@ -7,10 +7,11 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
 - ``neighbour``: files that differ as little as may be and compile without errors;
 - ``entry``: the file to compile (default ``robot.yaml``);
-- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write the
-  lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``),
-  ``import``, or ``log`` and ``calibrate`` (reading joints.csv, which ``record`` makes by its
-  arguments, and calibrating by it, with ``distance``);
+- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
+  the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
+  ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``), ``import``, or ``log``
+  and ``calibrate`` (reading joints.csv, which ``record`` makes by its arguments, and
+  calibrating by it, with ``distance``);
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
