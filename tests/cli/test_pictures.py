@@ -1,0 +1,43 @@
+"""Pictures on the command line: what is said, where they go, what is checked before the work."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Command
+
+
+def test_plot(thorvaldc: Command) -> None:
+    done = thorvaldc(
+        "sim", "good.yaml", "--ideal", "--duration", "1", "--twist", "1,0,0", "--plot", "a.png"
+    )
+    assert (done.status, done.err) == (0, "a.png\n")
+    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "says"),
+    [
+        ("a.jpg", 2, "'a.jpg' does not end in .png or .svg or .pdf"),
+        ("nowhere/a.png", 3, "cannot write nowhere/a.png: No such file or directory"),
+        ("folder.png", 3, "cannot write folder.png: it is a folder"),
+    ],
+)
+def test_where_a_plot_cannot_go_is_told_before_the_run(
+    thorvaldc: Command, path: str, status: int, says: str
+) -> None:
+    Path("folder.png").mkdir()
+    done = thorvaldc("sim", "bad.yaml", "--plot", path)
+    assert done.status == status
+    assert says in done.err
+    assert "error[" not in done.err  # the robot was not even looked at
+
+
+def test_without_matplotlib(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    done = thorvaldc("sim", "good.yaml", "--plot", "a.png")
+    assert done.status == 3
+    assert done.err.startswith("error: a plot needs matplotlib, which is not installed")

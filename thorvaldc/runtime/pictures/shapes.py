@@ -1,0 +1,102 @@
+"""Where a robot's visible shapes are, and their surfaces."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Sphere
+from thorvaldc.model.robot import Joint, Shape
+from thorvaldc.model.spatial import Pose, Vec3, quat_from_axis_angle, scale
+
+Points = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int64]
+SIDES = 24
+"""Corners of what is round."""
+
+
+def link_poses(robot: Robot, positions: Mapping[str, float] | None = None) -> dict[str, Pose]:
+    """Pose of each link in ``base_link``; ``positions`` (rad, m) of joints that are not at 0."""
+    positions = positions or {}
+    found = {robot.links[0].name: Pose()}
+    children: dict[str, list[Joint]] = {}
+    for joint in robot.joints:
+        children.setdefault(joint.parent, []).append(joint)
+    waiting = [robot.links[0].name]
+    while waiting:
+        parent = waiting.pop()
+        for joint in children.get(parent, ()):
+            moved = _motion(joint, positions.get(joint.name, 0.0))
+            found[joint.child] = found[parent] * joint.pose * moved
+            waiting.append(joint.child)
+    return found
+
+
+def _motion(joint: Joint, position: float) -> Pose:
+    if joint.type == "prismatic":
+        return Pose(scale(position, joint.axis))
+    return Pose((0.0, 0.0, 0.0), quat_from_axis_angle(joint.axis, position))
+
+
+def surface(robot: Robot, shape: Shape) -> tuple[Points, Faces]:
+    """Vertices (n, 3) in m in the shape's frame and triangles (m, 3) of their numbers."""
+    if isinstance(shape, MeshShape):
+        mesh = next(mesh for mesh in robot.meshes if mesh.name == shape.mesh)
+        points, faces = _mesh(mesh.name, mesh.data)
+        turned = faces[:, ::-1] if np.prod(shape.scale) < 0 else faces
+        return points * np.asarray(shape.scale), turned
+    if isinstance(shape, Box):
+        return _box(shape.size)
+    if isinstance(shape, Cylinder):
+        return _prism(shape.radius, shape.length)
+    return _ball(shape)
+
+
+@cache
+def _mesh(name: str, data: bytes) -> tuple[Points, Faces]:
+    import trimesh
+
+    loaded: Any = trimesh.load(io.BytesIO(data), file_type=name.rsplit(".", 1)[-1], force="mesh")
+    return np.asarray(loaded.vertices, dtype=float), np.asarray(loaded.faces, dtype=np.int64)
+
+
+def _box(size: Vec3) -> tuple[Points, Faces]:
+    corners = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+    sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    faces = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
+    return np.asarray(corners) * np.asarray(size), np.asarray(faces)
+
+
+def _prism(radius: float, length: float) -> tuple[Points, Faces]:
+    angles = np.arange(SIDES) * math.tau / SIDES
+    ring = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
+    low, high = (np.column_stack([ring, np.full(SIDES, z)]) for z in (-length / 2, length / 2))
+    ends = np.array([[0.0, 0.0, -length / 2], [0.0, 0.0, length / 2]])
+    faces: list[tuple[int, int, int]] = []
+    for i in range(SIDES):
+        j = (i + 1) % SIDES
+        faces += [(i, j, SIDES + j), (i, SIDES + j, SIDES + i)]
+        faces += [(2 * SIDES, j, i), (2 * SIDES + 1, SIDES + i, SIDES + j)]
+    return np.vstack([low, high, ends]), np.asarray(faces)
+
+
+def _ball(shape: Sphere) -> tuple[Points, Faces]:
+    rows = SIDES // 2
+    points = [
+        (math.sin(p) * math.cos(a), math.sin(p) * math.sin(a), -math.cos(p))
+        for p in (k * math.pi / rows for k in range(rows + 1))
+        for a in (i * math.tau / SIDES for i in range(SIDES))
+    ]
+    faces: list[tuple[int, int, int]] = []
+    for k in range(rows):
+        for i in range(SIDES):
+            j = (i + 1) % SIDES
+            a, b, c, d = (r * SIDES + s for r, s in ((k, i), (k, j), (k + 1, j), (k + 1, i)))
+            faces += [(a, b, c)] * (k > 0) + [(a, c, d)] * (k < rows - 1)
+    return shape.radius * np.asarray(points), np.asarray(faces)
