@@ -67,7 +67,7 @@ class Estimation:
     ``polish``: further Gauss-Newton steps, towards maximum likelihood.
     """
 
-    gate: float = 0.01
+    gate: float = 0.008
     faulty: int = 2
     polish: int = 0
 

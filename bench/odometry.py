@@ -1,0 +1,349 @@
+"""How near odometry is to the best that there is, with healthy wheels and with a faulty one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bench.figure import Figure, least_times
+from bench.wheel_noise import ROBOTS, Array, Drive, drive, geometry_of, random_twists
+from thorvaldc.runtime import se2
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry, Noise
+from thorvaldc.runtime.calculators.batch import Batch
+from thorvaldc.runtime.calculators.estimator import Estimation, TwistEstimator
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
+
+STATES = 4000
+PAIRED = 500
+"""States for random_pairs, which takes them one by one."""
+FAULTS = 1000
+LEVELS = {
+    "1 %, 0.5 deg": Noise(),
+    "0.2 %, 2 deg": Noise(speed_ratio=0.002, angle=math.radians(2.0)),
+    "3 %, 1 deg": Noise(speed_ratio=0.03, angle=math.radians(1.0)),
+}
+NOMINAL = "1 %, 0.5 deg"
+PAIRS = {
+    "random_pairs as the paper says": RandomPairsOptions(special_cases=False),
+    "random_pairs with special cases": RandomPairsOptions(),
+}
+WRONG = ("x1.1", "x1.3", "x2", "stalled", "+20 deg")
+
+
+def figures() -> Iterator[Figure]:
+    robots = {name: geometry_of(name) for name in ROBOTS}
+    yield from _efficiency(robots)
+    yield from _false_drops(robots)
+    for name, geometry in robots.items():
+        if name != "2WD":  # whose two wheels agree whatever they say
+            yield from _faults(name, geometry)
+    yield from _run(robots["6WD6WS asymmetric"])
+    yield from _batch(robots["4WD4WS"])
+
+
+# -- twists ---------------------------------------------------------------------------
+
+
+def _efficiency(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
+    for level, noise in LEVELS.items():
+        for name, geometry in robots.items():
+            rng = np.random.default_rng(1)
+            driven = drive(geometry, random_twists(geometry, STATES, rng), noise, rng)
+            rows = (
+                ("weighted", _estimates(geometry, noise, driven), 1.15),
+                ("polished", _estimates(geometry, noise, driven, polish=2), 1.05),
+                ("least squares", _least_squares(geometry, driven), None),
+                *((how, _random_pairs(geometry, driven, how), None) for how in PAIRS),
+            )
+            for how, estimates, bound in rows:
+                some = estimates.shape[1]
+                of = Drive(driven.twists[:, :some], *_none(), driven.information[:some])
+                yield Figure(
+                    f"{how}, {name}, {level}",
+                    of.efficiency(estimates),
+                    "x bound",
+                    bound,
+                    "lower",
+                    f"sqrt(NEES/3) against the Cramer-Rao bound, {some} motions",
+                )
+
+
+def _none() -> tuple[Array, Array]:
+    return np.empty((0, 0)), np.empty((0, 0))
+
+
+def _batch_of(geometry: BaseGeometry, noise: Noise, polish: int = 0) -> Batch:
+    calculator = General(geometry)
+    calculator.estimator = TwistEstimator(geometry, noise, Estimation(polish=polish))
+    return Batch(calculator)
+
+
+def _estimates(geometry: BaseGeometry, noise: Noise, driven: Drive, polish: int = 0) -> Array:
+    twists = np.empty_like(driven.twists)
+    _batch_of(geometry, noise, polish).estimate(driven.speeds, driven.angles, twists)
+    return twists
+
+
+def _least_squares(geometry: BaseGeometry, driven: Drive) -> Array:
+    twists = np.empty_like(driven.twists)
+    Batch(General(geometry)).least_squares(driven.speeds, driven.angles, twists)
+    return twists
+
+
+def _random_pairs(geometry: BaseGeometry, driven: Drive, how: str, states: int = PAIRED) -> Array:
+    calculator = RandomPairs(geometry, PAIRS[how])
+    still = [0.0] * len(geometry.wheels)
+    joints = zip(driven.speeds.T[:states].tolist(), driven.angles.T[:states].tolist(), strict=True)
+    return np.array([calculator.odometry(JointStates(0.0, *j, still)).twist for j in joints]).T
+
+
+def _false_drops(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
+    for name, geometry in robots.items():
+        rng = np.random.default_rng(2)
+        twists = random_twists(geometry, 5 * STATES, rng)
+        driven = drive(geometry, twists, Noise(), rng)
+        dropped = _batch_of(geometry, Noise()).estimate(driven.speeds, driven.angles, twists)
+        yield Figure(
+            f"false drops, {name}",
+            100.0 * len(dropped) / twists.shape[1],
+            "% of ticks",
+            1.0,
+            "lower",
+            f"a healthy wheel left out, {NOMINAL}, {twists.shape[1]} motions",
+        )
+
+
+# -- one faulty wheel -----------------------------------------------------------------
+
+
+def _faults(name: str, geometry: BaseGeometry) -> Iterator[Figure]:
+    noise = Noise()
+    steered = all(w.steered for w in geometry.wheels)
+    for wrong in WRONG:
+        rng = np.random.default_rng(3)
+        twists = random_twists(geometry, FAULTS, rng)
+        driven = drive(geometry, twists, noise, rng)
+        faulty = _spoil(geometry, driven, wrong, rng)
+        estimates = np.empty_like(twists)
+        dropped = _batch_of(geometry, noise).estimate(driven.speeds, driven.angles, estimates)
+        yield Figure(
+            f"one wheel {wrong}, {name}",
+            driven.efficiency(estimates),
+            "x bound",
+            1.6 if len(geometry.wheels) == 4 else 1.25,
+            "lower",
+            f"sqrt(NEES/3) against the bound of healthy wheels, {NOMINAL}, {FAULTS} motions; "
+            f"least squares: {driven.efficiency(_least_squares(geometry, driven)):.1f}",
+        )
+        named = sum(dropped.get(k) == (int(i),) for k, i in enumerate(faulty))
+        yield Figure(
+            f"one wheel {wrong} named, {name}",
+            100.0 * named / FAULTS,
+            "% of ticks",
+            95.0 if steered else None,
+            "higher",
+            "that wheel and no other is left out",
+        )
+
+
+def _spoil(geometry: BaseGeometry, driven: Drive, wrong: str, rng: np.random.Generator) -> Array:
+    """Make one wheel of each state wrong; which."""
+    some = [i for i, w in enumerate(geometry.wheels) if w.steered or "deg" not in wrong]
+    faulty: Array = rng.choice(some, driven.twists.shape[1])
+    states = np.arange(len(faulty))
+    if wrong == "+20 deg":
+        driven.angles[faulty, states] += math.radians(20.0)
+    else:
+        factor = 0.0 if wrong == "stalled" else float(wrong[1:])
+        driven.speeds[faulty, states] *= factor
+    return faulty
+
+
+# -- the paper's drive ----------------------------------------------------------------
+
+DT, TICKS = 0.02, 3850
+RUNS, LEAST_RUNS, PAIRED_RUNS = 100, 20, 5
+LASTING = 2.0
+"""How long (s) an error lasts, for the run as on real ground."""
+HAND = 0.5
+"""Time constant (s) with which whoever drives goes from one motion to the next."""
+# Seconds, m/s forward and to the left, rad/s: straight, to the side, aslant and in bends.
+MANUAL = (
+    (8.0, 1.2, 0.0, 0.0),
+    (6.0, 1.0, 0.0, 0.5),
+    (6.0, 0.9, 0.5, 0.0),
+    (6.0, 0.9, -0.5, 0.0),
+    (5.0, 1.1, 0.0, 0.4),
+    (8.0, 1.2, 0.0, 0.02),
+    (6.0, 0.0, 1.0, 0.1),
+    (5.0, 1.1, 0.2, 0.5),
+    (8.0, 1.2, 0.0, 0.0),
+    (6.0, 1.0, 0.4, 0.4),
+    (7.0, 1.1, -0.3, 0.1),
+    (5.0, 1.0, 0.0, 0.5),
+    (1.0, 0.0, 0.0, 0.0),
+)
+LENGTH = 80.2
+
+
+def paper_drive() -> Array:
+    """Twists (3, ticks) of 77 s and 80.2 m with motions of all kinds; it ends where it began."""
+    asked = np.array([twist for seconds, *twist in MANUAL for _ in range(round(seconds / DT))])
+    twists, now = np.empty((3, TICKS)), np.zeros(3)
+    for k, twist in enumerate(asked):
+        now = now + (DT / HAND) * (twist - now)
+        twists[:, k] = now
+    return twists * (LENGTH / (np.hypot(twists[0], twists[1]).sum() * DT))
+
+
+def _run(geometry: BaseGeometry) -> Iterator[Figure]:
+    twists = paper_drive()
+    rng = np.random.default_rng(4)
+    true = _end(twists)
+    made = Noise(speed_floor=0.0, slip_floor=0.0)
+    ends: dict[str, list[float]] = {how: [] for how in ("weighted", "least squares", *PAIRS)}
+    nees: list[float] = []
+    for run in range(RUNS):
+        driven = drive(geometry, twists, made, rng)
+        end, off = _estimated(geometry, Noise(), driven, true)
+        nees.append(off)
+        ends["weighted"].append(_distance(end, true))
+        if run < LEAST_RUNS:
+            plain = _end(_least_squares(geometry, driven))
+            ends["least squares"].append(_distance(plain, true))
+        if run < PAIRED_RUNS:
+            for how in PAIRS:
+                plain = _end(_random_pairs(geometry, driven, how, TICKS))
+                ends[how].append(_distance(plain, true))
+    typical = {how: math.sqrt(sum(d * d for d in off) / len(off)) for how, off in ends.items()}
+    said = "77 s, 80.2 m, 6WD6WS asymmetric, 50 Hz, 1 % and 0.5 deg"
+    for how, distance in typical.items():
+        yield Figure(
+            f"end of the paper's run, {how}",
+            distance,
+            "m",
+            None,
+            "lower",
+            f"root mean square of {len(ends[how])} runs: {said}",
+        )
+    for how, bound in zip(PAIRS, (10.0, None), strict=True):
+        yield Figure(
+            f"{how} over weighted",
+            typical[how] / typical["weighted"],
+            "x",
+            bound,
+            "higher",
+            "end errors of the paper's run",
+        )
+    yield from _within("pose NEES/3", sum(nees) / RUNS / 3.0, f"{RUNS} runs: {said}")
+    yield from _lasting(geometry, twists, true)
+
+
+def _lasting(geometry: BaseGeometry, twists: Array, true: Pose2) -> Iterator[Figure]:
+    """The same with errors that last: such as of the ground, the tyres, the steering's play."""
+    rng = np.random.default_rng(5)
+    noise = Noise(correlation=LASTING)
+    made = Noise(speed_floor=0.0, slip_floor=0.0)
+    left = math.exp(-DT / LASTING)
+    distances, nees = [], []
+    for _ in range(RUNS):
+        errors = rng.standard_normal((2, len(geometry.wheels), TICKS))
+        errors[:, :, 1:] *= math.sqrt(1.0 - left * left)
+        for k in range(1, TICKS):
+            errors[:, :, k] += left * errors[:, :, k - 1]
+        driven = drive(geometry, twists, made, rng, errors)
+        end, off = _estimated(geometry, noise, driven, true)
+        nees.append(off)
+        distances.append(_distance(end, true))
+    yield Figure(
+        "end of the paper's run, lasting errors",
+        math.sqrt(sum(d * d for d in distances) / RUNS),
+        "m",
+        None,
+        "lower",
+        f"errors that last {LASTING:g} s; the real robot's end was 2.2 m off",
+    )
+    yield from _within(
+        "pose NEES/3, lasting errors", sum(nees) / RUNS / 3.0, f"{RUNS} runs, {LASTING:g} s"
+    )
+
+
+def _within(name: str, value: float, how: str) -> Iterator[Figure]:
+    yield Figure(f"{name}, at most", value, "", 1.2, "lower", how)
+    yield Figure(f"{name}, at least", value, "", 0.8, "higher", how)
+
+
+def _end(twists: Array) -> Pose2:
+    pose = ORIGIN
+    for vx, vy, wz in twists.T.tolist():
+        pose = pose.moved(se2.exp(Twist(vx, vy, wz), DT))
+    return pose
+
+
+def _estimated(
+    geometry: BaseGeometry, noise: Noise, driven: Drive, true: Pose2
+) -> tuple[Pose2, float]:
+    """Where odometry says that the run ended, and the NEES of that."""
+    twists, covariances = np.empty_like(driven.twists), np.empty((6, TICKS))
+    _batch_of(geometry, noise).estimate(driven.speeds, driven.angles, twists, covariances)
+    pose, covariance = ORIGIN, ZERO_COV
+    for (vx, vy, wz), (a, b, c, d, e, f) in zip(
+        twists.T.tolist(), covariances.T.tolist(), strict=True
+    ):
+        twist = Twist(vx, vy, wz)
+        q: Cov3 = ((a, b, c), (b, d, e), (c, e, f))
+        covariance = se2.propagate(covariance, twist, q, DT, noise.correlation)
+        pose = pose.moved(se2.exp(twist, DT))
+    error = np.array(true.relative_to(pose))
+    return pose, float(error @ np.linalg.solve(np.array(covariance), error))
+
+
+def _distance(a: Pose2, b: Pose2) -> float:
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
+# -- arrays ---------------------------------------------------------------------------
+
+
+def _batch(geometry: BaseGeometry) -> Iterator[Figure]:
+    n = 100_000
+    rng = np.random.default_rng(6)
+    batch = Batch(General(geometry))
+    twists = rng.uniform(-1.0, 1.0, (3, n))
+    speeds, angles = np.empty((2, len(geometry.wheels), n))
+    covariances, copies = np.empty((6, n)), [np.empty_like(a) for a in (twists, speeds, angles)]
+
+    def copy() -> None:
+        for a, b in zip((twists, speeds, angles), copies, strict=True):
+            np.copyto(b, a)
+
+    copied, inverse, least, weighted = least_times(
+        (
+            copy,
+            lambda: batch.inverse(twists, speeds, angles),
+            lambda: batch.least_squares(speeds, angles, twists),
+            lambda: batch.weighted(speeds, angles, twists, covariances),
+        ),
+        15,
+    )
+    # The bounds are 60 and 120 ns where a copy takes 2.
+    rows: Sequence[tuple[str, float, float | None]] = (
+        ("inverse", inverse, 30.0),
+        ("least squares", least, 60.0),
+        ("weighted with covariance", weighted, None),
+    )
+    for name, seconds, bound in rows:
+        yield Figure(
+            f"batch {name}, N=4",
+            seconds / copied,
+            "x copy",
+            bound,
+            "lower",
+            f"{seconds / n * 1e9:.0f} ns a state over {n} states; "
+            f"a copy of the same arrays: {copied / n * 1e9:.1f} ns",
+        )
