@@ -13,8 +13,7 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.batch import Batch
-from thorvaldc.runtime.calculators.estimator import Estimation, TwistEstimator
-from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
 
@@ -78,9 +77,7 @@ def _none() -> tuple[Array, Array]:
 
 
 def _batch_of(geometry: BaseGeometry, noise: Noise, polish: int = 0) -> Batch:
-    calculator = General(geometry)
-    calculator.estimator = TwistEstimator(geometry, noise, Estimation(polish=polish))
-    return Batch(calculator)
+    return Batch(General(geometry, GeneralOptions(polish=polish), noise))
 
 
 def _estimates(geometry: BaseGeometry, noise: Noise, driven: Drive, polish: int = 0) -> Array:
@@ -99,7 +96,9 @@ def _random_pairs(geometry: BaseGeometry, driven: Drive, how: str, states: int =
     calculator = RandomPairs(geometry, PAIRS[how])
     still = [0.0] * len(geometry.wheels)
     joints = zip(driven.speeds.T[:states].tolist(), driven.angles.T[:states].tolist(), strict=True)
-    return np.array([calculator.odometry(JointStates(0.0, *j, still)).twist for j in joints]).T
+    twists = [calculator.odometry(JointStates(0.0, *j, still)).twist for j in joints]
+    found: Array = np.array(twists).T
+    return found
 
 
 def _false_drops(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
@@ -154,7 +153,7 @@ def _faults(name: str, geometry: BaseGeometry) -> Iterator[Figure]:
 def _spoil(geometry: BaseGeometry, driven: Drive, wrong: str, rng: np.random.Generator) -> Array:
     """Make one wheel of each state wrong; which."""
     some = [i for i, w in enumerate(geometry.wheels) if w.steered or "deg" not in wrong]
-    faulty: Array = rng.choice(some, driven.twists.shape[1])
+    faulty = np.array(rng.choice(some, driven.twists.shape[1]))
     states = np.arange(len(faulty))
     if wrong == "+20 deg":
         driven.angles[faulty, states] += math.radians(20.0)
@@ -198,14 +197,15 @@ def paper_drive() -> Array:
     for k, twist in enumerate(asked):
         now = now + (DT / HAND) * (twist - now)
         twists[:, k] = now
-    return twists * (LENGTH / (np.hypot(twists[0], twists[1]).sum() * DT))
+    twists *= LENGTH / float(np.hypot(twists[0], twists[1]).sum() * DT)
+    return twists
 
 
 def _run(geometry: BaseGeometry) -> Iterator[Figure]:
     twists = paper_drive()
     rng = np.random.default_rng(4)
     true = _end(twists)
-    made = Noise(speed_floor=0.0, slip_floor=0.0)
+    made = Noise(speed_floor=1e-9, slip_floor=1e-9)
     ends: dict[str, list[float]] = {how: [] for how in ("weighted", "least squares", *PAIRS)}
     nees: list[float] = []
     for run in range(RUNS):
@@ -248,7 +248,7 @@ def _lasting(geometry: BaseGeometry, twists: Array, true: Pose2) -> Iterator[Fig
     """The same with errors that last: such as of the ground, the tyres, the steering's play."""
     rng = np.random.default_rng(5)
     noise = Noise(correlation=LASTING)
-    made = Noise(speed_floor=0.0, slip_floor=0.0)
+    made = Noise(speed_floor=1e-9, slip_floor=1e-9)
     left = math.exp(-DT / LASTING)
     distances, nees = [], []
     for _ in range(RUNS):

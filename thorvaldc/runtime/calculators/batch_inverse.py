@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.runtime.calculators import BaseCalculator
-from thorvaldc.runtime.calculators.general import GeneralOptions
+from thorvaldc.runtime.calculators.general import SteeringOptions
 from thorvaldc.runtime.calculators.geometry import WheelGeometry
 from thorvaldc.runtime.calculators.steering import RESUME_ABOVE, Steering
 from thorvaldc.runtime.se2 import Twist
@@ -86,7 +86,7 @@ class Inverse:
             )
         fresh = type(calculator)(geometry, calculator.options)
         hysteresis = 0.0
-        if isinstance(calculator.options, GeneralOptions):
+        if isinstance(calculator.options, SteeringOptions):
             hysteresis = calculator.options.hysteresis
         units = [Twist(*(_SMALL * (i == j) for j in range(3))) for i in range(3)]
         columns = [fresh.allowed(unit) for unit in units]

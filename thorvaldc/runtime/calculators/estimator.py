@@ -35,6 +35,9 @@ from thorvaldc.runtime.se2 import Cov3, Twist
 
 __all__ = ["Estimation", "Noise", "TwistEstimate", "TwistEstimator"]
 
+_NAMED = 0.6
+"""Probability from which a wheel is said to be wrong: more than one half by more than rounding."""
+_UNBOUNDED = "the joint states are out of all bounds"
 RANK_TOLERANCE = 1e-8
 """Smallest eigenvalue of the scaled information over the mean one that counts."""
 
@@ -136,6 +139,7 @@ class TwistEstimator:
         share = self.options.gate / max(len(rows), 1)
         both, one = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(both if row.kind == BOTH else one for row in rows)
+        self._price = one
         self._whole = len(rows) == self._n
         self.inverse = self._constant_inverse()
 
@@ -162,14 +166,21 @@ class TwistEstimator:
                     raise NotFiniteError(f"the {what} of wheel {wheel.name} is {value}")
         if states.yaw_rate is not None and not math.isfinite(states.yaw_rate):
             raise NotFiniteError(f"the yaw rate is {states.yaw_rate}")
-        raise NotFiniteError("the joint states are out of all bounds")
+        raise NotFiniteError(_UNBOUNDED)
 
     def estimate(self, states: JointStates) -> TwistEstimate:
         """The twist that agrees best with the joints, with its covariance and rank.
 
-        Raises ``NotFiniteError`` where a joint state is not a finite number.
+        Raises ``NotFiniteError`` where a joint state is not a finite number, or so large
+        that there is no finite result.
         """
         self.check(states)
+        try:
+            return self._estimated(states)
+        except (ZeroDivisionError, OverflowError):
+            raise NotFiniteError(_UNBOUNDED) from None
+
+    def _estimated(self, states: JointStates) -> TwistEstimate:
         readings, (vx, vy, wz), rank = self._first(states)
         noise, rate = self.squares, states.yaw_rate
         prior = (0.0, 0.0) if rank == 3 else self.prior
@@ -325,7 +336,7 @@ class TwistEstimator:
             first, _ = self._solve(equal_weights(some), rate)
             return again(some, fit(some, *first, self.squares, prior, rate))
 
-        rejection = Rejection(self.gates, self.options.faulty, fresh, again)
+        rejection = Rejection(self.gates, self._price, self.options.faulty, fresh, again)
         explanations = rejection.explanations(readings, found)
         if not explanations:
             freedom = sum((r[0] & USE_ROLL > 0) + (r[0] & USE_SIDE > 0) for r in readings)
@@ -335,7 +346,7 @@ class TwistEstimator:
         best = explanations[0]
         mean, probability = mixture(explanations)
         dropped: tuple[int, ...] = ()
-        if probability > 0.5:
+        if probability > _NAMED:
             dropped = tuple(sorted(self.rows[k].wheel for k in best.places))
         return self._estimate(mean, chi_squares(best.found), rank, 1.0, dropped)
 
@@ -357,6 +368,8 @@ class TwistEstimator:
                 p22 - 2.0 * xm * p23 + xm * xm * p33,
             )
             p13, p23 = p13 + ym * p33, p23 - xm * p33
+        if not math.isfinite(vx + vy + wz + p11 + p22 + p33):
+            raise NotFiniteError(_UNBOUNDED)
         if growth != 1.0:
             p11, p12, p13 = growth * p11, growth * p12, growth * p13
             p22, p23, p33 = growth * p22, growth * p23, growth * p33

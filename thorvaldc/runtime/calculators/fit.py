@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 # A wheel says its speed along (its encoder) and that it has none across (it holds its direction).
@@ -40,9 +40,8 @@ class Noise:
     rad; ``speed_floor`` and ``slip_floor``: m/s along and across the wheel at
     rest; ``skid_ratio``: of the speed, for wheels that must scrub in turns;
     ``gyro``: of the yaw rate, rad/s, where one is measured.  ``correlation`` (s): how
-    long an error lasts; 0: not from one tick to the next.  It makes no twist less
-    certain, but poses: the end of the paper's drive, 2.2 m off after 80 m, is one of 1 %
-    and 0.5 deg that last 2 s.
+    long an error lasts, as those of ground and tyres do; 0: not from one tick to
+    the next.  It makes no twist less certain, but poses.
     """
 
     speed_ratio: float = 0.01
@@ -52,6 +51,13 @@ class Noise:
     skid_ratio: float = 0.1
     gyro: float = 0.005
     correlation: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            least = value >= 0.0 if field.name == "correlation" else value > 0.0
+            if not (least and math.isfinite(value)):
+                raise ValueError(f"the noise {field.name} is {value:g}; it must be positive")
 
     @property
     def squares(self) -> Squares:

@@ -9,6 +9,7 @@ from typing import Self
 
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
+from thorvaldc.runtime.calculators.estimator import Estimation, TwistEstimator
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear import solve3
 from thorvaldc.runtime.calculators.motors import Motors
@@ -22,8 +23,8 @@ _ALIGNED = math.radians(1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class GeneralOptions:
-    """Options of ``general``.
+class SteeringOptions:
+    """Options of calculators that steer.
 
     ``hysteresis`` (s): by how much sooner the other branch (the wheel turned
     by half a turn, rolling backwards) must be there to be taken.
@@ -36,6 +37,26 @@ class GeneralOptions:
     def __post_init__(self) -> None:
         if not 0.0 <= self.hysteresis <= 10.0:
             raise ValueError(f"hysteresis is {self.hysteresis:g} s; it must be 0 to 10 s")
+
+
+@dataclass(frozen=True, slots=True)
+class GeneralOptions(SteeringOptions):
+    """Options of ``general``, besides those of steering.
+
+    ``faulty_wheels``: how many wheels odometry may leave out at once, 0 to 2.
+    ``polish``: further steps of its fit towards maximum likelihood.
+    """
+
+    faulty_wheels: int = 2
+    polish: int = 0
+
+    def __post_init__(self) -> None:
+        # super() without arguments fails in a dataclass with slots, which is made anew.
+        SteeringOptions.__post_init__(self)
+        if self.faulty_wheels not in (0, 1, 2):
+            raise ValueError(f"faulty_wheels is {self.faulty_wheels}; it must be 0, 1 or 2")
+        if not 0 <= self.polish <= 10:
+            raise ValueError(f"polish is {self.polish}; it must be 0 to 10")
 
 
 class General(BaseCalculator):
@@ -57,6 +78,8 @@ class General(BaseCalculator):
         noise: Noise | None = None,
     ) -> None:
         super().__init__(geometry, options, noise)
+        estimation = Estimation(faulty=self.options.faulty_wheels, polish=self.options.polish)
+        self.estimator = TwistEstimator(geometry, noise, estimation)
         wheels = geometry.wheels
         self._fixed = FixedWheels(wheels)
         self._steering = tuple(

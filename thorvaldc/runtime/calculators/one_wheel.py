@@ -8,7 +8,7 @@ from typing import Self
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
-from thorvaldc.runtime.calculators.general import GeneralOptions
+from thorvaldc.runtime.calculators.general import SteeringOptions
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.motors import Motors
 from thorvaldc.runtime.calculators.steering import Steering
@@ -25,12 +25,12 @@ class OneWheel(BaseCalculator):
 
     name = "one_wheel"
     summary = "one driven and steered wheel, with a fixed axle of passive wheels"
-    Options = GeneralOptions
+    Options = SteeringOptions
 
     def __init__(
         self,
         geometry: BaseGeometry,
-        options: GeneralOptions | None = None,
+        options: SteeringOptions | None = None,
         noise: Noise | None = None,
     ) -> None:
         super().__init__(geometry, options, noise)

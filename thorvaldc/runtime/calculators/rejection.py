@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from thorvaldc.runtime.calculators.fit import (
+    TEST_ROLL,
     USE_ROLL,
     USE_SIDE,
     Fit,
@@ -25,11 +26,12 @@ _HALVES = 3
 
 
 class Explanation(NamedTuple):
-    """A fit without the wheels at some places among the readings.
+    """A fit without the wheels at some places among the readings, or without parts of them.
 
-    ``cost``: minus twice the logarithm of its likelihood; the misfit of what is left, its
-    gate for the first wheel left out, twice that for the second (a fault beside a fault
-    must be as much rarer again).  ``others``: the largest D of those left, in gates.
+    ``cost``: minus twice the logarithm of its likelihood; the misfit of what is used, a
+    price for the first wheel that is wrong, twice that for the second (a fault beside
+    a fault must be as much rarer again).  ``others``: the largest D of the right ones,
+    in gates.
     """
 
     places: tuple[int, ...]
@@ -42,19 +44,21 @@ class Explanation(NamedTuple):
 class Rejection:
     """Looks for the wheels that are wrong; at most ``faulty`` (0 to 2) of them.
 
-    ``gates``: the D (see ``chi_squares``) that each reading may have.  ``fresh`` fits
-    readings from nothing, ``again`` from a twist: what wrong wheels did to the
-    weights of the others shall not outlast them.
+    ``gates``: the D (see ``chi_squares``) that each reading may have; ``price``: that of
+    a wheel of which a part is wrong.  ``fresh`` fits readings from nothing, ``again`` from a
+    twist: what wrong wheels did to the weights of the others shall not outlast them.
     """
 
     def __init__(
         self,
         gates: Sequence[float],
+        price: float,
         faulty: int,
         fresh: Callable[[list[Reading]], Fit],
         again: Callable[[list[Reading], Fit], Fit],
     ) -> None:
         self._gates = gates
+        self._price = price
         self._faulty = faulty
         self._fresh = fresh
         self._again = again
@@ -76,19 +80,21 @@ class Rejection:
         if every[0].others > 2.0:  # twice the gate: its probability squared
             return []
         likely = [e for e in every if e.cost - every[0].cost < _NEGLIGIBLE]
-        return [e._replace(found=self._restored(readings, e)) for e in likely]
+        return [
+            e._replace(found=self._again(e.readings, e.found)) if e.places else e for e in likely
+        ]
 
     def _more(self, before: Explanation, done: Sequence[int] = ()) -> list[Explanation]:
-        """All with one wheel more, but for those that are ``done``."""
+        """All with one wrong wheel more, but for those that are ``done``."""
         result: list[Explanation] = []
         if len(before.places) >= self._faulty:
             return result
         for k, line in enumerate(before.found.lines):
             if k in before.places or k in done or not test(before.found, line).spare:
                 continue
-            left = [*before.readings]
-            left[k] = _using(left[k], 0)
-            result.append(self._explanation((*before.places, k), left, self._fresh(left)))
+            places = (*before.places, k)
+            left = [_using(r, 0) if j in places else r for j, r in enumerate(before.readings)]
+            result.append(self._explanation(places, left, self._fresh(left)))
         return result
 
     def _explanation(
@@ -98,20 +104,21 @@ class Rejection:
         for k, d in enumerate(chi_squares(found)):
             if k not in places:
                 others = max(others, d / self._gates[k])
-        cost = misfit(found) + sum(n * self._gates[k] for n, k in enumerate(places, 1))
+        cost = misfit(found)
+        readings, current = [*readings], found
+        for n, k in enumerate(places, 1):
+            cost += n * self._price
+            if not readings[k][0] & TEST_ROLL:
+                continue
+            # The speed or the direction may still agree; both are seldom wrong.
+            parts = test(current, current.lines[k])
+            least = min(parts.roll, parts.side)
+            cost += min(least, _LIKELY)
+            if least < _LIKELY:
+                readings[k] = _using(readings[k], USE_ROLL if parts.roll == least else USE_SIDE)
+                if n < len(places):
+                    current = self._again(readings, current)
         return Explanation(places, readings, found, cost, others)
-
-    def _restored(self, readings: list[Reading], chosen: Explanation) -> Fit:
-        """The fit with what agrees of the wrong wheels: the speed, or the direction."""
-        if not chosen.places:
-            return chosen.found
-        left = [*chosen.readings]
-        for k in chosen.places:
-            if readings[k][0] & USE_ROLL:
-                found = test(chosen.found, chosen.found.lines[k])
-                if min(found.roll, found.side) <= _LIKELY:
-                    left[k] = _using(left[k], USE_ROLL if found.roll < found.side else USE_SIDE)
-        return self._again(left, chosen.found)
 
 
 def mixture(explanations: Sequence[Explanation]) -> tuple[Fit, float]:
