@@ -15,7 +15,7 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import OWN, Library
 from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
-from thorvaldc.passes.checks import Design, check_robot
+from thorvaldc.passes.checks import Design, check_apart, check_robot
 from thorvaldc.passes.elaborate import elaborate
 from thorvaldc.passes.library_check import check_module
 from thorvaldc.passes.resolve import Resolver
@@ -243,7 +243,9 @@ def _fleet(
             x, y, z = scope.vector(node.get("xyz"), "length")
             yaw = scope.quantity(node.get("yaw"), "angle")
             pose = Pose.from_xyz_rpy((x, y, z), (0.0, 0.0, math.remainder(yaw, 2 * math.pi)))
-            placements.append(Placement(name, pose.clean(), replace(robot, namespace=name)))
+            placed = Placement(name, pose.clean(), replace(robot, namespace=name))
+            check_apart(placed, node.where, placements, report)
+            placements.append(placed)
     return Fleet(
         scope.text(document.get("name")), scope.text(document.get("description")), tuple(placements)
     )

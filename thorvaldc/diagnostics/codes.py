@@ -213,6 +213,9 @@ _TABLE: tuple[Code, ...] = (
     ),
     Code("TV427", "number-out-of-range", "error", "a number is beyond what a robot can have"),
     Code("TV428", "motor-joint", "error", "a motor is on a joint that it cannot drive"),
+    Code("TV429", "part-below-ground", "warning", "a part of the robot reaches below the ground"),
+    Code("TV430", "fleet-overlap", "warning", "two robots of a fleet stand in one place"),
+    Code("TV431", "driver-cycle", "error", "the base driver's cycle or time-out cannot be kept"),
     Code("TV440", "calibration-value", "error", "a calibration holds an impossible value"),
     # -- 5xx: bus ------------------------------------------------------------
     Code(

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.robot import Robot, Wheel
-from thorvaldc.passes.base import GRAVITY, contact_point
+from thorvaldc.model.robot import Placement, Robot, Wheel
+from thorvaldc.passes.base import GRAVITY, Tree, contact_point
 
 WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
 DEFAULT_TIP_OVER = math.radians(15)
@@ -30,6 +30,7 @@ def check_robot(robot: Robot, design: Design, report: Report) -> None:
     check_wheels_present(robot, report)
     if robot.wheels:
         check_wheels_on_ground(robot, report)
+        check_parts_above_ground(robot, report)
         check_wheels_overlap(robot, report)
         check_stability(robot, design, report)
         check_wheel_loads(robot, report)
@@ -100,6 +101,25 @@ def check_wheels_on_ground(robot: Robot, report: Report) -> None:
                 labels=[Label(lowest.origin, "the lowest wheel")],
                 hint=f"lower its mount by {wheel.contact_height * 1000:.3g} mm "
                 "(`mount: {port: .., xyz: [0, 0, ..]}`) or use legs of another length",
+            )
+
+
+def check_parts_above_ground(robot: Robot, report: Report) -> None:
+    """A link whose mass is below the ground has been mounted upside down or too low.
+
+    Its centre of mass is what is asked about: a tool may well reach into the soil.
+    """
+    pose = Tree(robot.links, robot.joints).pose
+    for link in robot.links:
+        if link.inertial is None or link.inertial.mass <= 0.0 or link.name not in pose:
+            continue
+        height = pose[link.name].apply(link.inertial.com)[2]
+        if height < 0.0:
+            report.add(
+                "part-below-ground",
+                f"the middle of link `{link.name}` is {-height * 1000:.3g} mm below the ground",
+                link.origin,
+                hint="raise its mount, or turn it over",
             )
 
 
@@ -368,3 +388,25 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
                 design.slope_place or robot.origin,
                 hint=hint,
             )
+
+
+def check_apart(placed: Placement, span: Span, others: Sequence[Placement], report: Report) -> None:
+    """Whether a robot of a fleet has its wheels where another robot has its own."""
+    own = _wheel_places(placed)
+    for other in others:
+        if any(math.dist(a[:2], b[:2]) < a[2] + b[2] for a in own for b in _wheel_places(other)):
+            report.add(
+                "fleet-overlap",
+                f"`{placed.name}` stands where `{other.name}` stands",
+                span,
+                hint="give each robot its own `xyz`",
+            )
+
+
+def _wheel_places(placed: Placement) -> list[tuple[float, float, float]]:
+    """Each wheel's contact in the world and half its width (m), the least that it takes up."""
+    places = []
+    for wheel in placed.robot.wheels:
+        x, y, _ = placed.pose.apply((*contact_point(wheel), 0.0))
+        places.append((x, y, wheel.width / 2))
+    return places

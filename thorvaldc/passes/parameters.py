@@ -15,6 +15,7 @@ from thorvaldc.passes.scope import Scope
 from thorvaldc.source.node import Node
 from thorvaldc.source.unit_table import QUANTITIES
 
+MIN_RATE, MAX_RATE = 1.0, 1000.0  # Hz; a shorter cycle than 1 ms is not for a bus
 DEFAULT_RATE = 50.0  # Hz, facts of the original: the base driver's `rate`
 DEFAULT_TIMEOUT = 0.5  # s, the original's command time-out
 
@@ -66,6 +67,7 @@ class DriverParameters:
         for key, value in (("rate", rate), ("command_timeout", timeout)):
             if value <= 0:
                 self._not_positive(key, value, node.get(key))
+        self._check_cycle(rate, timeout, node)
         limits = {
             key: self._limit(node.get(key), key, allowed)
             for key, allowed in self._allowed(None).items()
@@ -76,6 +78,23 @@ class DriverParameters:
             noise=self._noise(node.get("noise"), ()),
             **limits,
         )
+
+    def _check_cycle(self, rate: float, timeout: float, node: Node) -> None:
+        place = node.get("rate") or node.get("command_timeout") or node
+        if rate > 0.0 and not MIN_RATE <= rate <= MAX_RATE:
+            self._report.add(
+                "driver-cycle",
+                f"the rate is {rate:g} Hz; the base driver runs at {MIN_RATE:g} to {MAX_RATE:g} Hz",
+                place.span,
+            )
+        elif rate > 0.0 and 0.0 < timeout < 1.0 / rate:
+            self._report.add(
+                "driver-cycle",
+                f"the command time-out is {timeout:g} s, "
+                f"shorter than one cycle of {1.0 / rate:g} s",
+                (node.get("command_timeout") or place).span,
+                hint="every command would be stale at once",
+            )
 
     def sets(self, driver: DriverSettings) -> tuple[ParameterSet, ...]:
         """The named sets: the robot's own settings with what each changes."""
