@@ -26,6 +26,7 @@ from thorvaldc.passes.base import (
     PlacedWheel,
     Tree,
     contact_point,
+    free_pivots,
     ground_height,
     make_wheels,
     spring_reference,
@@ -134,7 +135,8 @@ class Elaborator:
         if calibration is not None:
             calibrate_steering(calibration, parts.actuators, wheels, self.report)
         body = tree.inertial()
-        loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
+        pivots = free_pivots(tree, wheels, actuated)
+        loads = static_loads([contact_point(w) for w in wheels], body, pivots) if body.mass else []
         wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
         joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
         sound = not self.report.has_errors
