@@ -1,0 +1,387 @@
+"""The two-channel motor controller of the Thorvald: Roboteq FBL2360 with the robot's script.
+
+CANopen framing, but not CiA 402: the PDOs carry variables of the script.  What is known of
+it is followed (frames, scalings, flags, setup ids); what is not is chosen, and listed in
+docs/simulated-bus.md.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from thorvaldc.runtime.bus.canopen import CanopenDevice, NmtState, Profile
+from thorvaldc.runtime.bus.frame import CanFrame
+from thorvaldc.runtime.bus.motors import MotorModel, MotorState
+from thorvaldc.runtime.bus.object_dictionary import Entry, ObjectDictionary
+from thorvaldc.runtime.bus.roboteq_channel import DRIVE, NOISE_RPM, Channel, ChannelSettings
+from thorvaldc.runtime.bus.wire import Wire
+
+LOOP_PERIOD = 0.005
+"""s of the script's loop."""
+COMMAND_TIMEOUT = 0.5
+"""s without a new sequence number after which the propulsion is stopped."""
+HOME, DECOUPLED = 1, 2
+MODES = (DRIVE, HOME, DECOUPLED)
+
+PROPULSION_ENCODER, STEERING_ENCODER, ALIGNMENT, POWER_STAGE_OFF = 0x80, 0x40, 0x20, 0x10
+STALL, HOMING_AT_MAXIMUM, ILLEGAL_COMMAND, NOT_OK = 0x08, 0x04, 0x02, 0x01
+CONFIGURATION, VERSION, ENCODER = 1, 2, 3
+HOMED, HOMING = 0x01, 0x02
+"""Bits of the configuration in TPDO4."""
+
+SETTINGS = {1: "direction", 2: "home_count", 3: "home_speed"}
+"""Setup ids that are kept without power."""
+SEARCH = 2.2 * math.pi
+"""rad of the steering: how far it turns to find the home switch."""
+EMCY_STALL, EMCY_ENCODER = 0x7121, 0x7305
+MOTOR_ERROR = 0x81
+
+VENDOR = 0x469
+_STATIC_POWER = 24.0
+"""W that it takes standing."""
+
+
+class RoboteqController(CanopenDevice):
+    """Propulsion and steering, or two propulsion motors, on one node.
+
+    ``home_angle`` (rad) is where the steering's home switch really is; the setting
+    `home_count` says what is counted there, so that a steering counts from straight ahead.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        wire: Wire,
+        bitrate: int,
+        node_id: int,
+        channels: tuple[tuple[ChannelSettings, MotorModel], tuple[ChannelSettings, MotorModel]],
+        *,
+        profile: Profile | None = None,
+        status_period: float = 0.1,
+        identity_period: float = 1.0,
+        cycle: float = 0.02,
+        home_angle: float = 0.0,
+        version: tuple[int, int, int] = (1, 0, 0),
+        controller_type: int = 0,
+        seed: int = 0,
+        kept: Mapping[str, Any] | None = None,
+    ) -> None:
+        start = {"direction": 0, "home_count": 0, "home_speed": 500, **(kept or {})}
+        super().__init__(
+            name,
+            wire,
+            bitrate,
+            node_id,
+            profile or Profile(vendor=VENDOR, product=0x2360, revision=0x20, name="FBL2360"),
+            seed=seed,
+            kept=start,
+        )
+        self.channels = (Channel(*channels[0]), Channel(*channels[1]))
+        self.home_angle = home_angle
+        self.version = version
+        self.controller_type = controller_type
+        self.supply_voltage = 48.0
+        self.temperature = 25
+        self.power_stage_fault = False
+        self.alignment_fault = False
+        self.home_switch_works = True
+        self._running = False
+        self._factory_cycles = (cycle, status_period, status_period, identity_period)
+        self._restart()
+
+    # -- start and stop --------------------------------------------------------------------
+
+    def _restart(self) -> None:
+        self.cycles = list(self._factory_cycles)
+        self.homed = False
+        self.homing_at_maximum = False
+        self.illegal_command = False
+        self._stalled = False
+        self._speeds = [0, 0]
+        self._position = 0
+        self._position_given = False
+        self._steering_rpm = 0
+        self._sequence: int | None = None
+        self._commanded_at = -math.inf
+        self._home_way = 0.0
+        self._home_side: bool | None = None
+        self._content = 0
+
+    def ready(self) -> None:
+        if not self._running:
+            self._restart()
+            for channel in self.channels:
+                channel.start(self.now)
+            self._running = True
+        n = self.node_id
+        for base, handler in (
+            (0x200, self._rpdo1),
+            (0x300, self._rpdo2),
+            (0x400, self._rpdo3),
+            (0x500, self._rpdo4),
+        ):
+            self.handlers[base + n] = self._when_operational(handler)
+        self.every(lambda: LOOP_PERIOD, self._loop, first=LOOP_PERIOD)
+        for place, report in enumerate((self._tpdo1, self._tpdo2, self._tpdo3, self._tpdo4)):
+            # They start at different times, as cycles do that nothing keeps together.
+            first = self.random.uniform(0.0, self.cycles[place])
+            self.every(partial(self._cycle, place), self._reporting(report), first=first)
+
+    def _cycle(self, place: int) -> float:
+        return self.cycles[place]
+
+    def stop(self) -> None:
+        super().stop()
+        self._running = False
+        for channel in self.channels:
+            channel.release(self.now)
+            channel.mode = DRIVE
+
+    def entered(self, state: NmtState) -> None:
+        if state is not NmtState.OPERATIONAL:
+            self._speeds = [0, 0]
+
+    def build(self, objects: ObjectDictionary) -> None:
+        """The script's variables, as the manufacturer's objects show them: 1..8 in, 9..16 out."""
+        objects.add_record(
+            0x2106, *(Entry("i32", read=partial(self._variable, place)) for place in range(16))
+        )
+        objects.add_record(0x210D, *(Entry("u16", read=self._volts) for _ in range(3)))
+
+    def set_node_id(self, node_id: int) -> None:
+        """What the manufacturer's tool does over its own cable: kept, and valid at once."""
+        self.kept["node_id"] = node_id
+        if self.powered:
+            self.reset_node()
+
+    # -- commands -----------------------------------------------------------------------------
+
+    def _when_operational(self, handler: Any) -> Any:
+        def handle(frame: CanFrame) -> None:
+            if self.state is NmtState.OPERATIONAL and len(frame.data) == 8:
+                handler(*struct.unpack("<ii", frame.data))
+
+        return handle
+
+    def _rpdo1(self, sequence: int, speed: int) -> None:
+        if sequence != self._sequence:
+            self._sequence, self._commanded_at = sequence, self.now
+        self.illegal_command = abs(speed) > 1000
+        if not self.illegal_command:
+            self._speeds[0] = speed
+
+    def _rpdo2(self, setup: int, value: int) -> None:
+        first, second = self.channels
+        self.illegal_command = False
+        if setup in SETTINGS:
+            self.keep({SETTINGS[setup]: value})
+        elif setup in (4, 6) and value >= 0:
+            channel = first if setup == 4 else second
+            channel.max_rpm = min(float(value), channel.settings.max_rpm)
+        elif setup in (5, 7) and value >= 0:
+            (first if setup == 5 else second).acceleration = float(value)
+        elif 8 <= setup <= 11 and 0 <= value <= 32767:
+            self.cycles[setup - 8] = value / 1000.0
+        else:
+            self.illegal_command = True
+
+    def _rpdo3(self, *modes: int) -> None:
+        legal = MODES if self.channels[1].settings.steering else (DRIVE, DECOUPLED)
+        self.illegal_command = any(mode not in legal for mode in modes)
+        if self.illegal_command:
+            return
+        for place, (channel, mode) in enumerate(zip(self.channels, modes, strict=True)):
+            if mode == channel.mode:
+                continue
+            channel.mode = mode
+            self._speeds[place] = 0
+            if mode == HOME and channel.settings.steering:
+                self._home_way, self._home_side = 0.0, None
+                self.homed = self.homing_at_maximum = False
+
+    def _rpdo4(self, limit: int, value: int) -> None:
+        self.illegal_command = abs(value) > 1000
+        if self.illegal_command:
+            return
+        if self.channels[1].settings.steering:
+            self._steering_rpm, self._position, self._position_given = limit, value, True
+        else:
+            self._speeds[1] = value
+
+    # -- the loop --------------------------------------------------------------------------------
+
+    def _loop(self) -> None:
+        now = self.now
+        for channel in self.channels:
+            channel.measure(now)
+        timed_out = now - self._commanded_at > COMMAND_TIMEOUT
+        off = self.power_stage_fault or self._stalled
+        for place, channel in enumerate(self.channels):
+            if off or channel.mode == DECOUPLED:
+                channel.release(now)
+            elif channel.settings.steering:
+                self._steer(channel, now)
+            else:
+                share = 0 if timed_out else self._speeds[place] / 1000.0
+                forward = -1.0 if place == 0 and self.kept["direction"] == 1 else 1.0
+                channel.turn(forward * share * channel.settings.max_rpm, now, LOOP_PERIOD)
+        self._watch(now)
+
+    def _steer(self, channel: Channel, now: float) -> None:
+        if channel.mode == HOME:
+            self._home(channel, now)
+            return
+        if not self._position_given:
+            channel.motor.hold(channel.state.position, now)
+            return
+        goal = self._position / 1000.0 * channel.settings.limit
+        top = min(self._steering_rpm or channel.max_rpm, channel.max_rpm)
+        way = goal - channel.position
+        reach = top * channel.radians_per_rpm * LOOP_PERIOD
+        if abs(way) <= reach:
+            channel.setpoint = 0.0
+            channel.motor.hold(channel.encoder.joint_position(goal), now)
+        else:
+            # Slows down as it comes near, so that it does not run past.
+            wanted = math.copysign(min(top, abs(way) * 8.0 / channel.radians_per_rpm), way)
+            channel.turn(wanted, now, LOOP_PERIOD)
+
+    def _home(self, channel: Channel, now: float) -> None:
+        """Turn until the home switch changes, and count from there on."""
+        side = self.home_switch_works and channel.state.position > self.home_angle
+        speed = float(self.kept["home_speed"])
+        if self._home_side is None:
+            self._home_side = side
+        elif side != self._home_side:
+            at = self.home_angle
+            counts = float(self.kept["home_count"])
+            channel.encoder.set_zero(MotorState(at, 0.0, 0.0), counts)
+            channel.measure(now)
+            self.homed = True
+            self._position, self._position_given = 0, True
+            channel.mode = DRIVE
+            return
+        if self._home_way > SEARCH:
+            self.homing_at_maximum = True
+            channel.motor.hold(channel.state.position, now)
+            return
+        # From the one side the switch lies this way, from the other that; at a stop it
+        # turns round.
+        direction = -1.0 if side else 1.0
+        channel.turn(direction * speed, now, LOOP_PERIOD)
+        self._home_way += abs(speed) * channel.radians_per_rpm * LOOP_PERIOD
+
+    def _watch(self, now: float) -> None:
+        """Stalls and encoders that do not count."""
+        for place, channel in enumerate(self.channels):
+            searching = channel.mode == HOME
+            if searching or not channel.stalled(now) or self._stalled:
+                continue
+            moving = abs(channel.state.velocity) > NOISE_RPM * channel.radians_per_rpm
+            if moving:
+                channel.encoder_fault = True
+                self.emergency(EMCY_ENCODER, MOTOR_ERROR, bytes([place]))
+            self._stalled = True
+            if not moving:
+                self.emergency(EMCY_STALL, MOTOR_ERROR, bytes([place]))
+
+    # -- reports -----------------------------------------------------------------------------------
+
+    def _reporting(self, report: Any) -> Any:
+        def act() -> None:
+            if self.state is NmtState.OPERATIONAL:
+                report()
+
+        return act
+
+    def _tpdo1(self) -> None:
+        first, second = self.channels
+        for channel in self.channels:
+            channel.measure(self.now)
+        counts = second.counts if second.settings.steering else 0
+        self._report(0x180, "<hhi", _i16(first.rpm), _i16(second.rpm), _i32(counts))
+
+    def _tpdo2(self) -> None:
+        powers = [self._power(channel) for channel in self.channels]
+        amps = [_i16(10.0 * power / self.supply_voltage) for power in powers]
+        self._report(0x280, "<hhhh", *amps, *(_i16(power) for power in powers))
+
+    def _tpdo3(self) -> None:
+        total = _STATIC_POWER + sum(self._power(channel) for channel in self.channels)
+        amps = _i16(10.0 * total / self.supply_voltage)
+        volts = _i16(10.0 * self.supply_voltage)
+        self._report(0x380, "<Bxhhh", self.flags, self.temperature, amps, volts)
+
+    def _tpdo4(self) -> None:
+        self._content = self._content % 3 + 1
+        self._report(0x480, "<3xB4s", self._content, self._constants(self._content))
+
+    def _constants(self, content: int) -> bytes:
+        first, second = self.channels
+        if content == CONFIGURATION:
+            homing = second.settings.steering and second.mode == HOME
+            return struct.pack("<I", HOMED * int(self.homed) | HOMING * int(homing))
+        if content == VERSION:
+            major, minor, patch = self.version
+            return bytes([self.controller_type, patch, minor, major])
+        return struct.pack("<HH", first.settings.encoder_pulses, second.settings.encoder_pulses)
+
+    @property
+    def flags(self) -> int:
+        """The first byte of TPDO3."""
+        first, second = self.channels
+        bits = (
+            (PROPULSION_ENCODER, first.encoder_fault),
+            (STEERING_ENCODER, second.encoder_fault),
+            (ALIGNMENT, self.alignment_fault),
+            (POWER_STAGE_OFF, self.power_stage_fault or self._stalled),
+            (STALL, self._stalled),
+            (HOMING_AT_MAXIMUM, self.homing_at_maximum),
+            (ILLEGAL_COMMAND, self.illegal_command),
+        )
+        found = sum(bit for bit, on in bits if on)
+        return found | NOT_OK if found & ~ILLEGAL_COMMAND else found
+
+    def _power(self, channel: Channel) -> float:
+        """W; the losses of a moving gear, and what the motor gives."""
+        state = channel.state
+        return abs(state.torque * state.velocity) + 4.0 * abs(state.velocity)
+
+    def _report(self, base: int, layout: str, *values: Any) -> None:
+        self.send(base + self.node_id, struct.pack(layout, *values))
+
+    def _variable(self, place: int) -> int:
+        first, second = self.channels
+        return (
+            self._sequence or 0,
+            self._speeds[0],
+            0,
+            0,
+            first.mode,
+            second.mode,
+            self._steering_rpm,
+            self._position if second.settings.steering else self._speeds[1],
+            _i16(first.rpm),
+            _i16(second.rpm),
+            second.counts,
+            self.flags,
+            self.temperature,
+            int(self.homed),
+            first.settings.encoder_pulses,
+            second.settings.encoder_pulses,
+        )[place]
+
+    def _volts(self) -> int:
+        return round(10.0 * self.supply_voltage)
+
+
+def _i16(value: float) -> int:
+    return min(max(round(value), -0x8000), 0x7FFF)
+
+
+def _i32(value: float) -> int:
+    return min(max(round(value), -0x80000000), 0x7FFFFFFF)
