@@ -24,7 +24,7 @@ from thorvaldc.runtime.bus.sdo_server import SdoServer
 from thorvaldc.runtime.bus.wire import ErrorState, Wire
 
 BOOT_TIME = 0.1
-"""s from power to the boot-up message."""
+"""s from power to the boot-up message, and up to a tenth more."""
 SAVE, LOAD = 0x65766173, 0x64616F6C
 """`save` and `load`, the signatures of 0x1010 and 0x1011."""
 NODE_ID, PARAMETERS = "node_id", "parameters"
@@ -133,7 +133,7 @@ class CanopenDevice(Device):
         self._error_register = 0
         self._history = []
         self._was_bus_off = False
-        self.after(self.boot_time, self._initialise)
+        self.after(self.boot_time * (1.0 + self.random.random() / 10.0), self._initialise)
 
     def stop(self) -> None:
         self.state = NmtState.INITIALISING
