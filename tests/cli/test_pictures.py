@@ -41,3 +41,36 @@ def test_without_matplotlib(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch)
     done = thorvaldc("sim", "good.yaml", "--plot", "a.png")
     assert done.status == 3
     assert done.err.startswith("error: a plot needs matplotlib, which is not installed")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["render", "good.yaml", "--size", "big"], 2, "'big' is not a size such as 1000x700"),
+        (["render", "good.yaml", "--view", "behind"], 2, "'behind' is none of corner, front"),
+        (["render", "good.yaml", "-o", "a.jpg"], 2, "does not end in .png"),
+        (["render", "good.yaml", "-o", "nowhere/a.png"], 3, "cannot write nowhere/a.png"),
+        (["render", "bad.yaml", "-o", "a.png"], 1, "unknown-key"),
+        (["sim", "good.yaml", "--video", "a.avi"], 2, "does not end in .mp4 or .gif"),
+        (["sim", "good.yaml", "--ideal", "--video", "a.gif"], 2, "leave out --ideal"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told(
+    thorvaldc: Command, arguments: list[str], status: int, says: str
+) -> None:
+    done = thorvaldc(*arguments)
+    assert done.status == status
+    assert says in done.err
+    assert not Path("a.png").exists()
+
+
+def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    from thorvaldc.runtime.pictures import graphics
+
+    monkeypatch.delitem(sys.modules, "mujoco", raising=False)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(graphics, "_works", lambda name: False)
+    for arguments in (["render", "good.yaml"], ["sim", "good.yaml", "--video", "a.gif"]):
+        done = thorvaldc(*arguments)
+        assert done.status == 3
+        assert done.err.startswith("error: nothing here draws without a screen: neither EGL nor")

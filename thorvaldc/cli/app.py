@@ -116,20 +116,14 @@ def sim(
         typer.Option("--parameters", metavar="SET", help="Parameter set of the robot's file."),
     ] = "",
     ideal: Annotated[bool, typer.Option("--ideal", help="Ideal joints, no physics.")] = False,
-    open_loop: Annotated[
-        bool,
-        typer.Option(
-            "--open-loop", help="Drives without speed control, for a log to calibrate by."
-        ),
-    ] = False,
-    log: Annotated[
-        str, typer.Option("--log", metavar="FILE", help="Write the joint states as CSV.")
-    ] = "",
     plot: Annotated[
         str,
         typer.Option(
             "--plot", metavar="OUT.png", help="Draw paths and velocities (.png, .svg or .pdf)."
         ),
+    ] = "",
+    video: Annotated[
+        str, typer.Option("--video", metavar="OUT.mp4", help="Film the run (.mp4 or .gif).")
     ] = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
@@ -137,38 +131,34 @@ def sim(
     """Drive a robot in simulation, without a display."""
     from thorvaldc.cli.simulating import simulate
 
-    return simulate(file, duration, twist, parameters, json, ideal, open_loop, log, library, plot)
+    return simulate(file, duration, twist, parameters, json, ideal, library, plot, video)
 
 
 @app.command(cls=LightCommand)
 @guarded
-def calibrate(
-    log: Annotated[
-        str, typer.Argument(metavar="LOG", help="Recorded joint states: CSV, as of sim --log.")
-    ],
-    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="The robot's robot.yaml.")],
+def render(
+    file: File,
     output: Annotated[
         str,
-        typer.Option(
-            "--output", "-o", metavar="OUT", help="Calibration to write.", show_default=False
-        ),
+        typer.Option("--output", "-o", metavar="OUT.png", show_default="<name>.png"),
     ] = "",
-    distance: Annotated[
+    size: Annotated[
+        str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")
+    ] = "1000x700",
+    view: Annotated[
         str,
         typer.Option(
-            "--distance",
-            metavar="LENGTH",
-            help="Measured from where the log begins to where it ends: '10.00 m'. Gives the radii"
-            " their common scale.",
+            "--view",
+            metavar="VIEW",
+            help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
-    ] = "",
-    json: Json = False,
+    ] = "corner",
     library: Library = [],  # noqa: B006
 ) -> int:
-    """Find steering offsets and wheel radii from recorded joint states."""
-    from thorvaldc.cli.calibrating import calibrate_robot
+    """Draw a picture of a robot or fleet, without a display."""
+    from thorvaldc.cli.picturing import render_file
 
-    return calibrate_robot(log, robot, output, distance, json, library)
+    return render_file(file, output, size, view, library)
 
 
 @app.command("import", cls=LightCommand)

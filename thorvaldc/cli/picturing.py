@@ -1,21 +1,82 @@
-"""``--plot``: pictures of a run, checked before it and drawn after it."""
+"""``render``, and the pictures of a run: checked before it, drawn after it."""
 
 from __future__ import annotations
 
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
-from thorvaldc.cli.exits import OutsideError
-from thorvaldc.cli.faults import message
+from thorvaldc.cli.compiling import compile_one
+from thorvaldc.cli.exits import INPUT, OutsideError
+from thorvaldc.cli.faults import Faults, message
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.runtime.meter import Meter, Sample
+    from thorvaldc.runtime.pictures.video import Film
     from thorvaldc.runtime.simulation import Simulation
+
+T = TypeVar("T")
+
+
+def render_file(file: str, output: str, size: str, view: str, library: Sequence[str]) -> int:
+    from thorvaldc.runtime.pictures.graphics import check_pillow, choose_graphics
+
+    with outside_errors():
+        check_pillow()
+        choose_graphics()
+    from thorvaldc.runtime.pictures.render import parse_size, parse_view, render
+
+    pixels = parsed(size, parse_size, "--size")
+    camera = parsed(view, parse_view, "--view")
+    if output:
+        check_output(output, ["png"], "--output")
+    done = compile_one(file, library)
+    if done.model is None:
+        return INPUT
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.pipeline import emit
+    from thorvaldc.runtime.faults import RuntimeFault
+
+    path = output or f"{done.model.name}.png"
+    if not output:
+        check_output(path, ["png"], "--output")
+    report = Report()
+    try:
+        with outside_errors():
+            picture = render(done.model, emit(done.model, ["mjcf"], report), pixels, camera)
+    except RuntimeFault as fault:
+        report.put(fault.diagnostic)
+    else:
+        Path(path).write_bytes(picture)
+        print(path)
+    faults = Faults("text", sys.stderr)
+    faults.add(done.located(report), done.sources)
+    return faults.finish()
+
+
+@contextmanager
+def outside_errors() -> Iterator[None]:
+    """What the machine lacks for pictures, as a fault of the world."""
+    from thorvaldc.runtime.pictures import PictureError
+
+    try:
+        yield
+    except PictureError as fault:
+        raise OutsideError(str(fault)) from None
+
+
+def parsed(text: str, parse: Callable[[str], T], option: str) -> T:
+    """The option's value; raises ``typer.BadParameter`` for the parser's ``ValueError``."""
+    try:
+        return parse(text)
+    except ValueError as fault:
+        raise typer.BadParameter(str(fault), param_hint=f"'{option}'") from None
 
 
 def check_output(path: str, kinds: Sequence[str], option: str) -> None:
@@ -38,32 +99,63 @@ def check_output(path: str, kinds: Sequence[str], option: str) -> None:
 
 
 class RunPictures:
-    """The pictures that a run was asked for.
+    """The pictures that a run was asked for; empty paths ask for none.
 
-    Make it before the run (what cannot be drawn is known then), hand ``watch`` to the run
-    and call ``write`` after it.
+    Make it before the run and before MuJoCo is imported (what cannot be drawn is known
+    then), hand ``watch`` to the run and call ``write`` after it.
     """
 
-    def __init__(self, plot: str) -> None:
+    def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:
         self.plot = plot
+        self.video = video
         self._samples: dict[str, list[Sample]] = {}
+        self._film: Film | None = None
         if plot:
-            from thorvaldc.runtime.pictures import PictureError
-            from thorvaldc.runtime.pictures.plot import FORMATS, check_plotting
+            self._prepare_plot()
+        if video:
+            self._prepare_video(ideal)
 
-            check_output(plot, FORMATS, "--plot")
-            try:
-                check_plotting()
-            except PictureError as fault:
-                raise OutsideError(str(fault)) from None
+    def _prepare_plot(self) -> None:
+        from thorvaldc.runtime.pictures.plot import FORMATS, check_plotting
+
+        check_output(self.plot, FORMATS, "--plot")
+        with outside_errors():
+            check_plotting()
+
+    def _prepare_video(self, ideal: bool) -> None:
+        from thorvaldc.runtime.pictures.graphics import check_pillow, choose_graphics
+        from thorvaldc.runtime.pictures.video import FORMATS, RATES, Film, encoder
+
+        check_output(self.video, FORMATS, "--video")
+        if ideal:
+            raise typer.BadParameter(
+                "ideal joints move in no scene that could be shown; leave out --ideal",
+                param_hint="'--video'",
+            )
+        kind = Path(self.video).suffix.lower().lstrip(".")
+        with outside_errors():
+            if kind == "gif":
+                check_pillow()
+            else:
+                encoder()
+            choose_graphics()
+        self._film = Film(RATES[kind])
 
     def watch(self, meter: Meter) -> None:
         if self.plot:
             self._samples.setdefault(meter.name, []).append(meter.sample())
+        if self._film is not None and meter.scene is not None:
+            self._film.watch(meter.scene)
 
-    def write(self, model: Robot | Fleet, simulation: Simulation) -> None:
-        if self.plot:
-            from thorvaldc.runtime.pictures.plot import plot
+    def write(
+        self, model: Robot | Fleet, simulation: Simulation, files: Mapping[str, bytes] | None
+    ) -> None:
+        with outside_errors():
+            if self.plot:
+                from thorvaldc.runtime.pictures.plot import plot
 
-            plot(dict(simulation.robots), self._samples, self.plot, model.name)
-            message(self.plot)
+                plot(dict(simulation.robots), self._samples, self.plot, model.name)
+                message(self.plot)
+            if self._film is not None and files is not None:
+                self._film.write(files, Path(self.video))
+                message(self.video)

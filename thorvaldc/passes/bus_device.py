@@ -6,13 +6,11 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.robot import Actuator, Frame, Node
+from thorvaldc.model.robot import Actuator
 from thorvaldc.passes.scope import Scope
-from thorvaldc.source import node as source
+from thorvaldc.source.node import Node
 
 MASTER = "master"
-MASTER_ID = 127
-MASTER_HEARTBEAT_PERIOD = 0.1  # s
 CANOPEN = "canopen"
 
 
@@ -39,28 +37,12 @@ class Device(NamedTuple):
 
     path: str
     name: str
-    can: source.Node
-    channels: source.Node | None
+    can: Node
+    channels: Node | None
     wires: tuple[Wire, ...]
-    address: source.Node | None
+    address: Node | None
     scope: Scope
     origin: Span
-
-
-class Placed(NamedTuple):
-    """A device with its id: ``span`` is the place of its address in the robot's file.
-
-    ``serial_span`` is that of its serial number; ``module_span`` is what says what
-    such a device is, its `can` section.
-    """
-
-    path: str
-    bus: str
-    span: Span
-    serial_span: Span
-    node: Node
-    frames: tuple[Frame, ...]
-    module_span: Span
 
 
 class BusSpec(NamedTuple):
@@ -71,17 +53,17 @@ class BusSpec(NamedTuple):
     span: Span
 
 
-def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
+def entries(node: Node | None) -> list[tuple[str, Node]]:
     """The entries of a mapping, none where there is no mapping."""
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 
-def items(node: source.Node | None) -> tuple[source.Node, ...]:
+def items(node: Node | None) -> tuple[Node, ...]:
     """The items of a list, none where there is no list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
-def integer(scope: Scope, node: source.Node | None, default: int) -> int:
+def integer(scope: Scope, node: Node | None, default: int) -> int:
     """A whole number, or ``default`` where it is left out or at fault."""
     if node is None:
         return default

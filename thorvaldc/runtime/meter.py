@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base import BaseHandle, JointStates, SimulatedBase
+from thorvaldc.runtime.base import BaseHandle, JointStates
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.manoeuvre import Manoeuvre, twist_at
+from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
 
 TIPPED = math.cos(math.radians(60.0))
@@ -90,7 +91,7 @@ class Meter:
         self.base = base
         self.manoeuvre = manoeuvre
         self.ticks = 0
-        self.start = base.true_pose() if isinstance(base, SimulatedBase) else se2.ORIGIN
+        self.start = base.true_pose() if isinstance(base, MujocoBase) else se2.ORIGIN
         self.true = self.start
         self.turned = 0.0
         self.commanded = self.path = self.estimated = 0.0
@@ -99,6 +100,11 @@ class Meter:
         self.unreachable: tuple[int, ...] = ()
         self.unreachable_twist = ZERO_TWIST
         self.infeasible_twist = ZERO_TWIST
+
+    @property
+    def scene(self) -> MujocoScene | None:
+        """The scene that the robot drives in; ``None`` with ideal joints."""
+        return self.base.scene if isinstance(self.base, MujocoBase) else None
 
     @property
     def next(self) -> float:
@@ -127,7 +133,7 @@ class Meter:
                 self.unreachable_twist = state.asked
 
     def _measure_truth(self) -> None:
-        if not isinstance(self.base, SimulatedBase):
+        if not isinstance(self.base, MujocoBase):
             return
         pose = self.base.true_pose()
         turn = math.remainder(pose.yaw - self.true.yaw, math.tau)
@@ -143,7 +149,7 @@ class Meter:
         state = self.driver.state
         estimated, pose = state.odometry.twist, self.start.moved(state.pose)
         true, pose_true = estimated, pose
-        if isinstance(self.base, SimulatedBase):
+        if isinstance(self.base, MujocoBase):
             true = self.base.true_twist()
             pose_true = Pose2(self.true.x, self.true.y, self.start.yaw + self.turned)
         aimed = ZERO_TWIST if state.command is None else state.command.target
@@ -159,7 +165,7 @@ class Meter:
         robot = self.robot
         odometry = self.driver.state.pose
         true, path = odometry, self.estimated
-        if isinstance(self.base, SimulatedBase):
+        if isinstance(self.base, MujocoBase):
             x, y, _ = self.true.relative_to(self.start)
             true, path = Pose2(x, y, self.turned), self.path
         return RobotRun(

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.runtime.base import JointCommands, JointStates, SimulatedBase
+from thorvaldc.runtime.base import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.faults import RuntimeFault
-from thorvaldc.runtime.hidden import HiddenErrors
 from thorvaldc.runtime.se2 import Pose2, Twist
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
+Prepare = Callable[[Any], None] | None
 _OUT_OF_BOUNDS = 1e4
 """Speed (m/s, rad/s) that nothing on a robot has."""
 
@@ -36,20 +36,22 @@ class MujocoScene:
         scene: str = SCENE,
         *,
         visuals: bool = False,
+        prepare: Prepare = None,
     ) -> None:
         """Load the scene ``scene`` from a build folder or from ``{path: bytes}``.
 
         Without ``visuals`` MuJoCo leaves out what is only seen and welds
         together what does not move: the same physics in three quarters of the
-        time, with nothing to render and no body for a welded link.
+        time, with nothing to render and no body for a welded link.  ``prepare``
+        may change the ``MjSpec`` before it is compiled.
 
         Raises ``RuntimeFault`` (``simulation-scene``) where it is missing or
         MuJoCo cannot read it.
         """
         if isinstance(files, Mapping):
-            self.model = _load_from_memory(files, scene, visuals)
+            self.model = _load_from_memory(files, scene, visuals, prepare)
         else:
-            self.model = _load(Path(files), scene, visuals)
+            self.model = _load(Path(files), scene, visuals, prepare)
         import mujoco
 
         self._mujoco = mujoco
@@ -68,6 +70,10 @@ class MujocoScene:
         else:
             self._mujoco.mj_resetData(self.model, self.data)
         self.steps = 0
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def forward(self) -> None:
+        """Work out where everything is, after a change of ``data.qpos``."""
         self._mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -117,28 +123,14 @@ class MujocoScene:
         return found
 
 
-class MujocoBase(SimulatedBase):
+class MujocoBase(BaseHandle):
     """The joints of one robot of a scene, and what only a simulation knows.
 
     Joints, actuators and bodies are found by their names, which start with
     ``prefix`` (by default the robot's name space and a slash).
-
-    ``hidden`` errors are made between the joints and what is told of them: a wheel
-    that is larger by some ratio rolls as one of the model's radius that turns
-    faster by it.  With ``open_loop`` the drives get a voltage in place of a
-    speed that they hold: their torque falls in a line from the largest at rest
-    to none at the speed asked for, so that wheels give way to one another.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        scene: MujocoScene,
-        prefix: str | None = None,
-        *,
-        hidden: HiddenErrors | None = None,
-        open_loop: bool = False,
-    ) -> None:
+    def __init__(self, robot: Robot, scene: MujocoScene, prefix: str | None = None) -> None:
         """Raises ``RuntimeFault`` where the scene is not of this robot."""
         if prefix is None:
             prefix = f"{robot.namespace}/" if robot.namespace else ""
@@ -146,8 +138,6 @@ class MujocoBase(SimulatedBase):
         self.scene = scene
         model = scene.model
         self._n = len(robot.wheels)
-        hidden = hidden or HiddenErrors.none(robot)
-        self._ratios, self._offsets = hidden.radius_ratios, hidden.steering_offsets
         body = scene.index("body", prefix + robot.links[0].name, robot)
         free = int(model.body_jntadr[body])
         if free < 0 or int(model.body_dofnum[body]) != 6:
@@ -176,9 +166,6 @@ class MujocoBase(SimulatedBase):
                 if actuator is not None:
                     number = scene.index("actuator", prefix + actuator.name, robot)
                     motors.append((i, number))
-        self._voltages: list[tuple[int, int, float]] = []
-        if open_loop:
-            self._open_loops()
 
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
@@ -186,51 +173,37 @@ class MujocoBase(SimulatedBase):
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
         for i, q, v in self._spin:
-            positions[i] = float(qpos[q]) / self._ratios[i]
-            speeds[i] = float(qvel[v]) / self._ratios[i]
+            positions[i] = float(qpos[q])
+            speeds[i] = float(qvel[v])
         for i, q, v in self._steering:
-            angles[i] = float(qpos[q]) - self._offsets[i]
+            angles[i] = float(qpos[q])
             rates[i] = float(qvel[v])
         return JointStates(self.scene.time, speeds, angles, rates, positions)
 
     def write(self, commands: JointCommands, now: float) -> None:
         ctrl = self.scene.data.ctrl
         for i, motor in self._drive_motors:
-            ctrl[motor] = commands.speeds[i] * self._ratios[i]
+            ctrl[motor] = commands.speeds[i]
         for i, motor in self._steering_motors:
-            ctrl[motor] = commands.angles[i] + self._offsets[i]
-        for i, joint, slope in self._voltages:
-            self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
-
-    def _open_loops(self) -> None:
-        """Make dampers of the drives' servos; ``write`` adds the torque of the voltage."""
-        model = self.scene.model
-        joints = {i: v for i, _, v in self._spin}
-        for i, motor in self._drive_motors:
-            actuator = self.robot.actuator_of(self.robot.wheels[i].spin_joint)
-            if actuator is None:
-                continue
-            slope = actuator.max_torque / actuator.max_velocity
-            model.actuator_gainprm[motor] = 0.0
-            model.actuator_biasprm[motor] = 0.0
-            model.actuator_biasprm[motor, 2] = -slope
-            self._voltages.append((i, joints[i], slope))
+            ctrl[motor] = commands.angles[i]
 
     # -- what only a simulation knows ----------------------------------------------
 
     def true_pose(self) -> Pose2:
-        """As promised; yaw in -pi..pi."""
+        """Pose of ``base_link`` on the ground; yaw in -pi..pi."""
         x, y, _, w, i, j, k = self._base_position()
         yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return Pose2(x, y, yaw)
 
     def true_twist(self) -> Twist:
+        """Velocity of ``base_link`` in itself, on the ground."""
         v = self.scene.data.qvel[self._base_velocity : self._base_velocity + 6].tolist()
         yaw = self.true_pose().yaw
         c, s = math.cos(yaw), math.sin(yaw)
         return Twist(c * v[0] + s * v[1], c * v[1] - s * v[0], v[5])
 
     def uprightness(self) -> float:
+        """Cosine of the robot's tilt: 1 upright, 0 on its side."""
         _, _, _, _, i, j, _ = self._base_position()
         return 1.0 - 2.0 * (i * i + j * j)
 
@@ -240,7 +213,7 @@ class MujocoBase(SimulatedBase):
         return found
 
 
-def _load(folder: Path, scene: str, visuals: bool) -> Any:
+def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
     import mujoco
 
     path = folder / scene
@@ -254,13 +227,17 @@ def _load(folder: Path, scene: str, visuals: bool) -> Any:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.discardvisual = not visuals
         spec.compiler.fusestatic = not visuals
+        if prepare is not None:
+            prepare(spec)
         return spec.compile()
     except ValueError as fault:
         text = str(fault).replace(f"{folder}/", "").strip().replace("\n", "; ")
         raise RuntimeFault("simulation-scene", f"MuJoCo cannot read {scene}: {text}") from fault
 
 
-def _load_from_memory(files: Mapping[str, bytes], scene: str, visuals: bool) -> Any:
+def _load_from_memory(
+    files: Mapping[str, bytes], scene: str, visuals: bool, prepare: Prepare
+) -> Any:
     # MuJoCo's own virtual files are told apart by their base names alone, which robots
     # of a fleet share; a folder that lives as long as the reading does has no such trap.
     with tempfile.TemporaryDirectory(prefix="thorvaldc_") as folder:
@@ -271,4 +248,4 @@ def _load_from_memory(files: Mapping[str, bytes], scene: str, visuals: bool) -> 
             path = Path(folder, *parts)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
-        return _load(Path(folder), scene, visuals)
+        return _load(Path(folder), scene, visuals, prepare)
