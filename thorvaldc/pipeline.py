@@ -15,6 +15,7 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import OWN, Library
 from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
+from thorvaldc.passes.bus_lock import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.passes.checks import Design, check_apart, check_robot
 from thorvaldc.passes.elaborate import elaborate
 from thorvaldc.passes.library_check import check_module
@@ -36,6 +37,7 @@ class Compilation:
     not depend on where that lies; spans in ``report`` are paths as the user gave
     them.  ``sources`` maps the latter to files, for excerpts.  ``folder`` is that of
     the file, and ``files`` has what was read by its names in the model's spans.
+    ``locks`` maps lock files that a build has to write to their text.
     """
 
     model: Robot | Fleet | None = None
@@ -44,6 +46,7 @@ class Compilation:
     sources: dict[str, Path] = field(default_factory=dict)
     folder: Path = field(default_factory=Path)
     files: dict[str, Path] = field(default_factory=dict)
+    locks: dict[Path, str] = field(default_factory=dict)
 
     def located(self, report: Report) -> Report:
         """What was said of ``model`` later on, with paths as the user would write them."""
@@ -65,6 +68,7 @@ def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Co
     files = {name: path}
     done = Compilation(folder=folder, files=files)
     robots: dict[str, Compilation] = {}
+    pins = ""
     document = read_file(path, name, shape)
     if document is not None:
         fleet = _is_fleet(document)
@@ -78,10 +82,14 @@ def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Co
             for robot in robots.values():
                 done.report.extend(robot.report)
                 done.sources.update(robot.sources)
+                done.locks.update(robot.locks)
         elif (modules := sound_part.get("modules")) is not None and modules.value:
             lost = sorted(_module_names(document) - _module_names(sound_part))
-            done.model = _robot(sound_part, path, library, report, files, lost, whole)
-        done.source_sha256 = _sha256(files, robots)
+            lock = _lock(path, name, report, done)
+            model = _robot(sound_part, path, library, report, files, lost, whole, lock)
+            pins = _pins(model, path, done) if model is not None else ""
+            done.model = model
+        done.source_sha256 = _sha256(files, robots, pins)
     for part in (shape, _without_places_of(shape, report)):
         done.report.extend(done.located(part))
     for shown, file in files.items():
@@ -90,7 +98,30 @@ def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Co
         files.update(robot.files)
     if done.report.has_errors:
         done.model = None
+        done.locks.clear()
     return done
+
+
+def _lock(robot: Path, name: str, report: Report, done: Compilation) -> Lock | None:
+    """The ids that are pinned in the robot's lock file; ``None`` where it has none."""
+    path = lock_path(robot)
+    if not os.path.lexists(path):
+        return None
+    done.sources[os.path.normpath(path)] = path
+    document = read_file(path, lock_path(Path(name)).as_posix(), report)
+    return read_lock(document, report) if document is not None else {}
+
+
+def _pins(model: Robot, robot: Path, done: Compilation) -> str:
+    """What the robot's lock file must say, empty where none is needed."""
+    path = lock_path(robot)
+    before = path.read_bytes() if os.path.normpath(path) in done.sources else None
+    if before is None and not has_pins(model):
+        return ""
+    text = lock_text(model, robot.name)
+    if before != text.encode():
+        done.locks[path] = text
+    return text
 
 
 @dataclass
@@ -141,6 +172,7 @@ def _robot(
     files: dict[str, Path],
     lost: Sequence[str],
     whole: bool,
+    lock: Lock | None,
 ) -> Robot | None:
     """The robot of a document; of a faulty one, its further faults are found as well."""
     base = path.parent
@@ -155,7 +187,8 @@ def _robot(
             report.add("library-missing", f"there is no folder `{node.value}`", node.span)
     folders.extend((folder, folder.name) for folder in library)
     modules = Library(folders)
-    robot = elaborate(document, Resolver(modules, report), base, report, files, lost, whole=whole)
+    resolver = Resolver(modules, report)
+    robot = elaborate(document, resolver, base, report, files, lost, whole=whole, lock=lock)
     files.update(modules.files)
     if robot is not None:
         check_robot(robot, _design(document, modules, report), report)
@@ -276,9 +309,13 @@ def _without_places_of(earlier: Report, report: Report) -> Report:
     return out
 
 
-def _sha256(files: dict[str, Path], robots: dict[str, Compilation]) -> str:
-    """Of all documents that were read, by their names in spans; of a fleet's robots too."""
-    digest = hashlib.sha256()
+def _sha256(files: dict[str, Path], robots: dict[str, Compilation], pins: str) -> str:
+    """Of all documents that were read, by their names in spans; of a fleet's robots too.
+
+    The lock file counts as what it will be, so that the first build and the next,
+    which finds what the first wrote, are the same.
+    """
+    digest = hashlib.sha256(pins.encode())
     for name in sorted(robots):
         digest.update(f"{name}\0{robots[name].source_sha256}\0".encode())
     for name in sorted(files):

@@ -26,6 +26,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
+from thorvaldc.diagnostics import Report
 from thorvaldc.passes.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
@@ -77,6 +78,36 @@ def write_build(
         _write(made, target, shown)
     except OSError as fault:
         raise WriteError(f"cannot write {shown}: {_reason(fault, target)}") from fault
+
+
+def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
+    """Put lock files in place, each in one step; returns those that were written.
+
+    One that cannot be written is a warning in ``report``: the build is whole without it.
+    """
+    written = []
+    for path, text in locks.items():
+        target = Path(os.path.realpath(path))
+        stage = target.with_name(f"{_STAGE}{os.getpid()}-{os.urandom(4).hex()}")
+        try:
+            _check_writable(target if target.exists() else target.parent, str(path))
+            try:
+                stage.write_bytes(text.encode())
+                os.replace(stage, target)
+                written.append(path)
+            finally:
+                with contextlib.suppress(OSError):
+                    stage.unlink(missing_ok=True)
+        except (OSError, WriteError) as fault:
+            message = str(fault)
+            if isinstance(fault, OSError):
+                message = f"cannot write {path}: {_reason(fault, target)}"
+            report.add(
+                "can-lock-unwritable",
+                message,
+                hint="ids that were chosen automatically may change when a module is added",
+            )
+    return written
 
 
 def _check_writable(target: Path, shown: str) -> None:

@@ -12,6 +12,7 @@ from tests.backends.conftest import write
 from tests.backends.plans import ROBOTS as PLANNED
 from tests.conformance.driving import can_turn, drive
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.workshop import Workshop
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.model import Robot
 
@@ -68,6 +69,54 @@ def test_examples_stand_still_and_hold_on_a_slope(name: str, tmp_path: Path) -> 
     for _ in range(400):
         mujoco.mj_step(m, d)
     assert np.linalg.norm(d.qpos[base] - before) / 2.0 < 1e-3  # m/s
+
+
+ROCKER = """
+    links:
+      pin: {parts: [{shape: {sphere: {radius: 0.02}}, mass: 1 kg, source: "chosen: round"}]}
+      arm:
+        parts:
+          - {shape: {box: [0.8, 0.05, 0.05]}, xyz: [0.1, 0, 0], mass: 5 kg, source: "chosen: round"}
+    joints:
+      pivot:
+        {type: revolute, role: suspension, parent: pin, child: arm, axis: [0, 1, 0],
+         lower: -20 deg, upper: 20 deg}
+    mount: {kinds: [clamp], link: pin}
+    ports:
+      fore: {kind: clamp, link: arm, xyz: [0.4, 0, 0]}
+      aft: {kind: clamp, link: arm, xyz: [-0.3, 0, 0]}
+"""
+
+
+def test_wheels_on_rockers_carry_what_the_model_says(workshop: Workshop, tmp_path: Path) -> None:
+    workshop.module("t/rocker", ROCKER)
+    robot = workshop.robot(
+        """
+        body: {type: t/plate}
+        fl: {type: t/leg, mount: {parent: body, xyz: [0.9, 0.4, 0]}}
+        fr: {type: t/leg, mount: {parent: body, xyz: [0.9, -0.4, 0]}}
+        left: {type: t/rocker, mount: {parent: body, xyz: [-0.4, 0.5, 0]}}
+        lf: {type: t/leg, mount: left.fore}
+        la: {type: t/leg, mount: left.aft}
+        right: {type: t/rocker, mount: {parent: body, xyz: [-0.4, -0.5, 0]}}
+        rf: {type: t/leg, mount: right.fore}
+        ra: {type: t/leg, mount: right.aft}
+        """
+    )
+    m = mujoco.MjModel.from_xml_path(str(scene_of(robot, tmp_path)))
+    d = mujoco.MjData(m)
+    mujoco.mj_resetDataKeyframe(m, d, 0)
+    start = d.qpos.copy()
+    for _ in range(200):
+        mujoco.mj_step(m, d)
+    assert np.abs(d.qpos - start).max() < 1e-6
+    force, carried = np.zeros(6), dict.fromkeys((w.link for w in robot.wheels), 0.0)
+    for i in range(d.ncon):
+        mujoco.mj_contactForce(m, d, i, force)
+        carried[m.body(m.geom_bodyid[max(d.contact[i].geom)]).name] += force[0]
+    for wheel in robot.wheels:
+        assert carried[wheel.link] == pytest.approx(wheel.load, rel=1e-3)
+    assert robot.wheels[3].load > 1.1 * robot.wheels[2].load
 
 
 @pytest.mark.parametrize("name", FLEETS)

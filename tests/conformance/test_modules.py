@@ -59,6 +59,11 @@ def on_four(wheel: dict[str, Any], root: str = "frame/tube_rectangular") -> dict
 
 
 STEERED = {"type": "assembly/steered_drive"}
+CONTROLLERS = {
+    "controller/propulsion_steering": ("propulsion", "steering"),
+    "controller/cia402_propulsion_steering": ("propulsion", "steering"),
+    "controller/cia402_propulsion": ("propulsion",),
+}
 NEEDED = {"frame/tube": {"length": "1 m"}, "frame/beam": {"length": "1 m"}}
 
 
@@ -74,9 +79,14 @@ def small_robot(name: str) -> dict[str, Any]:
     modules = on_four(STEERED)
     mount = {"parent": "base", "xyz": [0, 0, 0.1]}
     modules["it"] = {"type": name, "mount": mount, "params": NEEDED.get(name, {})}
-    if name == "controller/propulsion_steering":
+    if name in CONTROLLERS:
         modules["fl"]["params"] = {"controller": "none"}
-        modules["it"]["channels"] = {"propulsion": "fl.propulsion", "steering": "fl.steering"}
+        modules["it"]["channels"] = {role: f"fl.{role}" for role in CONTROLLERS[name]}
+    if name == "controller/cia402_propulsion":
+        modules["other"] = {
+            "type": "controller/propulsion_steering",
+            "channels": {"steering": "fl.steering"},
+        }
     return modules
 
 

@@ -7,14 +7,17 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
 - ``neighbour``: files that differ as little as may be and compile without errors;
 - ``entry``: the file to compile (default ``robot.yaml``);
-- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``sim`` (with
-  ``twist`` for ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``) or
-  ``import``;
+- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
+  the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
+  ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``), ``import``, or ``log``
+  and ``calibrate`` (reading joints.csv, which ``record`` makes by its arguments, and
+  calibrating by it, with ``distance``);
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,13 +25,14 @@ from typing import Any
 import pytest
 import yaml
 
-from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.diagnostics import CODES, Diagnostic, Report
+from thorvaldc.model import Robot
 
 HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
-    *("twist", "seconds", "parameters"),
+    *("twist", "seconds", "parameters", "record", "distance", "read_only"),
 }
 OWN = "neighbour_"
 
@@ -60,7 +64,6 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
         return list(import_original(Path(entry))[1])
     if how == "demo":
-        from thorvaldc.diagnostics import Report
         from thorvaldc.runtime.simulation import run_demo
 
         report = Report()
@@ -71,6 +74,14 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     done = compile_file(entry)
     if how == "emit" and done.model is not None:
         emit(done.model, case.get("targets", DEFAULT_TARGETS), done.report)
+    if how == "pin":
+        from thorvaldc.writer import write_locks
+
+        os.chmod(".", 0o555 if case.get("read_only") else 0o755)
+        try:
+            write_locks(done.locks, done.report)
+        finally:
+            os.chmod(".", 0o755)
     if how == "sim" and done.model is not None:
         from thorvaldc.runtime.faults import RuntimeFault
         from thorvaldc.runtime.manoeuvre import parse_twist
@@ -82,7 +93,27 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), done.report)
         except RuntimeFault as fault:
             done.report.put(fault.diagnostic)
+    if how in ("log", "calibrate") and isinstance(done.model, Robot):
+        calibrate(done.model, case, done.report)
     return list(done.report)
+
+
+def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:
+    from tests.recording import record
+    from thorvaldc.runtime import calibration
+    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.runtime.joint_log import read_log
+
+    path = Path("joints.csv")
+    if "record" in case:
+        try:
+            path.write_text(record(robot, **case["record"]), encoding="utf-8")
+        except RuntimeFault as fault:
+            report.put(fault.diagnostic)
+            return
+    log = read_log(path, path.name, robot, report)
+    if log is not None and case["run"] == "calibrate":
+        calibration.calibrate(robot, log, report, case.get("distance"), path.name)
 
 
 @pytest.mark.parametrize("case", list(cases()))

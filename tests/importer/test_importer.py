@@ -470,3 +470,22 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     text, report = import_original(tmp_path)
     assert text is None
     has(report, "file-is-a-directory")
+
+
+def test_errors_bring_no_word_on_what_was_assumed(tmp_path: Path) -> None:
+    """Of a robot that is not written; and a faulty address says nothing about a battery."""
+    file = tmp_path / "original.yaml"
+    file.write_text(
+        "motor_drives:\n"
+        "  d0: {node: 1, x: 0.5, y: 0.4, leg_mesh: 1}\n"
+        "batteries:\n"
+        "  b0: {node: 500, type: 1}\n"
+        "  b1: {id: one, type: 1}\n"
+        "pipes:\n"
+        "  p: {x1: 0, y1: 0, x2: 0, y2: 0}\n"
+        "cameras:\n"
+    )
+    text, report = import_original(file)
+    assert text is None
+    found = [(d.span.line, d.code.name) for d in report.sorted() if d.span is not None]
+    assert found == [(4, "import-value"), (5, "import-value"), (7, "import-value")]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.robots import SPAN
 from thorvaldc.model import Inertial, Joint, Link, Pose
-from thorvaldc.passes.base import Tree, lowest_point, static_loads
+from thorvaldc.passes.base import Pivot, Tree, lowest_point, static_loads
 
 G = 9.81
 coordinate = st.floats(-3.0, 3.0).map(lambda v: round(v, 3))
@@ -55,6 +55,21 @@ def test_a_wheel_that_would_have_to_pull_carries_nothing() -> None:
     loads = static_loads(points, body(0.8, 0.0))
     assert loads[4] == 0.0
     assert loads[:4] == pytest.approx(static_loads(points[:4], body(0.8, 0.0)))
+
+
+def test_wheels_of_a_rocker_are_in_balance_about_its_pivot() -> None:
+    points = [(1.0, 0.5), (1.0, -0.5), (-0.8, 0.0), (-1.4, 0.0)]
+    pivot = Pivot((0.0, 0.0, -0.2, 0.4), 0.0)  # about y at x = -1
+    loads = static_loads(points, body(0.0, 0.1), [pivot])
+    assert loads == pytest.approx([0.35 * 981, 0.15 * 981, 981 / 3, 981 / 6])
+
+
+def test_a_pivot_changes_nothing_where_its_wheels_are_in_balance_anyway() -> None:
+    points = [(1.0, 0.5), (1.0, -0.5), (-1.0, 0.5), (-1.0, -0.5)]
+    tractor = Pivot((0.5, -0.5, 0.0, 0.0), 0.0)  # a front axle that rolls about x
+    assert static_loads(points, body(0.3, 0.0), [tractor]) == pytest.approx(
+        static_loads(points, body(0.3, 0.0))
+    )
 
 
 @settings(deadline=None, max_examples=100)

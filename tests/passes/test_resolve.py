@@ -9,6 +9,7 @@ import pytest
 from tests.workshop import CART, EXPECTED, Workshop, said
 from thorvaldc.model import Robot
 from thorvaldc.passes.base import Tree
+from thorvaldc.pipeline import check_library
 
 SOURCE = 'source: "chosen: for a test"'
 ARM = f"""
@@ -357,3 +358,27 @@ def test_hints_name_what_is_near(workshop: Workshop) -> None:
     for text, near in hints.items():
         found = workshop.faults(f"{arm}    block: {text}")
         assert near in str(found[0].hint), (text, found[0])
+
+
+def test_what_an_assembly_offers_is_checked_in_the_library(workshop: Workshop) -> None:
+    workshop.module(
+        "t/pair",
+        """
+        params:
+          extra: {type: module, default: none, description: May be., source: "chosen: none"}
+        modules:
+          post: {type: t/block}
+          leg: {type: t/leg, mount: {parent: post}}
+          extra: {type: "${extra}", mount: {parent: post}}
+        can: controler
+        motors: {propulsion: leg.propulsion, steering: leg.steer}
+        ports: {top: past.top, side: post.side, far: extra.top}
+        """,
+    )
+    found = check_library(workshop.folder / "my_modules").report
+    assert [(d.code.name, d.span.line if d.span else 0) for d in found.sorted()] == [
+        ("module-unknown", 9),
+        ("motor-unknown", 10),
+        ("module-unknown", 11),
+        ("port-unknown", 11),
+    ]

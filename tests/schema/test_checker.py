@@ -91,7 +91,8 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "wrong-type",
             "5:1",
             "`driver` has no value",
-            "leave the key out, or give it a value",
+            "leave the key out, or give it a value, "
+            "as in `{rate: 50 Hz, max_linear_velocity: 1 m/s}`",
         ),
         (
             ROBOT.replace("{type: x}", "{type: x, can: 3.0}"),

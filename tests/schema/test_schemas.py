@@ -66,6 +66,17 @@ def test_every_property_is_described(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_every_property_has_an_example(kind: Kind) -> None:
+    """Or shows all of its values."""
+    without = [
+        name
+        for name, schema in properties(kind)
+        if not {"examples", "enum", "const"} & schema.keys() and schema.get("type") != "boolean"
+    ]
+    assert without == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_quantity_names_its_unit_and_has_an_example(kind: Kind) -> None:
     for name, schema in properties(kind):
         wanted = schema.get("x-quantity")

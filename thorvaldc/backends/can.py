@@ -19,7 +19,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.robot import Actuator, Bus, Channel, Frame, Joint, Node, Signal
 
 FORMAT = "thorvaldc-canmap"
-VERSION = 1
+VERSION = 2
 DBC_ENCODING = "cp1252"  # what readers of DBC files take for granted
 JOINT_UNITS = ("rad", "rad/s")
 Motors = dict[str, tuple[Actuator, Joint]]
@@ -88,6 +88,7 @@ def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
         "name": bus.name,
         "bitrate": bus.bitrate,
         "sync_period": bus.sync_period,
+        "load": bus.load,
         "master": {"name": "master", "id": bus.master_id},
         "nodes": [_node(node, motors, frames.get(node.name, [])) for node in bus.nodes],
         "frames": [_frame(frame) for frame in bus.frames],
@@ -102,9 +103,27 @@ def _node(node: Node, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
         "id": node.id,
         "id_space": node.id_space,
         "vendor_id": node.vendor_id,
+        "product_code": node.product_code,
+        "revision_number": node.revision_number,
         "serial": node.serial,
+        "device_type": node.device_type,
+        "lss": node.lss,
+        "heartbeat_timeout": node.heartbeat_timeout,
+        "heartbeat_consumer_time": node.heartbeat_consumer_time,
+        "bitrates": list(node.bitrates),
         "properties": dict(node.properties),
         "channels": [_channel(node, channel, motors, frames) for channel in node.channels],
+        "objects": [
+            {
+                "name": entry.name,
+                "index": entry.index,
+                "subindex": entry.subindex,
+                "type": entry.type,
+                "value": entry.value,
+                "access": entry.access,
+            }
+            for entry in node.objects
+        ],
     }
 
 
@@ -150,6 +169,11 @@ def _frame(frame: Frame) -> dict[str, Any]:
         "length": frame.length,
         "period": frame.period,
         "deadline": frame.deadline,
+        "minimum_interval": frame.minimum_interval,
+        "response_time": frame.response_time,
+        "pdo": frame.pdo,
+        "mapping": [list(entry) for entry in frame.mapping],
+        "synchronous": frame.synchronous,
         "description": frame.description,
         "signals": [_signal(signal) for signal in frame.signals],
     }

@@ -2,8 +2,9 @@
 
 It is where the gravity of all links, the springs and the contact forces of the
 wheels balance, found by Newton's method over the base's height, roll and pitch and
-the joints with springs.  The stiffness matrix has the shape of the joint tree
-and is factored like a mass matrix, so the cost grows linearly with the robot.
+the joints with springs or free to turn under wheels.  The stiffness matrix has the
+shape of the joint tree and is factored like a mass matrix, so the cost grows linearly
+with the robot.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class _Footing(NamedTuple):
 
 
 class _Stance:
-    """The robot as rigid groups on springs, with the base free in height, roll and pitch.
+    """The robot as rigid groups on springs and pivots, the base free in height, roll and pitch.
 
     Freedoms 0..2 are the base's height and its rotation about x and y of the
     world; freedom 2 + g is the joint above group g.
@@ -261,7 +262,7 @@ def rest(tree: Tree) -> Rest:
             positions[joint.name] = clean(
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
-    compliant = [j for j in tree.moving if j.stiffness > 0.0 and j.mimic is None]
+    compliant = _compliant(tree)
     # At home with the compliant joints at 0: they are what the stance moves.
     held = {j.name for j in compliant}
     home = tree.at({n: q for n, q in positions.items() if n not in held and q != 0.0})
@@ -296,6 +297,35 @@ def rest(tree: Tree) -> Rest:
         lean = tilt if abs(tilt) > 1e-4 else 0.0
         wheels[wheel.name] = ellipsoid(wheel, p, normal_force(p, weight), lean)
     return Rest(base, positions, carried, wheels, found is not None)
+
+
+def _compliant(tree: Tree) -> list[Joint]:
+    """The joints that load moves: those with a spring, and free ones that wheels hang on.
+
+    Not the wheels' own axles, which level ground does not turn.
+    """
+    robot = tree.robot
+    held = {actuator.joint for actuator in robot.actuators}
+    carrying: set[int] = set()
+    for wheel in robot.wheels:
+        held.update(n for n in (wheel.spin_joint, wheel.steering_joint, wheel.swivel_joint) if n)
+        lump = tree.lump[tree.index[wheel.link]]
+        while lump:
+            carrying.add(lump)
+            lump = tree.moving_parent[lump]
+    return [
+        joint
+        for lump, joint in enumerate(tree.moving, 1)
+        if joint.mimic is None
+        and (
+            joint.stiffness > 0.0
+            or (
+                lump in carrying
+                and joint.name not in held
+                and joint.type in ("revolute", "continuous")
+            )
+        )
+    ]
 
 
 def spin_axis(tree: Tree, wheel: Wheel) -> Vec3:

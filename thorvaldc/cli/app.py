@@ -116,6 +116,15 @@ def sim(
         typer.Option("--parameters", metavar="SET", help="Parameter set of the robot's file."),
     ] = "",
     ideal: Annotated[bool, typer.Option("--ideal", help="Ideal joints, no physics.")] = False,
+    open_loop: Annotated[
+        bool,
+        typer.Option(
+            "--open-loop", help="Drives without speed control, for a log to calibrate by."
+        ),
+    ] = False,
+    log: Annotated[
+        str, typer.Option("--log", metavar="FILE", help="Write the joint states as CSV.")
+    ] = "",
     plot: Annotated[
         str,
         typer.Option(
@@ -131,7 +140,40 @@ def sim(
     """Drive a robot in simulation, without a display."""
     from thorvaldc.cli.simulating import simulate
 
-    return simulate(file, duration, twist, parameters, json, ideal, library, plot, video)
+    return simulate(
+        file, duration, twist, parameters, json, ideal, open_loop, log, library, plot, video
+    )
+
+
+@app.command(cls=LightCommand)
+@guarded
+def calibrate(
+    log: Annotated[
+        str, typer.Argument(metavar="LOG", help="Recorded joint states: CSV, as of sim --log.")
+    ],
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="The robot's robot.yaml.")],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Calibration to write.", show_default=False
+        ),
+    ] = "",
+    distance: Annotated[
+        str,
+        typer.Option(
+            "--distance",
+            metavar="LENGTH",
+            help="Measured from where the log begins to where it ends: '10.00 m'. Gives the radii"
+            " their common scale.",
+        ),
+    ] = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Find steering offsets and wheel radii from recorded joint states."""
+    from thorvaldc.cli.calibrating import calibrate_robot
+
+    return calibrate_robot(log, robot, output, distance, json, library)
 
 
 @app.command(cls=LightCommand)

@@ -35,7 +35,7 @@ def build_files(
     from thorvaldc import __version__
     from thorvaldc.diagnostics import Report
     from thorvaldc.pipeline import emit
-    from thorvaldc.writer import WriteError, write_build
+    from thorvaldc.writer import WriteError, write_build, write_locks
 
     faults = Faults(format, sys.stderr)
     builds: list[dict[str, Any]] = []
@@ -44,6 +44,9 @@ def build_files(
         found = Report()
         made = emit(done.model, wanted, found) if done.model is not None else {}
         done.report.extend(done.located(found))
+        pinned = []
+        if done.locks and not done.report.has_errors:
+            pinned = write_locks(done.locks, done.report)
         faults.add(done.report, done.sources)
         if done.model is None or done.report.has_errors:
             continue
@@ -65,6 +68,8 @@ def build_files(
         except WriteError as fault:
             faults.finish(builds=builds)
             raise OutsideError(str(fault)) from fault
+        for path in pinned:
+            faults.result(f"{path}: automatic ids are pinned")
         faults.result(f"{folder}: {count(len(made), 'file')} ({', '.join(wanted)})")
         builds.append({"file": file, "folder": str(folder), "files": sorted(made)})
     return faults.finish(builds=builds)

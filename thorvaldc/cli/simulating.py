@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json as json_format
 import math
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,6 +16,9 @@ from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.faults import Faults
 from thorvaldc.cli.picturing import RunPictures
+
+if TYPE_CHECKING:
+    from thorvaldc.runtime.meter import Meter, Watch
 
 SECONDS = 5.0  # of a twist, where the user does not say
 
@@ -26,32 +30,47 @@ def simulate(
     parameters: str,
     json: bool,
     ideal: bool,
+    open_loop: bool,
+    log: str,
     library: Sequence[str],
     plot: str = "",
     video: str = "",
 ) -> int:
-    """One twist for a time, or without a twist the manoeuvre that suits the robot."""
+    """One twist for a time, or without a twist the manoeuvre that suits the robot.
+
+    The joint states go to ``log`` where it is named.
+    """
     seconds = _seconds(duration) if duration else 0.0
     pictures = RunPictures(plot, video, ideal=ideal)
     done = compile_one(file, library)
     if done.model is None:
         return INPUT
     from thorvaldc.diagnostics import Report
+    from thorvaldc.model import Robot
     from thorvaldc.pipeline import emit
     from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.runtime.joint_log import JointLogWriter
     from thorvaldc.runtime.manoeuvre import parse_twist
     from thorvaldc.runtime.simulation import DemoRow, Simulation, demo_table
 
+    if log and not isinstance(done.model, Robot):
+        raise typer.BadParameter("a fleet has no log; simulate one robot", param_hint="'--log'")
     gc.enable()
     report = Report()
     faults = Faults("text", sys.stderr)
     try:
         files = None if ideal else emit(done.model, ["mjcf"], report)
-        simulation = Simulation(done.model, files, parameters or None)
-        if twist:
-            result = simulation.run(seconds or SECONDS, parse_twist(twist), report, pictures.watch)
-        else:
-            result = simulation.demonstrate(report, seconds or None, pictures.watch)
+        simulation = Simulation(done.model, files, parameters or None, open_loop=open_loop)
+        with contextlib.ExitStack() as stack:
+            watches: list[Watch] = [pictures.watch]
+            if log and isinstance(done.model, Robot):
+                stream = stack.enter_context(open(log, "w", encoding="utf-8", newline="\n"))
+                watches.append(JointLogWriter(done.model, stream).watch)
+            watch = _each(watches)
+            if twist:
+                result = simulation.run(seconds or SECONDS, parse_twist(twist), report, watch)
+            else:
+                result = simulation.demonstrate(report, seconds or None, watch)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
         faults.add(done.located(report), done.sources)
@@ -63,6 +82,14 @@ def simulate(
     faults.add(done.located(report), done.sources)
     pictures.write(done.model, simulation, files)
     return faults.finish()
+
+
+def _each(watches: Sequence[Watch]) -> Watch:
+    def watch(meter: Meter) -> None:
+        for one in watches:
+            one(meter)
+
+    return watch
 
 
 def _seconds(text: str) -> float:

@@ -25,6 +25,7 @@ __all__ = ["Fate", "ImportResult", "import_file", "import_original"]
 
 _DRIVES = "motor_drives"
 _MAX_NESTING = 8
+_OF_THE_RESULT = ("import-assumed", "import-left-out")
 _NOT_ROBOTS = ("", "ros_parameters", "base_driver", "thorvald_base_driver", "parameters", "params")
 
 
@@ -46,7 +47,19 @@ def import_original(path: Path) -> tuple[str | None, Report]:
 
 
 def import_file(path: Path, report: Report) -> ImportResult:
-    """Convert a configuration file of the original; its faults go to ``report``."""
+    """Convert a configuration file of the original; its faults go to ``report``.
+
+    Where it has errors, nothing is said of what was assumed or left out: there is no result.
+    """
+    found = Report()
+    result = _import(path, found)
+    for diagnostic in found:
+        if result.text is not None or diagnostic.code.name not in _OF_THE_RESULT:
+            report.put(diagnostic)
+    return result
+
+
+def _import(path: Path, report: Report) -> ImportResult:
     document = read_original(path, str(path), report)
     if document is None:
         return ImportResult(None, {})
@@ -204,7 +217,7 @@ def _sensors(root: Entry, height: float, names: Names) -> list[Module]:
         )
         if group or isinstance(node.value, tuple):
             found += [(child, kind) for child in root.entries(key)]
-        elif isinstance(node.value, dict):
+        elif isinstance(node.value, dict) or node.value is None:
             child = root.child(key)
             if child is not None:
                 found.append((child, kind))

@@ -11,10 +11,41 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model.bus import Bus, Channel, Frame, Node, ObjectValue, Scalar, Signal
 from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
-Scalar = bool | int | float | str
+# The bus is part of the model; what it is made of stands in a file of its own.
+__all__ = [
+    "Actuator",
+    "Battery",
+    "Box",
+    "Bus",
+    "CalculatorChoice",
+    "Channel",
+    "Collision",
+    "Cylinder",
+    "DriverSettings",
+    "Fleet",
+    "Frame",
+    "Joint",
+    "Link",
+    "Mesh",
+    "MeshShape",
+    "Mimic",
+    "Node",
+    "ObjectValue",
+    "ParameterSet",
+    "Placement",
+    "Robot",
+    "Scalar",
+    "Sensor",
+    "Shape",
+    "Signal",
+    "Sphere",
+    "Visual",
+    "Wheel",
+]
 
 
 # -- geometry -----------------------------------------------------------------
@@ -245,98 +276,6 @@ class Battery(Element):
     node: str | None
     properties: tuple[tuple[str, Scalar], ...]
     origin: Span
-
-
-# -- the bus ----------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Signal(Element):
-    """A field of a frame, little endian: physical = raw * scale + offset.
-
-    ``start`` and ``length`` in bits.  ``joint`` names the joint that the value
-    is about, with ``unit`` then at the joint (rad/s, rad).  ``multiplexer`` marks
-    the selector; ``selected_by`` lists the selector values under which the
-    signal is present.  ``choices`` names raw values.
-    """
-
-    name: str
-    start: int
-    length: int
-    signed: bool = False
-    scale: float = 1.0
-    offset: float = 0.0
-    unit: str = ""
-    minimum: float | None = None
-    maximum: float | None = None
-    joint: str | None = None
-    multiplexer: bool = False
-    selected_by: tuple[int, ...] = ()
-    choices: tuple[tuple[int, str], ...] = ()
-    description: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Frame(Element):
-    """A standard CAN frame; ``producer``/``consumers`` are node names or ``master``.
-
-    ``kind`` is ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``,
-    ``broadcast`` or ``relay``.  ``period`` and ``deadline`` in s, ``None`` for
-    a frame sent on demand.
-    """
-
-    name: str
-    cob_id: int
-    kind: str
-    producer: str
-    consumers: tuple[str, ...]
-    length: int
-    period: float | None
-    deadline: float | None
-    signals: tuple[Signal, ...]
-    origin: Span
-    description: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Channel(Element):
-    """A channel of a controller and the actuator on it (``None``: not wired)."""
-
-    name: str
-    role: str
-    actuator: str | None
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Node(Element):
-    """A device on a bus.  ``id_space`` keeps batteries' ids apart from node ids."""
-
-    name: str
-    module: str
-    protocol: str
-    id: int
-    id_space: str
-    vendor_id: int | None
-    serial: str | None
-    channels: tuple[Channel, ...]
-    properties: tuple[tuple[str, Scalar], ...]
-    origin: Span
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Bus(Element):
-    """A CAN bus: ``bitrate`` bit/s, ``sync_period`` s (the control cycle).
-
-    ``master_id`` is the CANopen node id of the master.
-    """
-
-    name: str
-    bitrate: int
-    sync_period: float
-    nodes: tuple[Node, ...]
-    frames: tuple[Frame, ...]
-    origin: Span
-    master_id: int = 127
 
 
 # -- the whole ----------------------------------------------------------------------

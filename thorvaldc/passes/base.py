@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
@@ -217,10 +217,52 @@ def contact_point(wheel: Wheel) -> tuple[float, float]:
     )
 
 
-def static_loads(points: Sequence[tuple[float, float]], body: Inertial) -> list[float]:
+class Pivot(NamedTuple):
+    """A joint that turns freely, such as that of a rocker: nothing holds it but its wheels.
+
+    ``levers`` (m) has for each wheel of the robot the moment about the joint of an upward
+    force of 1 N under it; ``moment`` (N m) is that with which they are in balance.
+    """
+
+    levers: tuple[float, ...]
+    moment: float
+
+
+def free_pivots(tree: Tree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
+    """The joints without spring and motor that wheels hang on, but for their own axles."""
+    found: list[Pivot] = []
+    own = {
+        name for w in wheels for name in (w.spin_joint, w.steering_joint, w.swivel_joint) if name
+    }
+    for joint in tree.parent_joint.values():
+        if joint.type not in ("revolute", "continuous") or joint.stiffness > 0.0:
+            continue
+        if joint.name in own or joint.name in actuated or joint.mimic is not None:
+            continue
+        below = tree.links_below(joint.child)
+        links = set(below)
+        pose = tree.pose[joint.child]
+        (ox, oy, _), (ax, ay, _) = pose.xyz, pose.rotate(joint.axis)
+
+        def lever(x: float, y: float, at: tuple[float, ...] = (ox, oy, ax, ay)) -> float:
+            return at[2] * (y - at[1]) - at[3] * (x - at[0])
+
+        levers = [lever(*contact_point(w)) if w.link in links else 0.0 for w in wheels]
+        if max(map(abs, levers), default=0.0) < 1e-6:
+            continue
+        carried = tree.inertial(below)
+        moment = carried.mass * GRAVITY * lever(carried.com[0], carried.com[1])
+        found.append(Pivot(tuple(levers), moment))
+    return found
+
+
+def static_loads(
+    points: Sequence[tuple[float, float]], body: Inertial, pivots: Sequence[Pivot] = ()
+) -> list[float]:
     """The wheels' shares of the weight in N, for equal stiffness under each.
 
-    N_i = a + b x_i + c y_i with the sum and both moments in balance.  A wheel
+    N_i = a + b x_i + c y_i with the sum and both moments in balance; with pivots, the least
+    forces (sum of squares) for which they are in balance as well.  A wheel
     that would have to pull carries nothing and the rest is solved again.
     Wheels on one line carry what the line can carry.
     """
@@ -228,7 +270,10 @@ def static_loads(points: Sequence[tuple[float, float]], body: Inertial) -> list[
     weight = body.mass * GRAVITY
     loads = [0.0] * len(points)
     while active:
-        found = _plane([points[i] for i in active], (body.com[0], body.com[1]), weight)
+        if pivots:
+            found = _balanced(points, body, pivots, active)
+        else:
+            found = _plane([points[i] for i in active], (body.com[0], body.com[1]), weight)
         worst = min(range(len(active)), key=lambda k: found[k])
         if found[worst] >= -1e-9 * max(weight, 1.0) or len(active) == 1:
             for i, load in zip(active, found, strict=True):
@@ -236,6 +281,33 @@ def static_loads(points: Sequence[tuple[float, float]], body: Inertial) -> list[
             break
         del active[worst]
     return loads
+
+
+def _balanced(
+    points: Sequence[tuple[float, float]],
+    body: Inertial,
+    pivots: Sequence[Pivot],
+    active: Sequence[int],
+) -> list[float]:
+    """The forces of least squares that satisfy each balance, one orthogonal part after another."""
+    weight = body.mass * GRAVITY
+    balances = [
+        ([1.0] * len(active), weight),
+        ([points[i][0] for i in active], weight * body.com[0]),
+        ([points[i][1] for i in active], weight * body.com[1]),
+        *(([pivot.levers[i] for i in active], pivot.moment) for pivot in pivots),
+    ]
+    parts: list[tuple[list[float], float]] = []
+    for row, value in balances:
+        size = math.sqrt(sum(a * a for a in row))
+        for direction, share in parts:
+            along = sum(a * b for a, b in zip(row, direction, strict=True))
+            row = [a - along * b for a, b in zip(row, direction, strict=True)]
+            value -= along * share
+        rest = math.sqrt(sum(a * a for a in row))
+        if rest > 1e-9 * size:
+            parts.append(([a / rest for a in row], value / rest))
+    return [sum(share * direction[k] for direction, share in parts) for k in range(len(active))]
 
 
 def _plane(

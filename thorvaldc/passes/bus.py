@@ -7,34 +7,31 @@ result are in `bus_checks`.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, Bus, Channel, Frame, Node, Scalar, Signal
-from thorvaldc.passes.bus_checks import Placed, check_bus, check_wiring
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.bus_timing import bus_load, frame_response_times
+from thorvaldc.model.robot import Actuator, Bus, Frame, Signal
+from thorvaldc.passes.bus_checks import check_bus, check_serials, check_wiring
 from thorvaldc.passes.bus_device import (
     CANOPEN,
     MASTER,
+    MASTER_HEARTBEAT_PERIOD,
+    MASTER_ID,
     BusSpec,
     Device,
+    Placed,
     Wire,
-    entries,
-    integer,
-    items,
-    listed,
 )
-from thorvaldc.passes.bus_frames import channel_names, frames_of, heartbeat
-from thorvaldc.passes.scope import Scope
+from thorvaldc.passes.bus_foreign import foreign_devices
+from thorvaldc.passes.bus_frames import heartbeat
+from thorvaldc.passes.bus_lock import Lock
+from thorvaldc.passes.bus_place import place
 from thorvaldc.source import node as source
-from thorvaldc.source.units import UnitError, parse_any
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
-MASTER_ID = 127
-MASTER_HEARTBEAT_PERIOD = 0.1  # s
 NMT_COMMANDS = (
     (1, "start"),
     (2, "stop"),
@@ -50,11 +47,16 @@ def build_buses(
     actuators: Sequence[Actuator],
     sync_period: float,
     report: Report,
+    *,
+    foreign: source.Node | None = None,
+    lock: Lock | None = None,
 ) -> tuple[Bus, ...]:
     """The buses with their nodes, frames and signals, checked.
 
     ``specs`` in file order; a device that names no bus is on the first.
-    ``sync_period`` in s is the control cycle.  A robot without devices has no buses.
+    ``sync_period`` in s is the control cycle.  ``foreign`` is the robot's section of
+    foreign devices, ``lock`` holds the ids of the last build.  A robot without
+    devices has no buses.
     """
     for spec in specs:
         if spec.bitrate <= 0:
@@ -68,9 +70,11 @@ def build_buses(
         return ()
     present = [device for device in devices if _is_present(device, report)]
     check_wiring(present, actuators, report)
-    placed = _place(present, specs, sync_period, report)
+    others = foreign_devices(foreign, specs, report)
+    placed = place(present, others, specs, sync_period, lock or {}, report) + others
     if not placed:
         return ()
+    check_serials(placed, report)
     return tuple(
         _build_bus(spec, [p for p in placed if p.bus == spec.name], sync_period, report)
         for spec in specs
@@ -87,9 +91,7 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
         if channel.actuator is not None
     }
     return tuple(
-        dataclasses.replace(a, node=drives[a.name][0], channel=drives[a.name][1])
-        if a.name in drives
-        else a
+        replace(a, node=drives[a.name][0], channel=drives[a.name][1]) if a.name in drives else a
         for a in actuators
     )
 
@@ -107,144 +109,6 @@ def _is_present(device: Device, report: Report) -> bool:
     return present
 
 
-# -- addresses ----------------------------------------------------------------------
-
-
-class _Request(NamedTuple):
-    """What the robot says of a device's address; ``id`` is ``None`` for auto."""
-
-    bus: str
-    id: int | None
-    serial: str | None
-    span: Span
-
-
-def _place(
-    devices: Sequence[Device], specs: Sequence[BusSpec], sync_period: float, report: Report
-) -> list[Placed]:
-    requests = [(device, _request(device, specs, report)) for device in devices]
-    taken: dict[tuple[str, str], dict[int, None]] = {}
-    for device, request in requests:
-        if request.id is not None:
-            taken.setdefault((request.bus, _id_space(device)), {})[request.id] = None
-    placed = []
-    for device, request in requests:
-        scope = device.scope
-        low, high = _id_range(device, "ids", (1, MASTER_ID))
-        node_id = request.id
-        if node_id is None:
-            first, last = _id_range(device, "auto_ids", (low, high))
-            used = taken.setdefault((request.bus, _id_space(device)), {})
-            node_id = next((i for i in range(first, last + 1) if i not in used), None)
-            if node_id is None:
-                report.add(
-                    "can-ids-exhausted",
-                    f"no id is left for `{device.path}`: {first} to {last} are all taken",
-                    request.span,
-                    hint=f"give it one of {low} to {high} with `can: ...`, or use another bus",
-                )
-                continue
-            used[node_id] = None
-        elif not low <= node_id <= high:
-            report.add(
-                "can-id-range",
-                f"`{device.path}` has the id {node_id}; this device can have {low} to {high}",
-                request.span,
-            )
-            continue
-        named = scope.with_names({"id": node_id, **channel_names(device)})
-        device_with_names = device._replace(scope=named)
-        placed.append(
-            Placed(
-                device.path,
-                request.bus,
-                request.span,
-                _node(device_with_names, node_id, request),
-                tuple(frames_of(device_with_names, node_id, sync_period, report)),
-                _bitrates(device),
-                device.can.where,
-            )
-        )
-    return placed
-
-
-def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Request:
-    default = specs[0].name
-    address = device.address
-    if address is None:
-        return _Request(default, None, None, device.origin)
-    if not isinstance(address.value, dict):
-        node_id = device.scope.evaluate(address)
-        return _Request(default, node_id if type(node_id) is int else None, None, address.span)
-    bus, id_node, serial = address.get("bus"), address.get("id"), address.get("serial")
-    name = default if bus is None else str(bus.value)
-    known = [spec.name for spec in specs]
-    if bus is not None and name not in known:
-        report.add(
-            "can-bus-unknown",
-            f"there is no bus `{name}`",
-            bus.span,
-            hint=did_you_mean(name, known, listed(known)),
-        )
-        name = default
-    return _Request(
-        name,
-        id_node.value if id_node is not None and type(id_node.value) is int else None,
-        str(serial.value) if serial is not None else None,
-        id_node.span if id_node is not None else address.span,
-    )
-
-
-def _id_space(device: Device) -> str:
-    return device.scope.text(device.can.get("id_space"), CANOPEN)
-
-
-def _id_range(device: Device, key: str, default: tuple[int, int]) -> tuple[int, int]:
-    ends = [integer(device.scope, node, 0) for node in items(device.can.get(key))]
-    return (ends[0], ends[1]) if len(ends) == 2 else default
-
-
-def _bitrates(device: Device) -> tuple[int, ...]:
-    found = items(device.can.get("bitrates"))
-    return tuple(round(device.scope.quantity(node, "bitrate")) for node in found)
-
-
-def _node(device: Device, node_id: int, request: _Request) -> Node:
-    scope, can = device.scope, device.can
-    wired = {wire.channel: wire.actuator.name for wire in reversed(device.wires)}
-    vendor = can.get("vendor_id")
-    return Node(
-        device.name,
-        device.path,
-        scope.text(can.get("protocol")),
-        node_id,
-        _id_space(device),
-        integer(scope, vendor, 0) if vendor is not None else None,
-        request.serial,
-        tuple(
-            Channel(name, scope.text(node.get("role")), wired.get(name))
-            for name, node in entries(device.channels)
-        ),
-        tuple(
-            (name, value)
-            for name, node in entries(can.get("properties"))
-            if (value := _scalar(scope, node)) is not None
-        ),
-        device.origin,
-    )
-
-
-def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
-    """A property: text with a unit in SI, other text as it is."""
-    value = scope.evaluate(node)
-    if isinstance(value, str) and not node.quoted:
-        try:
-            return parse_any(value)
-        except UnitError:
-            return value
-    return value if isinstance(value, bool | int | float | str) else None
-
-
 # -- the bus ------------------------------------------------------------------------
 
 
@@ -260,6 +124,10 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
         tuple(frames),
         spec.span,
     )
+    if len({frame.cob_id for frame in frames}) == len(frames):  # else that is reported
+        times = frame_response_times(bus)
+        timed = tuple(replace(frame, response_time=times[frame.name]) for frame in frames)
+        bus = replace(bus, frames=timed, load=bus_load(bus))
     check_bus(bus, placed, report)
     return bus
 

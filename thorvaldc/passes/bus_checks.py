@@ -5,13 +5,23 @@ Every fault between two parties names both places.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, Bus, Frame, Node
-from thorvaldc.passes.bus_device import MASTER, Device, Wire, entries, listed
+from thorvaldc.model.robot import Actuator, Bus, Frame
+from thorvaldc.passes.bus_device import (
+    MASTER,
+    MASTER_HEARTBEAT_PERIOD,
+    Device,
+    Placed,
+    Wire,
+    entries,
+    listed,
+)
+from thorvaldc.passes.bus_objects import serial_number
 
 # Identifiers that CiA 301 (table "restricted CAN-IDs") keeps for its own services.
 RESTRICTED = (
@@ -25,21 +35,6 @@ RESTRICTED = (
 # Services of CANopen that no device needs to declare to have them spoil its frames.
 STANDARD = ((0x100, "TIME"), (0x7E4, "LSS response"), (0x7E5, "LSS request"))
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
-
-
-class Placed(NamedTuple):
-    """A device with its id: ``span`` is the place of its address in the robot's file.
-
-    ``bitrates`` in bit/s that it can do, empty: any; ``module_span`` its `can` section.
-    """
-
-    path: str
-    bus: str
-    span: Span
-    node: Node
-    frames: tuple[Frame, ...]
-    bitrates: tuple[int, ...]
-    module_span: Span
 
 
 # -- wiring -------------------------------------------------------------------------
@@ -115,14 +110,15 @@ def _roles(device: Device) -> dict[str, str]:
 
 
 def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Ids, serial numbers, bitrate, COB-IDs and load of a bus."""
+    """Ids, bitrate, COB-IDs, heartbeats, load and response times of a bus."""
     same = _check_ids(bus, placed, report)
-    _check_serials(placed, report)
     _check_bitrate(bus, placed, report)
     _check_restricted(placed, report)
     _check_cob_ids(bus, placed, same, report)
     _check_names(bus, placed, report)
+    _check_heartbeats(bus, placed, report)
     _check_load(bus, report)
+    _check_deadlines(bus, placed, report)
 
 
 def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
@@ -131,6 +127,8 @@ def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, 
     at_fault: dict[str, None] = {}
     for device in placed:
         key = (device.node.id_space, device.node.id)
+        if not device.node.id_space:
+            continue
         other = first.setdefault(key, device)
         if other is device:
             continue
@@ -146,33 +144,49 @@ def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, 
     return at_fault
 
 
-def _check_serials(placed: Sequence[Placed], report: Report) -> None:
-    first: dict[str, Placed] = {}
+def check_serials(placed: Sequence[Placed], report: Report) -> None:
+    """One vendor gives a serial number once, on whatever bus the device is."""
+    first: dict[tuple[int | None, int | str], Placed] = {}
     for device in placed:
         serial = device.node.serial
         if serial is None:
             continue
-        other = first.setdefault(serial, device)
+        number = serial_number(serial)
+        if device.node.lss and number is None:
+            report.add(
+                "can-serial-format",
+                f"the serial number of `{device.path}` is `{serial}`; by LSS it is found by "
+                "a number of 32 bits",
+                device.serial_span,
+                labels=[Label(device.module_span, "it has LSS")],
+                hint='write it as in "0x12ab34cd"',
+            )
+        key = (device.node.vendor_id, serial if number is None else number)
+        other = first.setdefault(key, device)
         if other is not device:
             report.add(
                 "can-serial-duplicate",
                 f"`{device.path}` has the serial number {serial}, as `{other.path}` has",
-                device.span,
-                labels=[Label(other.span, "first used here")],
+                device.serial_span,
+                labels=[Label(other.serial_span, "first used here")],
                 hint="read each device's own serial number from its label",
             )
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     """One fault for the bus, whatever the number of devices that cannot follow it."""
-    choosy = [device for device in placed if device.bitrates]
-    unable = [device for device in choosy if bus.bitrate not in device.bitrates]
+    choosy = [device for device in placed if device.node.bitrates]
+    unable = [device for device in choosy if bus.bitrate not in device.node.bitrates]
     if not unable:
         return
     first = unable[0]
     others = len(unable) - 1
     who = f"`{first.path}`" + (f" and {others} more of its devices" if others else "")
-    common = [rate for rate in first.bitrates if all(rate in device.bitrates for device in choosy)]
+    common = [
+        rate
+        for rate in first.node.bitrates
+        if all(rate in device.node.bitrates for device in choosy)
+    ]
     rates = ", ".join(f"{rate / 1000:g}" for rate in common)
     report.add(
         "can-bitrate",
@@ -269,7 +283,18 @@ def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     """Frames and producers are known by name: in the DBC, to the driver."""
     spans = {frame.name: device.span for device in placed for frame in device.frames}
     seen: dict[str, Frame] = {}
+    named: dict[str, Placed] = {}
     for device in placed:
+        twin = named.setdefault(device.node.name, device)
+        if twin is not device:
+            report.add(
+                "can-name-conflict",
+                f"`{twin.path}` and `{device.path}` are both named `{device.node.name}` on the "
+                f"bus `{bus.name}`",
+                device.span,
+                labels=[Label(twin.span, "the first")],
+                hint="give one of them another name",
+            )
         if device.node.name == MASTER:
             report.add(
                 "can-name-conflict",
@@ -289,23 +314,8 @@ def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
             )
 
 
-def frame_bits(length: int) -> int:
-    """Bits of a standard frame of ``length`` bytes at worst, stuffing included.
-
-    47 bits of overhead with the interframe space, and a stuff bit for every four
-    of the 34 + 8n bits that are stuffed, after the first.
-    """
-    return 47 + 8 * length + (34 + 8 * length - 1) // 4
-
-
-def bus_load(bus: Bus) -> float:
-    """Share of the bus's time that its periodic frames take at worst."""
-    bits = sum(frame_bits(f.length) / f.period for f in bus.frames if f.period)
-    return bits / bus.bitrate
-
-
 def _check_load(bus: Bus, report: Report) -> None:
-    load = bus_load(bus)
+    load = bus.load
     if load <= LOAD_WARNING:
         return
     code, limit = ("can-overload", LOAD_LIMIT) if load > LOAD_LIMIT else ("can-load", LOAD_WARNING)
@@ -316,3 +326,69 @@ def _check_load(bus: Bus, report: Report) -> None:
         bus.origin,
         hint="a higher bitrate, a lower rate of the driver, or a second bus",
     )
+
+
+def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Every frame must be there in time, also when all others come at the worst instant."""
+    owners = {frame.name: device for device in placed for frame in device.frames}
+    late = [
+        frame
+        for frame in bus.frames
+        if frame.deadline is not None
+        and frame.period is not None
+        and (frame.response_time is None or frame.response_time > frame.deadline)
+    ]
+    if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported
+        return
+    worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
+    named = ", ".join(f"`{frame.name}`" for frame in late[:3])
+    if len(late) > 3:
+        named += f" and {len(late) - 3} more"
+    time = worst.response_time
+    takes = f"{time * 1000:.4g} ms" if time is not None else "any time"
+    labels = [Label(worst.origin, f"`{worst.name}`")]
+    if worst.name in owners:
+        labels.append(Label(owners[worst.name].span, "this device has it"))
+    report.add(
+        "can-deadline",
+        f"on the bus `{bus.name}` {named} can come too late: `{worst.name}` takes {takes} at "
+        f"worst, its deadline is {(worst.deadline or 0.0) * 1000:.4g} ms",
+        bus.origin,
+        labels=labels,
+        hint="a higher bitrate, a lower rate of the driver, or a second bus",
+    )
+
+
+def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Who watches a heartbeat must let one go missing, and a drive must watch the master's."""
+    for device in placed:
+        node = device.node
+        if node.is_cia402 and node.heartbeat_consumer_time is None:
+            report.add(
+                "can-heartbeat-consumer",
+                f"`{device.path}` is a drive after CiA 402 and does not watch the master's "
+                "heartbeat (object 0x1016): it would drive on when the master is gone",
+                device.span,
+                labels=[Label(device.module_span, "what it has is said here")],
+                hint="give its module a `heartbeat_consumer_time`",
+            )
+        beats = [f.period for f in device.frames if f.kind == "heartbeat" and f.period is not None]
+        watched = (
+            (node.heartbeat_timeout, beats[0] if beats else None, f"`{device.path}`"),
+            (node.heartbeat_consumer_time, MASTER_HEARTBEAT_PERIOD, "the master"),
+        )
+        for patience, period, producer in watched:
+            if patience is None or period is None or patience >= 2 * period:
+                continue
+            watcher = "the master" if producer != "the master" else f"`{device.path}`"
+            report.add(
+                "can-heartbeat-time",
+                f"{watcher} waits {patience * 1000:.6g} ms for a heartbeat of {producer}, which "
+                f"comes every {period * 1000:.6g} ms; one that is late would stop the robot",
+                device.span,
+                labels=[
+                    Label(device.module_span, "what it has is said here"),
+                    Label(bus.origin, "the bus"),
+                ],
+                hint=f"wait {2000 * period:.6g} ms or more",
+            )

@@ -6,11 +6,13 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.robot import Actuator
+from thorvaldc.model.robot import Actuator, Frame, Node
 from thorvaldc.passes.scope import Scope
-from thorvaldc.source.node import Node
+from thorvaldc.source import node as source
 
 MASTER = "master"
+MASTER_ID = 127
+MASTER_HEARTBEAT_PERIOD = 0.1  # s
 CANOPEN = "canopen"
 
 
@@ -37,12 +39,28 @@ class Device(NamedTuple):
 
     path: str
     name: str
-    can: Node
-    channels: Node | None
+    can: source.Node
+    channels: source.Node | None
     wires: tuple[Wire, ...]
-    address: Node | None
+    address: source.Node | None
     scope: Scope
     origin: Span
+
+
+class Placed(NamedTuple):
+    """A device with its id: ``span`` is the place of its address in the robot's file.
+
+    ``serial_span`` is that of its serial number; ``module_span`` is what says what
+    such a device is, its `can` section.
+    """
+
+    path: str
+    bus: str
+    span: Span
+    serial_span: Span
+    node: Node
+    frames: tuple[Frame, ...]
+    module_span: Span
 
 
 class BusSpec(NamedTuple):
@@ -53,17 +71,17 @@ class BusSpec(NamedTuple):
     span: Span
 
 
-def entries(node: Node | None) -> list[tuple[str, Node]]:
+def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
     """The entries of a mapping, none where there is no mapping."""
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 
-def items(node: Node | None) -> tuple[Node, ...]:
+def items(node: source.Node | None) -> tuple[source.Node, ...]:
     """The items of a list, none where there is no list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
-def integer(scope: Scope, node: Node | None, default: int) -> int:
+def integer(scope: Scope, node: source.Node | None, default: int) -> int:
     """A whole number, or ``default`` where it is left out or at fault."""
     if node is None:
         return default

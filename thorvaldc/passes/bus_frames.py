@@ -7,12 +7,16 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.model.robot import Frame, Signal
-from thorvaldc.passes.bus_device import MASTER, Device, entries, integer, items
+from thorvaldc.passes.bus_device import MASTER, Device, entries, integer, items, listed
 from thorvaldc.passes.frame_checks import check_channels, check_layout, check_scales
+from thorvaldc.passes.scope import Scope
 from thorvaldc.source.node import Node
 
 HEARTBEAT_PERIOD = 0.1  # s, where the module does not say
+LAST_PDO = 512
 NMT_STATES = ((0, "boot_up"), (4, "stopped"), (5, "operational"), (127, "pre_operational"))
 
 
@@ -23,6 +27,7 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
             "encoder_ppr": wire.actuator.encoder_ppr,
             "motor_max_speed": wire.actuator.motor_max_speed,
             "max_velocity": wire.actuator.max_velocity,
+            "max_acceleration": wire.actuator.max_acceleration,
             "lower": -math.pi if wire.lower is None else wire.lower,
             "upper": math.pi if wire.upper is None else wire.upper,
         }
@@ -46,6 +51,15 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
         if sends and signals and not kept:
             period = None  # nothing to say: the motors that it is for are not there
         deadline = node.get("deadline")
+        number, mapping = _pdo(device, node, length, report)
+        synchronous = scope.boolean(node.get("synchronous"), False)
+        if synchronous and (node.get("period") or node).value != "cycle":
+            report.add(
+                "can-period",
+                f"the frame `{key}` comes with SYNC, once in a control cycle; its period differs",
+                (node.get("period") or node.get("synchronous") or node).span,
+                hint="write `period: cycle`",
+            )
         if fits:
             check_scales(device, node, signals, report)
             yield Frame(
@@ -60,17 +74,45 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
                 kept,
                 node.where,
                 scope.text(node.get("description")),
+                minimum_interval(scope, node, report) if period is None else None,
+                pdo=number,
+                mapping=mapping,
+                synchronous=synchronous,
             )
     yield from _standard_frames(device, node_id, report)
 
 
+def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
+    """The least time in s between two frames that a `rate` allows."""
+    node = frame.get("rate")
+    if node is None:
+        return None
+    rate = scope.quantity(node, "frequency", math.nan)
+    if rate > 0.0:
+        return 1.0 / rate
+    if not math.isnan(rate):  # else its fault is reported
+        report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
+    return None
+
+
 def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[Frame]:
-    """The CANopen objects that the device says it has (CiA 301, predefined connection set)."""
-    found = device.can.get("canopen")
-    if found is None or not isinstance(found.value, tuple):
+    stated = device.can.get("heartbeat_period")
+    every = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
+    has = device.can.get("canopen")
+    yield from standard_frames(device.name, node_id, has, every or HEARTBEAT_PERIOD)
+
+
+def standard_frames(
+    name: str, node_id: int, has: Node | None, heartbeat_period: float
+) -> Iterator[Frame]:
+    """The CANopen objects that a device says it has (CiA 301, predefined connection set).
+
+    ``has`` is its list of their names, ``heartbeat_period`` in s.
+    """
+    if has is None:
         return
-    name, here = device.name, found.where
-    for item in found.value:
+    here = has.where
+    for item in items(has):
         if item.value == "emcy":
             yield Frame(
                 f"{name}_emcy",
@@ -113,9 +155,7 @@ def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[F
                     f"Access to the object dictionary, {way}.",
                 )
         elif item.value == "heartbeat":
-            stated = device.can.get("heartbeat_period")
-            every = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
-            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), every or HEARTBEAT_PERIOD, here)
+            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), heartbeat_period, here)
 
 
 def heartbeat(
@@ -171,6 +211,55 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
             ),
             channel,
         )
+
+
+def _pdo(
+    device: Device, frame: Node, length: int, report: Report
+) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
+    """Number and mapping of a CANopen PDO."""
+    place = frame.get("pdo")
+    if place is None:
+        return None, ()
+    scope = device.scope
+    number = integer(scope, place, 1)
+    if not 1 <= number <= LAST_PDO:
+        report.add(
+            "can-pdo-mapping", f"a PDO's number is 1 to {LAST_PDO}, not {number}", place.span
+        )
+        return None, ()
+    mapping: list[tuple[int, int, str]] = []
+    for item in items(frame.get("mapping")):
+        index, subindex, kind = items(item)
+        object_ = (integer(scope, index, 0), integer(scope, subindex, 0), scope.text(kind))
+        if object_[2] not in OBJECT_TYPES:
+            report.add(
+                "can-pdo-mapping",
+                f"`{object_[2]}` is no type of an object",
+                kind.span,
+                hint=did_you_mean(object_[2], list(OBJECT_TYPES), listed(OBJECT_TYPES)),
+            )
+            return None, ()
+        if not (0 <= object_[0] <= 0xFFFF and 0 <= object_[1] <= 0xFE):
+            report.add(
+                "can-pdo-mapping",
+                f"{object_[0]:#x}:{object_[1]} is no object; an index is 0 to 0xffff, "
+                "a subindex 0 to 254",
+                item.span,
+            )
+            return None, ()
+        mapping.append(object_)
+    bits = sum(OBJECT_TYPES[kind][1] for _, _, kind in mapping)
+    if bits != 8 * length:
+        stated = frame.get("length") or frame
+        report.add(
+            "can-pdo-mapping",
+            f"the objects in the PDO have {bits} bits together, the frame {8 * length}"
+            + ("; a PDO has 64 at most" if bits > 64 else ""),
+            (frame.get("mapping") or frame).span,
+            labels=[Label(stated.span, "the frame's length")],
+        )
+        return None, ()
+    return number, tuple(mapping)
 
 
 def _is_wired(device: Device, channel: str | None) -> bool:

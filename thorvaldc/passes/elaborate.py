@@ -26,12 +26,14 @@ from thorvaldc.passes.base import (
     PlacedWheel,
     Tree,
     contact_point,
+    free_pivots,
     ground_height,
     make_wheels,
     spring_reference,
     static_loads,
 )
 from thorvaldc.passes.bus import connect_actuators
+from thorvaldc.passes.bus_lock import Lock
 from thorvaldc.passes.calibration import (
     MOST_RADIUS,
     calibrate_steering,
@@ -67,7 +69,8 @@ class Elaborator:
     """Makes the model of a resolved robot.
 
     ``base_dir`` is the folder of the robot file, for what it refers to; ``files``
-    gets the files that were read besides, by their names in spans.
+    gets the files that were read besides, by their names in spans; ``lock`` holds the
+    ids of the last build.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class Elaborator:
         base_dir: Path,
         report: Report,
         files: dict[str, Path],
+        lock: Lock,
     ) -> None:
         self.document = document
         self.resolver = resolver
@@ -84,6 +88,7 @@ class Elaborator:
         self.files = files
         # What is said of the robot as a whole is said where it is named.
         self.origin = (document.get("name") or document).span
+        self.lock = lock
         self.report = report
         self.scope = Scope(None, {}, resolver.library, report, None)
 
@@ -134,7 +139,8 @@ class Elaborator:
         if calibration is not None:
             calibrate_steering(calibration, parts.actuators, wheels, self.report)
         body = tree.inertial()
-        loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
+        pivots = free_pivots(tree, wheels, actuated)
+        loads = static_loads([contact_point(w) for w in wheels], body, pivots) if body.mass else []
         wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
         joints = tuple(self._sprung(j, tree, wheels) for j in parts.joints)
         sound = not self.report.has_errors
@@ -173,7 +179,9 @@ class Elaborator:
     def _wiring(self, parts: _Parts, report: Report) -> Wiring:
         actuators = {a.name: a for a in parts.actuators}
         joints = {joint.name: joint for joint in parts.joints}
-        return Wiring(self.document, self.resolver, self.scope, actuators, joints, report)
+        return Wiring(
+            self.document, self.resolver, self.scope, actuators, joints, self.lock, report
+        )
 
     def _check_bus(self, robot: Instance, parts: _Parts) -> None:
         """The bus of a robot that is at fault already; warnings would be about its holes."""
@@ -448,13 +456,17 @@ def elaborate(
     lost: Iterable[str] = (),
     *,
     whole: bool = True,
+    lock: Lock | None = None,
 ) -> Robot | None:
     """Resolve and elaborate a robot document; ``None`` where its tree is not whole.
 
     There may be a robot although the report has errors: of its bus, say.
     ``files`` gets the files that were read besides, by their names in spans;
     ``lost`` names modules that were taken out of the document for their faults;
-    ``whole`` is false where any value of its modules was.
+    ``whole`` is false where any value of its modules was; ``lock`` holds the ids of
+    the last build.
     """
     instance = resolver.resolve(document, lost)
-    return Elaborator(document, resolver, base_dir, report, files).elaborate(instance, whole)
+    return Elaborator(document, resolver, base_dir, report, files, lock or {}).elaborate(
+        instance, whole
+    )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Actuator, Bus, Joint
 from thorvaldc.passes.bus import BusSpec, Device, Wire, build_buses
+from thorvaldc.passes.bus_lock import Lock
 from thorvaldc.passes.resolve import Instance, Resolver, flat
 from thorvaldc.passes.scope import Scope
 from thorvaldc.source.node import Node
@@ -19,7 +20,7 @@ class Wiring(NamedTuple):
     """Finds the devices of a robot and the motors on their channels.
 
     ``actuators`` and ``joints`` by name, as the elaboration made them; ``scope``
-    is the robot document's.
+    is the robot document's, ``lock`` holds the ids of the last build.
     """
 
     document: Node
@@ -27,6 +28,7 @@ class Wiring(NamedTuple):
     scope: Scope
     actuators: dict[str, Actuator]
     joints: dict[str, Joint]
+    lock: Lock
     report: Report
 
     def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
@@ -37,7 +39,15 @@ class Wiring(NamedTuple):
             if can is not None:
                 devices.append(self._device(leaf, can))
         actuators = list(self.actuators.values())
-        return build_buses(devices, self._specs(), actuators, period, self.report)
+        return build_buses(
+            devices,
+            self._specs(),
+            actuators,
+            period,
+            self.report,
+            foreign=self.document.get("foreign_devices"),
+            lock=self.lock,
+        )
 
     def _specs(self) -> list[BusSpec]:
         node = self.document.get("buses")

@@ -6,6 +6,8 @@ import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from thorvaldc.runtime.se2 import Pose2, Twist
+
 
 @dataclass(slots=True)
 class JointStates:
@@ -17,6 +19,8 @@ class JointStates:
     joints that have no encoder (a wheel without motor, a wheel that is not
     steered) are 0 and are not looked at.  ``time`` (s) is when they were measured.
     ``yaw_rate`` (rad/s) is that of a gyro in ``base_link``, where there is one.
+    Angles are the joints' positions with the robot's calibration applied: the
+    encoder's reading plus ``Actuator.encoder_offset``.
     """
 
     time: float
@@ -53,3 +57,19 @@ class BaseHandle(abc.ABC):
     def close(self) -> None:
         """Let go of what the base holds.  The last commands are no longer followed."""
         return
+
+
+class SimulatedBase(BaseHandle):
+    """A base that also knows what only a simulation knows, for whoever measures."""
+
+    @abc.abstractmethod
+    def true_pose(self) -> Pose2:
+        """Pose of ``base_link`` on the ground."""
+
+    @abc.abstractmethod
+    def true_twist(self) -> Twist:
+        """Velocity of ``base_link`` in itself, on the ground."""
+
+    def uprightness(self) -> float:
+        """Cosine of the robot's tilt: 1 upright, 0 on its side."""
+        return 1.0

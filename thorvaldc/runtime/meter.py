@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base import BaseHandle, JointStates
+from thorvaldc.runtime.base import BaseHandle, JointStates, SimulatedBase
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.manoeuvre import Manoeuvre, twist_at
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
@@ -91,7 +91,7 @@ class Meter:
         self.base = base
         self.manoeuvre = manoeuvre
         self.ticks = 0
-        self.start = base.true_pose() if isinstance(base, MujocoBase) else se2.ORIGIN
+        self.start = base.true_pose() if isinstance(base, SimulatedBase) else se2.ORIGIN
         self.true = self.start
         self.turned = 0.0
         self.commanded = self.path = self.estimated = 0.0
@@ -133,7 +133,7 @@ class Meter:
                 self.unreachable_twist = state.asked
 
     def _measure_truth(self) -> None:
-        if not isinstance(self.base, MujocoBase):
+        if not isinstance(self.base, SimulatedBase):
             return
         pose = self.base.true_pose()
         turn = math.remainder(pose.yaw - self.true.yaw, math.tau)
@@ -149,7 +149,7 @@ class Meter:
         state = self.driver.state
         estimated, pose = state.odometry.twist, self.start.moved(state.pose)
         true, pose_true = estimated, pose
-        if isinstance(self.base, MujocoBase):
+        if isinstance(self.base, SimulatedBase):
             true = self.base.true_twist()
             pose_true = Pose2(self.true.x, self.true.y, self.start.yaw + self.turned)
         aimed = ZERO_TWIST if state.command is None else state.command.target
@@ -165,7 +165,7 @@ class Meter:
         robot = self.robot
         odometry = self.driver.state.pose
         true, path = odometry, self.estimated
-        if isinstance(self.base, MujocoBase):
+        if isinstance(self.base, SimulatedBase):
             x, y, _ = self.true.relative_to(self.start)
             true, path = Pose2(x, y, self.turned), self.path
         return RobotRun(

@@ -9,8 +9,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.runtime.base import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.base import JointCommands, JointStates, SimulatedBase
 from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.hidden import HiddenErrors
 from thorvaldc.runtime.se2 import Pose2, Twist
 
 SCENE = "mjcf/scene.xml"
@@ -123,14 +124,28 @@ class MujocoScene:
         return found
 
 
-class MujocoBase(BaseHandle):
+class MujocoBase(SimulatedBase):
     """The joints of one robot of a scene, and what only a simulation knows.
 
     Joints, actuators and bodies are found by their names, which start with
     ``prefix`` (by default the robot's name space and a slash).
+
+    ``hidden`` errors are made between the joints and what is told of them: a wheel
+    that is larger by some ratio rolls as one of the model's radius that turns
+    faster by it.  With ``open_loop`` the drives get a voltage in place of a
+    speed that they hold: their torque falls in a line from the largest at rest
+    to none at the speed asked for, so that wheels give way to one another.
     """
 
-    def __init__(self, robot: Robot, scene: MujocoScene, prefix: str | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        scene: MujocoScene,
+        prefix: str | None = None,
+        *,
+        hidden: HiddenErrors | None = None,
+        open_loop: bool = False,
+    ) -> None:
         """Raises ``RuntimeFault`` where the scene is not of this robot."""
         if prefix is None:
             prefix = f"{robot.namespace}/" if robot.namespace else ""
@@ -138,6 +153,8 @@ class MujocoBase(BaseHandle):
         self.scene = scene
         model = scene.model
         self._n = len(robot.wheels)
+        hidden = hidden or HiddenErrors.none(robot)
+        self._ratios, self._offsets = hidden.radius_ratios, hidden.steering_offsets
         body = scene.index("body", prefix + robot.links[0].name, robot)
         free = int(model.body_jntadr[body])
         if free < 0 or int(model.body_dofnum[body]) != 6:
@@ -166,6 +183,9 @@ class MujocoBase(BaseHandle):
                 if actuator is not None:
                     number = scene.index("actuator", prefix + actuator.name, robot)
                     motors.append((i, number))
+        self._voltages: list[tuple[int, int, float]] = []
+        if open_loop:
+            self._open_loops()
 
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
@@ -173,37 +193,51 @@ class MujocoBase(BaseHandle):
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
         for i, q, v in self._spin:
-            positions[i] = float(qpos[q])
-            speeds[i] = float(qvel[v])
+            positions[i] = float(qpos[q]) / self._ratios[i]
+            speeds[i] = float(qvel[v]) / self._ratios[i]
         for i, q, v in self._steering:
-            angles[i] = float(qpos[q])
+            angles[i] = float(qpos[q]) - self._offsets[i]
             rates[i] = float(qvel[v])
         return JointStates(self.scene.time, speeds, angles, rates, positions)
 
     def write(self, commands: JointCommands, now: float) -> None:
         ctrl = self.scene.data.ctrl
         for i, motor in self._drive_motors:
-            ctrl[motor] = commands.speeds[i]
+            ctrl[motor] = commands.speeds[i] * self._ratios[i]
         for i, motor in self._steering_motors:
-            ctrl[motor] = commands.angles[i]
+            ctrl[motor] = commands.angles[i] + self._offsets[i]
+        for i, joint, slope in self._voltages:
+            self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
+
+    def _open_loops(self) -> None:
+        """Make dampers of the drives' servos; ``write`` adds the torque of the voltage."""
+        model = self.scene.model
+        joints = {i: v for i, _, v in self._spin}
+        for i, motor in self._drive_motors:
+            actuator = self.robot.actuator_of(self.robot.wheels[i].spin_joint)
+            if actuator is None:
+                continue
+            slope = actuator.max_torque / actuator.max_velocity
+            model.actuator_gainprm[motor] = 0.0
+            model.actuator_biasprm[motor] = 0.0
+            model.actuator_biasprm[motor, 2] = -slope
+            self._voltages.append((i, joints[i], slope))
 
     # -- what only a simulation knows ----------------------------------------------
 
     def true_pose(self) -> Pose2:
-        """Pose of ``base_link`` on the ground; yaw in -pi..pi."""
+        """As promised; yaw in -pi..pi."""
         x, y, _, w, i, j, k = self._base_position()
         yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return Pose2(x, y, yaw)
 
     def true_twist(self) -> Twist:
-        """Velocity of ``base_link`` in itself, on the ground."""
         v = self.scene.data.qvel[self._base_velocity : self._base_velocity + 6].tolist()
         yaw = self.true_pose().yaw
         c, s = math.cos(yaw), math.sin(yaw)
         return Twist(c * v[0] + s * v[1], c * v[1] - s * v[0], v[5])
 
     def uprightness(self) -> float:
-        """Cosine of the robot's tilt: 1 upright, 0 on its side."""
         _, _, _, _, i, j, _ = self._base_position()
         return 1.0 - 2.0 * (i * i + j * j)
 

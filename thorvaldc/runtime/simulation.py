@@ -16,6 +16,7 @@ from thorvaldc.model.serialize import ModelFormatError, from_json
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base import BaseHandle
 from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.hidden import HiddenErrors
 from thorvaldc.runtime.manoeuvre import (
     Manoeuvre,
     Segment,
@@ -25,6 +26,7 @@ from thorvaldc.runtime.manoeuvre import (
 from thorvaldc.runtime.meter import NOTICEABLE, Meter, RobotRun, Watch, size
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.parameters import Parameters
+from thorvaldc.runtime.rolling_base import RollingBase
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.runtime.sim_base import SimBase
 
@@ -59,7 +61,10 @@ class Simulation:
     """A robot, or a fleet in one scene, ready to drive.
 
     With ``files`` (a build folder, or the outputs of the ``mjcf`` backend as
-    ``{path: bytes}``) it drives in MuJoCo, without on ideal joints.
+    ``{path: bytes}``) it drives in MuJoCo, without on ideal joints.  ``hidden`` are
+    errors that robots have, by their names, and their drivers do not know of;
+    with ``open_loop`` the drives do not control their speed.  On ideal
+    joints either lets no wheel slip (``RollingBase``).
     """
 
     def __init__(
@@ -67,6 +72,9 @@ class Simulation:
         model: Robot | Fleet,
         files: Path | str | Mapping[str, bytes] | None = None,
         parameters: str | None = None,
+        *,
+        hidden: Mapping[str, HiddenErrors] | None = None,
+        open_loop: bool = False,
     ) -> None:
         """``parameters`` names the parameter set that the robots drive by.
 
@@ -86,6 +94,8 @@ class Simulation:
             Parameters.of(robot, parameters)
         self.parameters = parameters
         self.scene = None if files is None else MujocoScene(files)
+        self.hidden = hidden or {}
+        self.open_loop = open_loop
 
     def run(
         self,
@@ -107,7 +117,7 @@ class Simulation:
         if self.scene is not None:
             self.scene.reset()
         meters = [
-            Meter(name, robot, self._base(robot), _manoeuvre(motion, name), self.parameters)
+            Meter(name, robot, self._base(name, robot), _manoeuvre(motion, name), self.parameters)
             for name, robot in self.robots
         ]
         started = time.perf_counter()
@@ -170,8 +180,13 @@ class Simulation:
                     )
                     break
 
-    def _base(self, robot: Robot) -> BaseHandle:
-        return SimBase(robot) if self.scene is None else MujocoBase(robot, self.scene)
+    def _base(self, name: str, robot: Robot) -> BaseHandle:
+        hidden = self.hidden.get(name)
+        if self.scene is not None:
+            return MujocoBase(robot, self.scene, hidden=hidden, open_loop=self.open_loop)
+        if hidden is not None or self.open_loop:
+            return RollingBase(robot, hidden, Parameters.of(robot, self.parameters).radii)
+        return SimBase(robot)
 
 
 def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], name: str) -> Manoeuvre:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from thorvaldc.runtime.calculators.fit import (
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear import solve3
 from thorvaldc.runtime.calculators.rejection import Rejection, mixture
+from thorvaldc.runtime.calculators.unrolled import Estimate, UnrolledWheel, unrolled
 from thorvaldc.runtime.faults import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Twist
 
@@ -147,10 +149,14 @@ class TwistEstimator:
         """Raise ``NotFiniteError`` or ``ValueError`` where the joints cannot be used."""
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
-        positions = states.positions if states.positions is not None else states.speeds
-        if len(positions) != self._n:
+        total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates)
+        positions = states.positions
+        if positions is None:
+            positions = states.speeds
+        elif len(positions) == self._n:
+            total += sum(positions)
+        else:
             raise ValueError(f"joint states of {len(positions)} wheels for {self._n}")
-        total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates) + sum(positions)
         if states.yaw_rate is not None:
             total += states.yaw_rate
         if math.isfinite(total):
@@ -181,6 +187,15 @@ class TwistEstimator:
             raise NotFiniteError(_UNBOUNDED) from None
 
     def _estimated(self, states: JointStates) -> TwistEstimate:
+        if self._unrolled is not None and states.yaw_rate is None:
+            found = self._unrolled(states.speeds, states.angles)
+            if found is not None:
+                vx, vy, wz, covariance, tests = found
+                return TwistEstimate(Twist(vx, vy, wz), covariance, 3, tests)
+        return self._estimate_closely(states)
+
+    def _estimate_closely(self, states: JointStates) -> TwistEstimate:
+        """With loops over the wheels, for any robot and whatever its wheels say."""
         readings, (vx, vy, wz), rank = self._first(states)
         noise, rate = self.squares, states.yaw_rate
         prior = (0.0, 0.0) if rank == 3 else self.prior
@@ -314,6 +329,21 @@ class TwistEstimator:
         (q11, q12, q13), rank = columns[0]
         (_, q22, q23), _ = columns[1]
         return (q11, q12, q13, q22, q23, columns[2][0][2]), rank
+
+    @functools.cached_property
+    def _unrolled(self) -> Estimate | None:
+        """The robot's own code for ticks with nothing unusual; ``None`` where it has no use."""
+        plain = all(row.kind == BOTH and not row.skids for row in self.rows)
+        if not plain or self.options.polish or self.inverse is None or self.inverse[1] < 3:
+            return None
+        gates = self.gates if self.options.faulty else (math.inf,) * len(self.rows)
+        wheels = [
+            UnrolledWheel(
+                r.wheel, r.heading, r.sign, r.cos, r.sin, r.x, r.y, r.radius, r.turns, gate
+            )
+            for r, gate in zip(self.rows, gates, strict=True)
+        ]
+        return unrolled(wheels, self._n, self.inverse[0], self._centre, self.squares)
 
     def _without_the_wrong(
         self,

@@ -1,0 +1,105 @@
+"""sim --log and calibrate, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import GOOD, Command
+
+TRUE = """\
+thorvaldc: 1
+robot: good
+wheels:
+  fl_wheel: {radius: 202 mm, steering_offset: 1 deg}
+  fr_wheel: {radius: 199 mm, steering_offset: -0.5 deg}
+"""
+
+
+@pytest.fixture
+def calibrated(thorvaldc: Command) -> str:
+    """A robot whose driver knows what its wheels are; `good.yaml` does not say."""
+    Path("true.yaml").write_text(TRUE, encoding="utf-8")
+    Path("knows.yaml").write_text(GOOD + "calibration: true.yaml\n", encoding="utf-8")
+    return "knows.yaml"
+
+
+def test_calibration_is_found_and_included(thorvaldc: Command, calibrated: str) -> None:
+    pytest.importorskip("mujoco")
+    driven = thorvaldc("sim", calibrated, "--open-loop", "--log", "joints.csv")
+    assert driven.status == 0, driven.err
+    found = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "calibration.yaml")
+    assert found.status == 0, found.err
+    fl = next(line for line in found.out.splitlines() if line.startswith("fl_wheel"))
+    assert "+1.0" in fl or "+0.9" in fl
+    # Included, the robot agrees with the log.
+    Path("again.yaml").write_text(GOOD + "calibration: calibration.yaml\n", encoding="utf-8")
+    assert thorvaldc("check", "again.yaml").status == 0
+    again = thorvaldc("calibrate", "joints.csv", "again.yaml", "--json")
+    value = json.loads(again.out)
+    offset = value["wheels"][0]["steering_offset"]
+    assert offset["value"] == pytest.approx(0.0174533, abs=0.002)
+    assert value["wheels"][1]["radius_ratio"]["value"] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_written_only_over_a_calibration(thorvaldc: Command, calibrated: str) -> None:
+    thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
+    for path in ("true.yaml", "new.yaml"):
+        assert thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", path).status == 0
+    before = Path("good.yaml").read_text(encoding="utf-8")
+    refused = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "good.yaml")
+    assert refused.status == 3
+    assert "no calibration" in refused.err
+    assert Path("good.yaml").read_text(encoding="utf-8") == before
+    assert thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "none/c.yaml").status == 3
+    assert not [path for path in Path().iterdir() if path.name.endswith(".new")]
+
+
+def test_log_that_tells_nothing_is_not_written(thorvaldc: Command, calibrated: str) -> None:
+    thorvaldc("sim", "good.yaml", "--ideal", "--log", "joints.csv")
+    found = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "calibration.yaml")
+    assert found.status == 1
+    assert "calibration-forced" in found.err
+    assert not Path("calibration.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "time\n", "time,fl_drive_axle.position\n", "\n\n", "a,b\n1,2\n"]
+)
+def test_bad_logs_are_faults(thorvaldc: Command, text: str) -> None:
+    Path("joints.csv").write_text(text, encoding="utf-8")
+    found = thorvaldc("calibrate", "joints.csv", "good.yaml")
+    assert found.status == 1
+    assert "error[TV83" in found.err
+    assert found.out == ""
+
+
+def test_log_with_a_header_alone(thorvaldc: Command, calibrated: str) -> None:
+    thorvaldc("sim", "good.yaml", "--ideal", "--duration", "1", "--log", "joints.csv")
+    lines = Path("joints.csv").read_text(encoding="utf-8").splitlines()
+    for count in (1, 2, 3):
+        Path("joints.csv").write_text("\n".join(lines[:count]) + "\n", encoding="utf-8")
+        found = thorvaldc("calibrate", "joints.csv", "good.yaml")
+        assert found.status == 1
+        assert "joint-log-short" in found.err
+
+
+@pytest.mark.parametrize("distance", ["ten", "10 kg", "-3", "0", "nan"])
+def test_bad_distance(thorvaldc: Command, distance: str) -> None:
+    assert thorvaldc("calibrate", "j.csv", "good.yaml", f"--distance={distance}").status == 2
+
+
+def test_missing_files_and_robots_at_fault(thorvaldc: Command) -> None:
+    assert thorvaldc("calibrate", "none.csv", "good.yaml").status == 1
+    assert thorvaldc("calibrate", "none.csv", "bad.yaml").status == 1
+    assert thorvaldc("sim", "good.yaml", "--ideal", "--log", "none/joints.csv").status == 3
+
+
+def test_fleets_have_no_log(thorvaldc: Command) -> None:
+    Path("fleet.yaml").write_text(
+        "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: good.yaml}\n", encoding="utf-8"
+    )
+    assert thorvaldc("sim", "fleet.yaml", "--ideal", "--log", "joints.csv").status == 2
+    assert thorvaldc("calibrate", "joints.csv", "fleet.yaml").status == 2
