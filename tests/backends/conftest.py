@@ -59,3 +59,13 @@ def check_urdf() -> str:
 @pytest.fixture
 def ign() -> str:
     return checker("ign", "ignition-tools, libsdformat-dev")
+
+
+@pytest.fixture
+def cc() -> str:
+    return checker("cc", "gcc")
+
+
+@pytest.fixture
+def shellcheck() -> str:
+    return checker("shellcheck", "shellcheck")

@@ -212,7 +212,7 @@ def test_every_bus_has_its_dbc() -> None:
     robot = robot_with_bus()
     second = Bus("implement", 250_000, 0.02, (), (), SPAN)
     files = Can().emit(dataclasses.replace(robot, buses=(*robot.buses, second)))
-    assert sorted(files) == ["can/canmap.json", "can/implement.dbc", "can/main.dbc"]
+    assert sorted(p for p in files if p.endswith(".dbc")) == ["can/implement.dbc", "can/main.dbc"]
     assert read_dbc(files["can/implement.dbc"]).buses[0].baudrate == 250_000
 
 

@@ -1,8 +1,9 @@
 """What an example is compiled to, and which of it is kept whole.
 
-Kept whole are the texts that people read: URDF, MJCF, ROS 2 parameters, CAN map
-and DBC.  Of the rest (meshes, the model, and what repeats another file) the
-SHA-256 is kept, so that no byte changes unseen.
+Kept whole are the texts that people read: URDF, MJCF, ROS 2 parameters and what is
+said of the bus (the long DCFs and the C header of one example alone).  Of the rest
+(meshes, the model, and what repeats another file) the SHA-256 is kept, so that no
+byte changes unseen.
 """
 
 from __future__ import annotations
@@ -42,10 +43,15 @@ def made_files(example: str) -> dict[str, str]:
     return {**kept, SUMS: "".join(sums)}
 
 
+WITH_DCF = "1wd1ws_front"  # it has one controller
+
+
 def _is_kept(example: str, path: str) -> bool:
     if EXAMPLES[example].name == "fleet.yaml":
         return path.startswith("mjcf/")  # the robots are those of other examples
-    # The description in the ROS 2 parameters is the URDF once more.
+    if path.startswith("can/dcf/") or path.endswith(".h"):
+        return example == WITH_DCF
+    # The description in the ROS 2 parameters is the URDF once more, the budget a table.
     return path.startswith(("urdf/", "mjcf/", "ros2/", "can/")) and not path.endswith(
-        "robot_state_publisher.yaml"
+        ("robot_state_publisher.yaml", "budget.json")
     )

@@ -1,0 +1,42 @@
+"""The `can` target: what talks to the robot's buses, sets them up and checks them takes from here.
+
+docs/canmap.md describes the files.  Everything in them was computed before: ids,
+COB-IDs, scalings, objects and response times are those of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from thorvaldc.backends import Backend
+from thorvaldc.backends.can import bring_up, budget, canmap, dbc, dcf, header, ros2_canopen
+from thorvaldc.diagnostics import Diagnostic
+from thorvaldc.model import Robot
+
+
+class Can(Backend):
+    name = "can"
+    summary = "CAN map, DBC, DCF of each node, C header, load of the bus, set-up of interfaces"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        files = {"can/canmap.json": canmap.canmap_text(robot).encode()}
+        if not robot.buses:
+            return files
+        alone = len(robot.buses) == 1
+        for bus in robot.buses:
+            path = "can/robot.dbc" if alone else f"can/{bus.name}.dbc"
+            files[path] = dbc.dbc_text(bus).encode(dbc.ENCODING, "replace")
+            for node in dcf.described(bus):
+                files[f"can/dcf/{node.name}.dcf"] = dcf.dcf_text(bus, node).encode("ascii")
+            if dcf.described(bus):
+                path = "can/bus.yml" if alone else f"can/{bus.name}.bus.yml"
+                files[path] = ros2_canopen.bus_yml(bus).encode()
+        files["can/robot_can.h"] = header.header_text(robot).encode("ascii", "replace")
+        files["can/budget.json"] = budget.budget_json(robot).encode()
+        files["can/budget.md"] = budget.budget_table(robot).encode()
+        files["can/bring_up.sh"] = bring_up.script(robot).encode()
+        return files
+
+    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
+        for bus in robot.buses:
+            yield from dbc.lost_texts(bus)

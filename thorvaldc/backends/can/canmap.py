@@ -1,0 +1,164 @@
+"""`can/canmap.json`, which is normative.  docs/canmap.md describes it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from thorvaldc.model import Robot
+from thorvaldc.model.robot import Actuator, Bus, Channel, Frame, Joint, Node, Signal
+
+FORMAT = "thorvaldc-canmap"
+VERSION = 2
+JOINT_UNITS = ("rad", "rad/s")
+Motors = dict[str, tuple[Actuator, Joint]]
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+
+
+def canmap_text(robot: Robot) -> str:
+    """The CAN map as JSON text; what is flat stands on one line, so that a diff reads well."""
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": robot.name,
+        "namespace": robot.namespace,
+        "buses": [_bus(robot, bus) for bus in robot.buses],
+    }
+    return json_text(head)
+
+
+def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
+    joints = {joint.name: joint for joint in robot.joints}
+    motors = {a.name: (a, joints[a.joint]) for a in robot.actuators}
+    frames: dict[str, list[Frame]] = {}
+    for frame in bus.frames:
+        for name in (frame.producer, *frame.consumers):
+            frames.setdefault(name, []).append(frame)
+    return {
+        "name": bus.name,
+        "bitrate": bus.bitrate,
+        "sync_period": bus.sync_period,
+        "load": bus.load,
+        "master": {"name": "master", "id": bus.master_id},
+        "nodes": [_node(node, motors, frames.get(node.name, [])) for node in bus.nodes],
+        "frames": [_frame(frame) for frame in bus.frames],
+    }
+
+
+def _node(node: Node, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
+    return {
+        "name": node.name,
+        "module": node.module,
+        "protocol": node.protocol,
+        "id": node.id,
+        "id_space": node.id_space,
+        "vendor_id": node.vendor_id,
+        "product_code": node.product_code,
+        "revision_number": node.revision_number,
+        "serial": node.serial,
+        "device_type": node.device_type,
+        "lss": node.lss,
+        "heartbeat_timeout": node.heartbeat_timeout,
+        "heartbeat_consumer_time": node.heartbeat_consumer_time,
+        "bitrates": list(node.bitrates),
+        "properties": dict(node.properties),
+        "channels": [_channel(node, channel, motors, frames) for channel in node.channels],
+    }
+
+
+def _channel(node: Node, channel: Channel, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
+    plain: dict[str, Any] = {"name": channel.name, "role": channel.role, "actuator": None}
+    if channel.actuator is None:
+        return plain
+    actuator, joint = motors[channel.actuator]
+    return {
+        **plain,
+        "actuator": actuator.name,
+        "joint": joint.name,
+        "gear_ratio": actuator.gear_ratio,
+        "encoder_ppr": actuator.encoder_ppr,
+        "motor_max_speed": actuator.motor_max_speed,
+        "max_velocity": actuator.max_velocity,
+        "max_acceleration": actuator.max_acceleration,
+        "lower": joint.lower,
+        "upper": joint.upper,
+        "signals": [
+            {
+                "frame": frame.name,
+                "signal": signal.name,
+                "direction": "report" if frame.producer == node.name else "command",
+                "unit": signal.unit,
+                "scale": signal.scale,
+                "offset": signal.offset,
+            }
+            for frame in frames
+            for signal in frame.signals
+            if signal.joint == actuator.joint and signal.unit in JOINT_UNITS
+        ],
+    }
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    return {
+        "name": frame.name,
+        "cob_id": frame.cob_id,
+        "kind": frame.kind,
+        "producer": frame.producer,
+        "consumers": list(frame.consumers),
+        "length": frame.length,
+        "period": frame.period,
+        "deadline": frame.deadline,
+        "minimum_interval": frame.minimum_interval,
+        "response_time": frame.response_time,
+        "pdo": frame.pdo,
+        "mapping": [list(entry) for entry in frame.mapping],
+        "synchronous": frame.synchronous,
+        "description": frame.description,
+        "signals": [_signal(signal) for signal in frame.signals],
+    }
+
+
+def _signal(signal: Signal) -> dict[str, Any]:
+    return {
+        "name": signal.name,
+        "start": signal.start,
+        "length": signal.length,
+        "signed": signal.signed,
+        "scale": signal.scale,
+        "offset": signal.offset,
+        "unit": signal.unit,
+        "minimum": signal.minimum,
+        "maximum": signal.maximum,
+        "joint": signal.joint,
+        "multiplexer": signal.multiplexer,
+        "selected_by": list(signal.selected_by),
+        "choices": {name: raw for raw, name in signal.choices},
+        "description": signal.description,
+    }
+
+
+def json_text(document: dict[str, Any]) -> str:
+    """JSON in which what is flat stands on one line."""
+    return _layout(document, 0) + "\n"
+
+
+def _layout(value: Any, depth: int) -> str:
+    pad, inner = "  " * depth, "  " * (depth + 1)
+    if isinstance(value, dict) and not all(_is_flat(v) for v in value.values()):
+        rows = [f"{inner}{_dump(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(rows) + f"\n{pad}}}"
+    if isinstance(value, list) and not _is_flat(value):
+        rows = [inner + _layout(v, depth + 1) for v in value]
+        return "[\n" + ",\n".join(rows) + f"\n{pad}]"
+    return _dump(value)
+
+
+def _is_flat(value: Any) -> bool:
+    """Whether the value has no containers in it."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    return not isinstance(value, list) or not any(isinstance(v, dict | list) for v in value)
+
+
+def _dump(value: Any) -> str:
+    return _ENCODER.encode(value)

@@ -1,0 +1,166 @@
+"""A bus as a DBC file, for tools that read those."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.model.robot import Bus, Frame, Signal
+
+ENCODING = "cp1252"  # what readers of DBC files take for granted
+
+
+def lost_texts(bus: Bus) -> Iterator[Diagnostic]:
+    """What a DBC file cannot say of the bus: characters of its texts."""
+    for frame in bus.frames:
+        texts = [frame.description]
+        for signal in frame.signals:
+            texts += (signal.description, signal.unit)
+        lost = [c for c in dict.fromkeys("".join(texts)) if not _in_dbc(c)]
+        if lost:
+            yield Diagnostic(
+                CODES["dbc-text"],
+                f"the texts of `{frame.name}` have characters that a DBC file cannot "
+                f"hold: {' '.join(lost[:8])}",
+                frame.origin,
+                "they are `?` there; the CAN map has them all",
+            )
+
+
+def _in_dbc(character: str) -> bool:
+    try:
+        character.encode(ENCODING)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def dbc_text(bus: Bus) -> str:
+    """The bus as a DBC file, written by cantools."""
+    db = _cantools_database()
+    can = db.can
+
+    class Message(can.Message):  # type: ignore[misc,name-defined]
+        """A message that is only written: two thirds of the time go into what that skips."""
+
+        def __deepcopy__(self, memo: dict[int, Any]) -> Message:
+            return self  # writing changes names; this one is made for that alone
+
+        def refresh(self, strict: bool | None = None) -> None:
+            """No codecs are made, and the layout was checked in the passes."""
+
+    nodes = [can.Node("master", "Master of the bus: the base driver.")] + [
+        can.Node(
+            node.name,
+            _plain(f"{node.module}: {node.protocol}, id {node.id} of {node.id_space}"),
+        )
+        for node in bus.nodes
+    ]
+    messages = [
+        Message(
+            frame.cob_id,
+            frame.name,
+            frame.length,
+            _dbc_signals(db, frame),
+            comment=_plain(frame.description) or None,
+            senders=[frame.producer],
+            # The attribute counts whole milliseconds; the CAN map has the exact period.
+            cycle_time=max(1, min(round(frame.period * 1000), 0xFFFF)) if frame.period else None,
+            strict=True,
+            sort_signals=None,
+        )
+        for frame in bus.frames
+    ]
+    dbc = importlib.import_module(f"{can.__name__}.formats.dbc")
+    database = can.Database(
+        messages=messages,
+        nodes=nodes,
+        buses=[can.Bus(bus.name, None, bus.bitrate)],
+        version="",
+        dbc_specifics=dbc.DbcSpecifics(),
+        sort_signals=None,
+    )
+    text: str = database.as_dbc_string(sort_signals=None)
+    return text
+
+
+def _dbc_signals(db: Any, frame: Frame) -> list[Any]:
+    selector = next((s.name for s in frame.signals if s.multiplexer), None)
+    made = []
+    for signal in frame.signals:
+        low, high = _limits(signal)
+        comment = signal.description
+        if signal.joint is not None:
+            comment = f"{comment} Joint {signal.joint}.".strip()
+        made.append(
+            db.can.Signal(
+                signal.name,
+                signal.start,
+                signal.length,
+                is_signed=signal.signed,
+                conversion=db.conversion.BaseConversion.factory(
+                    _number(signal.scale),
+                    _number(signal.offset),
+                    {raw: _plain(name) for raw, name in signal.choices} or None,
+                ),
+                minimum=low,
+                maximum=high,
+                unit=_plain(signal.unit) or None,
+                comment=_plain(comment) or None,
+                receivers=list(frame.consumers),
+                is_multiplexer=signal.multiplexer,
+                multiplexer_ids=list(signal.selected_by) or None,
+                multiplexer_signal=selector if signal.selected_by else None,
+            )
+        )
+    return made
+
+
+def _limits(signal: Signal) -> tuple[float | None, float | None]:
+    """Both limits or none: a DBC has 0 for one that is missing beside one that is not."""
+    if signal.minimum is None and signal.maximum is None:
+        return None, None
+    first, last = (
+        (-1 << signal.length - 1, 1 << signal.length - 1)
+        if signal.signed
+        else (0, 1 << signal.length)
+    )
+    ends = sorted(raw * signal.scale + signal.offset for raw in (first, last - 1))
+    return (
+        ends[0] if signal.minimum is None else signal.minimum,
+        ends[1] if signal.maximum is None else signal.maximum,
+    )
+
+
+def _number(value: float) -> float | int:
+    return int(value) if value.is_integer() else value
+
+
+def _plain(text: str) -> str:
+    """Text on one line without what ends or escapes a string in a DBC file."""
+    return " ".join(text.replace("\\", "/").replace('"', "'").split())
+
+
+def _cantools_database() -> Any:
+    """The package ``cantools.database``, without what ``import cantools`` brings along.
+
+    The top package also imports its bus tester and with it python-can, asyncio
+    and ssl: two thirds of the time, and a bus library in a compiler.  So it is
+    put in place unexecuted, and runs when someone asks it for something else.
+    """
+    spec = importlib.util.find_spec("cantools") if "cantools" not in sys.modules else None
+    if spec is not None and spec.loader is not None:
+        loader, package = spec.loader, importlib.util.module_from_spec(spec)
+
+        def load_the_rest(name: str) -> Any:
+            vars(package).pop("__getattr__", None)
+            loader.exec_module(package)
+            return getattr(package, name)
+
+        vars(package)["__getattr__"] = load_the_rest
+        sys.modules["cantools"] = package
+    return importlib.import_module("cantools.database")
