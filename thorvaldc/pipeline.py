@@ -190,8 +190,9 @@ def _robot(
     resolver = Resolver(modules, report)
     robot = elaborate(document, resolver, base, report, files, lost, whole=whole, lock=lock)
     files.update(modules.files)
+    design = _design(document, modules, report)
     if robot is not None:
-        check_robot(robot, _design(document, modules, report), report)
+        check_robot(robot, design, report)
         if robot.calculator != CalculatorChoice():
             _check_calculator(robot, document, report)
     return robot
@@ -210,13 +211,19 @@ def _design(document: Node, library: Library, report: Report) -> Design:
 
     def angle(key: str, default: float) -> float:
         found = node.get(key)
-        value = scope.quantity(found, "angle", default)
+        given = found.value if found is not None else None
+        hint = None
+        if isinstance(given, int | float) and not isinstance(given, bool):
+            value, hint = float(given), f"write `{given:g} deg` if degrees are meant"
+        else:
+            value = scope.quantity(found, "angle", default)
         if found is None or 0.0 <= value < math.pi / 2:
             return value
         report.add(
             "number-out-of-range",
             f"`{key}` is {math.degrees(value):.6g} deg; it must be from 0 to less than 90 deg",
             found.span,
+            hint=hint,
         )
         return default
 

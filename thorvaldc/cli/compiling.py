@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -69,7 +70,7 @@ def build_files(
             faults.finish(builds=builds)
             raise OutsideError(str(fault)) from fault
         for path in pinned:
-            faults.result(f"{path}: automatic ids are pinned")
+            faults.result(f"{os.path.normpath(path)}: automatic ids are pinned")
         faults.result(f"{folder}: {count(len(made), 'file')} ({', '.join(wanted)})")
         builds.append({"file": file, "folder": str(folder), "files": sorted(made)})
     return faults.finish(builds=builds)
