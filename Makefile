@@ -50,7 +50,10 @@ types: $(READY)
 test: lint types
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup $(TESTS)
 
+# The library to compare with comes into the environment of the first bench, not of every test.
 bench: $(READY)
+	@$(BIN)/python -c 'import wpimath' 2>/dev/null || test -z "$(READY)" || \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]' || true
 	$(BIN)/python -m bench
 
 golden: $(READY)

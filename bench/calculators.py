@@ -7,13 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from bench.figure import EXAMPLE, Figure
-
-
-def _robot(wheels: int) -> list[tuple[float, float]]:
-    """Places of steered wheels, in pairs along a frame."""
-    pairs = (wheels + 1) // 2
-    places = [(0.55 * (2 * i / (pairs - 1) - 1), y) for i in range(pairs) for y in (0.45, -0.45)]
-    return places[:wheels]
+from bench.robots import places, wheel
 
 
 def _fastest(work: Callable[[], object], calls: int, rounds: int = 100) -> float:
@@ -29,20 +23,12 @@ def _fastest(work: Callable[[], object], calls: int, rounds: int = 100) -> float
 
 def figures() -> Iterator[Figure]:
     from thorvaldc.runtime.base import JointStates
-    from thorvaldc.runtime.calculators import BaseGeometry, WheelGeometry
+    from thorvaldc.runtime.calculators import BaseGeometry
     from thorvaldc.runtime.calculators.general import General
     from thorvaldc.runtime.se2 import Twist
 
     for n in (4, 6, 9):
-        wheels = [
-            WheelGeometry(
-                f"w{i}", x, y, 0.0, 1.0, 0.0, 0.0, 0.2,
-                driven=True, steered=True, swivel=False, encoder=True,
-                max_speed=7.48, max_acceleration=7.5, lower=-3.078, upper=3.078,
-                max_rate=4.0, max_rate_change=20.0,
-            )
-            for i, (x, y) in enumerate(_robot(n))
-        ]  # fmt: skip
+        wheels = [wheel(f"w{i}", x, y) for i, (x, y) in enumerate(places(n))]
         calculator = General(BaseGeometry.from_wheels(wheels))
         twists = [
             Twist(0.8, 0.1 * math.sin(k), 0.3 * math.cos(k)) for k in (0.1 * j for j in range(63))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from bench.figure import Figure
+from bench.robots import wheel
 
 if TYPE_CHECKING:
     from thorvaldc.runtime.calculators import WheelGeometry
@@ -159,13 +160,11 @@ def _random_twist(rng: random.Random) -> Twist:
 
 
 def _wheel(name: str, x: float, y: float) -> WheelGeometry:
-    from thorvaldc.runtime.calculators import WheelGeometry
-
-    return WheelGeometry(
-        name, x, y, 0.0, 1.0, 0.0, 0.0, 0.2,
-        driven=True, steered=True, swivel=False, encoder=True,
-        max_speed=100.0, max_acceleration=1e9, lower=-PI, upper=PI,
-        max_rate=2.0, max_rate_change=1e9,
+    """One that is slow to turn, and no other limit."""
+    return wheel(
+        name, x, y,
+        lower=-PI, upper=PI, max_rate=2.0,
+        max_rate_change=1e9, max_speed=100.0, max_acceleration=1e9,
     )  # fmt: skip
 
 

@@ -188,10 +188,9 @@ class TwistEstimator:
 
     def _estimated(self, states: JointStates) -> TwistEstimate:
         if self._unrolled is not None and states.yaw_rate is None:
-            found = self._unrolled(states.speeds, states.angles)
+            found: TwistEstimate | None = self._unrolled(states.speeds, states.angles)
             if found is not None:
-                vx, vy, wz, covariance, tests = found
-                return TwistEstimate(Twist(vx, vy, wz), covariance, 3, tests)
+                return found
         return self._estimate_closely(states)
 
     def _estimate_closely(self, states: JointStates) -> TwistEstimate:
@@ -343,7 +342,7 @@ class TwistEstimator:
             )
             for r, gate in zip(self.rows, gates, strict=True)
         ]
-        return unrolled(wheels, self._n, self.inverse[0], self._centre, self.squares)
+        return unrolled(wheels, self._n, self.inverse[0], self._centre, self.squares, TwistEstimate)
 
     def _without_the_wrong(
         self,

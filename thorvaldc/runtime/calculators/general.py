@@ -82,6 +82,7 @@ class General(BaseCalculator):
         self.estimator = TwistEstimator(geometry, noise, estimation)
         wheels = geometry.wheels
         self._fixed = FixedWheels(wheels)
+        self._free = self._fixed.free
         self._steering = tuple(
             Steering(
                 wheels[group[0]],
@@ -99,9 +100,15 @@ class General(BaseCalculator):
         )
         turned = [(i, s, wheels[i]) for s in self._steering for i in s.wheels]
         self._turned = tuple((i, s) for i, s, _ in turned)
-        # The third: how much of the rolling of its joint's first wheel another has.
+        # The third: the speed of a wheel for the rolling (m/s) of its joint's first.
         self._rolling = tuple(
-            (i, s, math.cos(w.heading - s.wheel.heading), w.lateral, w.radius, w.max_speed)
+            (
+                i,
+                s,
+                math.cos(w.heading - s.wheel.heading) / w.radius,
+                w.lateral / w.radius,
+                w.max_speed,
+            )
             for i, s, w in turned
             if w.driven
         )
@@ -115,6 +122,7 @@ class General(BaseCalculator):
             if w.fixed and w.driven
         )
         self._motors = Motors(geometry)
+        self._shared = bool(geometry.spin_groups)
         self._standing = (0.0,) * len(wheels)
         self.reset()
 
@@ -129,7 +137,10 @@ class General(BaseCalculator):
     def reset(self, states: JointStates | None = None) -> None:
         for steering in self._steering:
             steering.reset(states.angles[steering.wheels[0]] if states else 0.0)
-        self._angles = self._commanded_angles()
+        angles = list(self._standing)
+        for i, steering in self._turned:
+            angles[i] = steering.angle
+        self._angles = (*angles,)
         if states is None:
             self._motors.reset()
         else:
@@ -149,7 +160,7 @@ class General(BaseCalculator):
     ) -> BaseCommand:
         self._check(twist, states, dt)
         target, infeasible = twist, ZERO_TWIST
-        if not self._fixed.free:
+        if not self._free:
             target = self._fixed.allowed(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         vx, vy, wz = target
@@ -164,7 +175,7 @@ class General(BaseCalculator):
                 unreachable += steering.wheels
         rates: Sequence[float] = self._standing if dt is None else self._required_rates(dt)
         self._move_steering(dt)
-        self._angles = commanded = self._commanded_angles()
+        commanded = self._angles
         asked, scale = self._speeds_at_targets(target)
         if scale < 1.0:
             target = target.scaled(scale)
@@ -189,9 +200,12 @@ class General(BaseCalculator):
         return rates
 
     def _move_steering(self, dt: float | None) -> None:
+        angles = list(self._standing)
         if dt is None:
-            for steering in self._steering:
-                steering.jump()
+            for i, steering in self._turned:
+                angles[i] = steering.angle = steering.target
+                steering.rate = 0.0
+            self._angles = (*angles,)
             return
         slowest = 0.0
         if self.options.arrive_together:
@@ -201,12 +215,9 @@ class General(BaseCalculator):
         together = slowest > 2.0 * dt
         for steering in self._steering:
             steering.advance(dt, steering.time_to_target() / slowest if together else 1.0)
-
-    def _commanded_angles(self) -> tuple[float, ...]:
-        angles = list(self._standing)
         for i, steering in self._turned:
             angles[i] = steering.angle
-        return (*angles,)
+        self._angles = (*angles,)
 
     def _away(self, angles: Sequence[float]) -> float:
         """How far (rad) the worst wheel is from the direction that the motion asks of it."""
@@ -228,19 +239,19 @@ class General(BaseCalculator):
         speeds = list(self._standing)
         scale = 1.0
         wz = target.wz
-        for i, steering, share, lateral, radius, top in self._rolling:
-            v = steering.rolling * share
+        for i, steering, gain, lateral, top in self._rolling:
+            v = steering.rolling * gain
             if lateral and not steering.unreachable:
                 # At the centre of rotation a contact beside the axis still rolls.
                 v -= lateral * (wz + steering.wheel.sign * steering.rate)
-            speeds[i] = v = v / radius
-            if v * scale > top or v * scale < -top:
-                scale = top / abs(v)
+            speeds[i] = v
+            if v > top or v < -top:
+                scale = min(scale, top / abs(v))
         if self._straight:
             scale = self._straight_speeds(target, speeds, scale)
         if scale < 1.0:
             speeds = [v * scale for v in speeds]
-        return self._motors.sharing(speeds), scale
+        return self._motors.sharing(speeds) if self._shared else speeds, scale
 
     def _straight_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
         """Put in those of the wheels that do not turn."""

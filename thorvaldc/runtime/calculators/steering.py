@@ -117,7 +117,9 @@ class Steering:
         if not (self.held or self._bends):
             # An eighth of a turn on the branch it is on: no other angle can be better.
             v2 = ux * ux + uy * uy
-            turn = remainder(self._base + self._sign * atan2(uy, ux) - angle, TWO_PI)
+            turn = self._base + self._sign * atan2(uy, ux) - angle
+            if not -_QUICK < turn < _QUICK:
+                turn = remainder(turn, TWO_PI)
             target = angle + turn
             if (
                 -_QUICK < turn < _QUICK

@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from thorvaldc.runtime.calculators.fit import UNTESTABLE, Squares
+from thorvaldc.runtime.se2 import Twist
 
-Estimate = Callable[[Sequence[float], Sequence[float]], "tuple[Any, ...] | None"]
-"""From the speeds and angles of all wheels: vx, vy, wz of ``base_link``, the rows of their
-covariance, the tests of the wheels; ``None`` where the estimate needs a closer look."""
+Estimate = Callable[[Sequence[float], Sequence[float]], Any]
+"""From the speeds and angles of all wheels to a ``TwistEstimate``; ``None`` where the estimate
+needs a closer look."""
 
 
 class UnrolledWheel(NamedTuple):
@@ -92,13 +93,13 @@ _INFORMATION = """\
     w_t = 1.0 / v_t
     k = 1.0 / v_l - w_t
     kc = k * c
-    w11 = w11_{i} = w_t + kc * c
-    w12 = w12_{i} = kc * s
-    w22 = w22_{i} = w_t + k * s * s
-    tx{i} = w12 * {x} - w11 * {y}
-    ty{i} = w22 * {x} - w12 * {y}
-    gx{i} = w11 * mx{i} + w12 * my{i}
-    gy{i} = w12 * mx{i} + w22 * my{i}
+    w11_{i} = w_t + kc * c
+    w12_{i} = kc * s
+    w22_{i} = w_t + k * s * s
+    tx{i} = w12_{i} * {x} - w11_{i} * {y}
+    ty{i} = w22_{i} * {x} - w12_{i} * {y}
+    gx{i} = w11_{i} * mx{i} + w12_{i} * my{i}
+    gy{i} = w12_{i} * mx{i} + w22_{i} * my{i}
     least{i} = {untestable} * v_l * v_t
     k = v_l - v_t
     kc = k * c
@@ -155,7 +156,16 @@ _RETURN = """\
     p23 = p23 - {xm} * p33
 """
 _RESULT = """\
-    return vx, vy, wz, ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33)), ({tests},)
+    return new(
+        Result,
+        (
+            new(Twist, (vx, vy, wz)),
+            ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33)),
+            3,
+            ({tests},),
+            (),
+        ),
+    )
 """
 
 
@@ -165,11 +175,12 @@ def unrolled(
     inverse: Sequence[float],
     centre: tuple[float, float],
     noise: Squares,
+    result: type,
 ) -> Estimate:
     """The estimate for these wheels of a robot of ``count`` (the others swivel).
 
     ``inverse``: the upper half of the inverse of the normal matrix with equal
-    weights, about ``centre``.
+    weights, about ``centre``; ``result`` is the class ``TwistEstimate``.
     """
     ratio2, angle2, floor2, slip2, _, _ = noise
     places: dict[str, Any] = {
@@ -178,7 +189,7 @@ def unrolled(
     }  # fmt: skip
     q11, q12, q13, q22, q23, q33 = inverse
     rows = {"vx": (q11, q12, q13), "vy": (q12, q22, q23), "wz": (q13, q23, q33)}
-    places |= {name: _scaled(row, ("b1", "b2", "b3")) for name, row in rows.items()}
+    places |= {name: scaled(row, ("b1", "b2", "b3")) for name, row in rows.items()}
     n = range(len(wheels))
     # Repeated by `_sum` for every wheel.
     sums = {
@@ -192,7 +203,7 @@ def unrolled(
             **places,
             **w._asdict(),
             "i": i,
-            "direction": _scaled((w.heading, w.sign), ("1.0", f"a{w.place}")),
+            "direction": scaled((w.heading, w.sign), ("1.0", f"a{w.place}")),
         }
         for i, w in enumerate(wheels)
     ]
@@ -214,10 +225,18 @@ def unrolled(
     for i in n:
         tests[wheels[i].place] = f"d{i}"
     text.append(_RESULT.format(tests=", ".join(tests)))
-    names: dict[str, Any] = {name: getattr(math, name) for name in ("cos", "sin", "sqrt", "inf")}
-    exec("".join(text), names)
-    made: Estimate = names["estimate"]
+    made: Estimate = compiled(
+        "".join(text), "estimate", new=tuple.__new__, Twist=Twist, Result=result
+    )
     return made
+
+
+def compiled(text: str, name: str, **names: Any) -> Any:
+    """The function of that name that the text defines; it knows some of ``math`` and ``names``."""
+    for known in ("atan2", "cos", "inf", "sin", "sqrt"):
+        names[known] = getattr(math, known)
+    exec(text, names)
+    return names[name]
 
 
 def _fill(text: str, values: dict[str, Any]) -> str:
@@ -229,7 +248,7 @@ def _fill(text: str, values: dict[str, Any]) -> str:
     )
 
 
-def _scaled(factors: Sequence[float], terms: Sequence[str]) -> str:
+def scaled(factors: Sequence[float], terms: Sequence[str]) -> str:
     """Their sum of products, without what is zero and what is multiplied by one."""
     parts = [
         term if factor == 1.0 else repr(factor) if term == "1.0" else f"{factor!r} * {term}"

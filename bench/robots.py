@@ -1,0 +1,29 @@
+"""Steered wheels to measure with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from thorvaldc.runtime.calculators import WheelGeometry
+
+
+def places(wheels: int) -> list[tuple[float, float]]:
+    """Places (m) of steered wheels, in pairs along a frame."""
+    pairs = (wheels + 1) // 2
+    found = [(0.55 * (2 * i / (pairs - 1) - 1), y) for i in range(pairs) for y in (0.45, -0.45)]
+    return found[:wheels]
+
+
+def wheel(name: str, x: float, y: float, **changes: Any) -> WheelGeometry:
+    """A driven and steered wheel with the limits of the original's modules."""
+    from thorvaldc.runtime.calculators import WheelGeometry
+
+    made = WheelGeometry(
+        name, x, y, 0.0, 1.0, 0.0, 0.0, 0.2,
+        driven=True, steered=True, swivel=False, encoder=True,
+        max_speed=7.48, max_acceleration=7.5, lower=-3.078, upper=3.078,
+        max_rate=4.0, max_rate_change=20.0,
+    )  # fmt: skip
+    return replace(made, **changes)
