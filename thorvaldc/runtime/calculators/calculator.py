@@ -15,6 +15,9 @@ from thorvaldc.runtime.calculators.geometry import BaseGeometry
 from thorvaldc.runtime.faults import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 
+_TOO_FAST = 1e18
+"""Square of a twist beyond all bounds, m^2/s^2."""
+
 
 @dataclass(slots=True)
 class BaseCommand:
@@ -107,7 +110,7 @@ class BaseCalculator(abc.ABC):
 
     def _check(self, twist: Twist, states: JointStates | None, dt: float | None) -> None:
         vx, vy, wz = twist
-        if not math.isfinite(vx + vy + wz):
+        if not vx * vx + vy * vy + wz * wz < _TOO_FAST:  # so is a NaN
             raise NotFiniteError(f"the commanded twist is {tuple(twist)}")
         if dt is not None and not 0.0 < dt < math.inf:
             raise ValueError(f"the time step is {dt} s; it must be positive")

@@ -158,11 +158,13 @@ class Steering:
             back = -direction * speed
             reversal = 2.0 * back / self.acceleration if back > 0.0 else 0.0
             stay = 0.0 if direction == self.direction else self._hysteresis
-            c = base + TWO_PI * math.ceil((first - base) / TWO_PI)
-            while c <= last:
+            c = base + TWO_PI * math.ceil((first - base) / TWO_PI) - TWO_PI
+            for _ in range(3):  # no more lie within a turn to each side
+                c += TWO_PI
+                if c > last:
+                    break
                 at = lower if c < lower else min(c, upper)
                 missed = c - at
-                c += TWO_PI
                 cost = abs(at - angle) / rate
                 if cost < reversal:
                     cost = reversal
