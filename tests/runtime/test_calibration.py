@@ -262,6 +262,33 @@ def test_offsets_of_a_driver_who_knew(files: dict[str, bytes], tmp_path: Path) -
     assert errors(wheels, {}, OFFSETS)[0] < 5e-4
 
 
+# -- logs that nothing recorded -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e-300, 1.0, 1e6, 1e150, 1e300])
+def test_any_numbers_end_well(size: float) -> None:
+    for seed in range(4):
+        chance = random.Random(seed)
+
+        def column(n: int = 400, chance: random.Random = chance) -> list[float]:
+            return [chance.uniform(-size, size) for _ in range(n)]
+
+        times = [1.7e9 + 0.02 * k + (1e9 if k > 200 and seed % 2 else 0.0) for k in range(400)]
+        log = JointLog(
+            times,
+            {wheel.spin_joint: column() for wheel in ROBOT.wheels},
+            {},
+            {wheel.spin_joint: column() for wheel in ROBOT.wheels},
+            {wheel.steering_joint or "": column() for wheel in ROBOT.wheels},
+        )
+        for distance in (None, 10.0):
+            report = Report()
+            result = calibrate(ROBOT, log, report, distance)
+            assert result is not None or report.has_errors
+            if result is not None:
+                json.dumps(as_json(result), allow_nan=False)
+
+
 # -- the common scale -----------------------------------------------------------------------
 
 
@@ -316,9 +343,9 @@ def test_overlay_keeps_what_is_not_determined(tmp_path: Path) -> None:
 
 
 def test_long_logs_are_thinned(log: JointLog, monkeypatch: pytest.MonkeyPatch) -> None:
-    from thorvaldc.runtime import calibration_solver
+    from thorvaldc.runtime import calibration_ticks
 
-    monkeypatch.setattr(calibration_solver, "MOST_TICKS", 200)
+    monkeypatch.setattr(calibration_ticks, "MOST_TICKS", 200)
     wheels, _, _ = found(log)
     assert errors(wheels, RADII, OFFSETS)[1] < 1e-3
 

@@ -37,9 +37,9 @@ from thorvaldc.runtime.calibration_solver import (
     RATIO_WANTED,
     Solution,
     Solver,
-    Ticks,
     encoder_offset,
 )
+from thorvaldc.runtime.calibration_ticks import Ticks
 from thorvaldc.runtime.joint_log import JointLog
 
 SHORTEST = 5.0
@@ -122,7 +122,14 @@ def calibrate(
     log's first and last line, in a straight line.  The way between may turn a little.
     ``display`` is the log's name for spans.
     """
-    span = Span(display) if display else None
+    # A log may hold any number; what comes of it is looked at in the end.
+    with np.errstate(all="ignore"):
+        return _calibrate(robot, log, report, distance, Span(display) if display else None)
+
+
+def _calibrate(
+    robot: Robot, log: JointLog, report: Report, distance: float | None, span: Span | None
+) -> CalibrationResult | None:
     ticks = Ticks(robot, log)
     moving = float(ticks.dt[ticks.moves].sum())
     if moving < SHORTEST:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +11,9 @@ from numpy.typing import NDArray
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.joint_log import JointLog
-from thorvaldc.runtime.odometry import LONGEST_INTERVAL
+from thorvaldc.runtime.calibration_ticks import MOVES, Array, Ticks
 from thorvaldc.runtime.se2 import ORIGIN, Twist
 
-Array = NDArray[np.float64]
-
-MOST_TICKS = 20000
-"""Ticks that are used; of a longer log every n-th."""
 LARGEST_OFFSET, LARGEST_RATIO = math.radians(45.0), 0.2
 """Errors (rad, relative) beyond which nothing was found."""
 OFFSET_WANTED = math.radians(0.2)
@@ -27,7 +21,6 @@ OFFSET_WANTED = math.radians(0.2)
 RATIO_WANTED = 0.002
 """Standard error beyond which a radius counts as not determined."""
 
-_MOVES = 0.05  # m/s, mean speed of the wheels over ground
 _ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002  # of the rows at factor 1; m/s
 _SKID = 0.1  # of the speed, for fixed wheels that must scrub in turns
 _PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
@@ -38,53 +31,6 @@ _ITERATIONS = 60
 _AGREES = math.radians(0.05)
 _HARDLY = 30.0
 """Factor of rows that shall hardly count."""
-
-
-class Ticks:
-    """Means over the intervals between the log's lines, one column per wheel.
-
-    ``speeds`` (rad/s) and ``turning`` (rad/s, of the steering) are 0 and ``angles``
-    (rad, encoders' readings) too where a wheel has no such encoder.
-    """
-
-    def __init__(self, robot: Robot, log: JointLog) -> None:
-        times = np.array(log.times, dtype=float)
-        n = len(robot.wheels)
-        self.times = times
-        self.dt = np.diff(times)
-        self.wheel_of = {w.spin_joint: i for i, w in reversed(list(enumerate(robot.wheels)))}
-        shape = (len(self.dt), n)
-        self.speeds, self.angles, self.turning = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        for i, wheel in enumerate(robot.wheels):
-            if wheel.spin_joint in log.positions:
-                self.speeds[:, i] = np.diff(log.positions[wheel.spin_joint]) / self.dt
-            elif wheel.spin_joint in log.velocities:
-                self.speeds[:, i] = _means(log.velocities[wheel.spin_joint])
-            if wheel.steering_joint in log.angles:
-                angles = log.angles[wheel.steering_joint]
-                self.angles[:, i] = _means(angles)
-                self.turning[:, i] = np.diff(angles) / self.dt
-        self.whole = self.dt <= LONGEST_INTERVAL
-        radii = np.array([wheel.radius for wheel in robot.wheels])
-        self.moves = self.whole & (np.sqrt(np.mean((self.speeds * radii) ** 2, axis=1)) > _MOVES)
-
-    def chosen(self, mask: NDArray[np.bool_] | NDArray[np.intp]) -> Ticks:
-        other = object.__new__(Ticks)
-        other.times = self.times[:-1][mask]
-        other.dt, other.whole, other.moves = self.dt[mask], self.whole[mask], self.moves[mask]
-        other.speeds, other.angles = self.speeds[mask], self.angles[mask]
-        other.turning, other.wheel_of = self.turning[mask], self.wheel_of
-        return other
-
-    def thinned(self) -> Ticks:
-        """Those in motion, of very many every n-th."""
-        index = np.flatnonzero(self.moves)
-        return self.chosen(index[:: math.ceil(len(index) / MOST_TICKS)])
-
-
-def _means(values: Sequence[float]) -> Array:
-    array: Array = np.array(values, dtype=float)
-    return np.asarray((array[1:] + array[:-1]) / 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +127,12 @@ class Solver:
 
     def solve(self) -> Solution | None:
         """The errors that explain the ticks best; ``None`` where none within reason do."""
+        try:
+            return self._solve()
+        except np.linalg.LinAlgError:
+            return None
+
+    def _solve(self) -> Solution | None:
         fit = self._fit((1.0, 10.0), renewed=True)
         if fit is None:
             return None
@@ -200,6 +152,8 @@ class Solver:
             "t,trp,tr->pr", fit.weights, fit.slope[:, : len(lasting)], per_share, optimize=True
         )
         covariance = self._covariance(fit, pulled * (_HIDDEN_SLIP * lasting))
+        if not np.all(np.isfinite(covariance)):
+            return None
         ratio_errors = np.zeros(self.n)
         ratio_errors[self.roll] = np.sqrt(np.diag(self.basis @ covariance[s:, s:] @ self.basis.T))
         return Solution(
@@ -324,13 +278,15 @@ class Solver:
         return covariance
 
     def _blocks(self) -> NDArray[np.intp]:
-        """The second in which each tick is."""
-        seconds: NDArray[np.intp] = np.floor(self.ticks.times - self.ticks.times[0]).astype(np.intp)
-        return seconds
+        """The number of the second in which each tick is; those without any do not count."""
+        _, numbers = np.unique(
+            np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
+        )
+        return np.asarray(numbers, dtype=np.intp)
 
     def _shares(self, fit: _Fit) -> tuple[Array, Array]:
         """Residuals of rolling (relative) and pointing (rad), and their rows per unit of these."""
-        speed = np.maximum(np.hypot(*self._ground(fit.twists)), _MOVES)
+        speed = np.maximum(np.hypot(*self._ground(fit.twists)), MOVES)
         speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
         per_share: Array = speed / fit.sigmas[:, : speed.shape[1]]
         return fit.left[:, : speed.shape[1]] / per_share, per_share
@@ -368,6 +324,8 @@ class Solver:
         rows = self.rows(offsets, ratios)
         twists = self.twists(rows, np.ones(rows.measured.shape))[0]
         twists = self.twists(rows, self.sigmas(twists, factors))[0]
+        if not np.all(np.isfinite(twists)):
+            return 0.0
         xm, ym = self.centre
         pose = ORIGIN
         for (vx, vy, turn), dt in zip(twists.tolist(), self.ticks.dt.tolist(), strict=True):
