@@ -14,6 +14,7 @@ from thorvaldc import backends
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import OWN, Library
 from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
+from thorvaldc.model.scenario import Scenario
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.bus_lock import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.passes.checks import Design, check_apart, check_robot
@@ -37,10 +38,12 @@ class Compilation:
     not depend on where that lies; spans in ``report`` are paths as the user gave
     them.  ``sources`` maps the latter to files, for excerpts.  ``folder`` is that of
     the file, and ``files`` has what was read by its names in the model's spans.
-    ``locks`` maps lock files that a build has to write to their text.
+    ``locks`` maps lock files that a build has to write to their text.  Of a scenario,
+    ``model`` is the fleet in its world and ``scenario`` the whole.
     """
 
     model: Robot | Fleet | None = None
+    scenario: Scenario | None = None
     report: Report = field(default_factory=Report)
     source_sha256: str = ""
     sources: dict[str, Path] = field(default_factory=dict)
@@ -53,16 +56,25 @@ class Compilation:
         return _with_paths(report, self.folder, self.files)
 
 
-def compile_file(path: Path | str, *, library: Sequence[Path] = ()) -> Compilation:
-    """Compile a robot or a fleet file.  ``library`` are further module folders.
+def compile_file(
+    path: Path | str, *, library: Sequence[Path] = (), robot: Path | str | None = None
+) -> Compilation:
+    """Compile a robot, a fleet or a scenario file.  ``library`` are further module folders.
 
-    Every fault that the file holds is in the report; nothing is raised for bad input.
+    ``robot`` is a robot or fleet file in place of a scenario's own robots.  Every fault
+    that the file holds is in the report; nothing is raised for bad input.
     """
     path = Path(path)
-    return _compile(path, path.name or str(path), path.parent, library)
+    return _compile(path, path.name or str(path), path.parent, library, robot)
 
 
-def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Compilation:
+def _compile(
+    path: Path,
+    name: str,
+    folder: Path,
+    library: Sequence[Path],
+    robot: Path | str | None = None,
+) -> Compilation:
     """Compile a file that spans are to call ``name``, which is relative to ``folder``."""
     shape, report = Report(), Report()
     files = {name: path}
@@ -71,18 +83,23 @@ def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Co
     pins = ""
     document = read_file(path, name, shape)
     if document is not None:
-        fleet = _is_fleet(document)
-        check(document, "fleet" if fleet else "robot", shape)
+        scenario = _is_scenario(document)
+        fleet = not scenario and _is_fleet(document)
+        check(document, "scenario" if scenario else "fleet" if fleet else "robot", shape)
         modules = document.get("modules")
         whole = modules is None or not _lies_in(modules.span, shape)
         # The next stages go on with what is sound: one run shows the faults of all.
         sound_part = sound(document, shape)
-        if fleet:
-            done.model = _fleet(sound_part, path, library, report, robots)
-            for robot in robots.values():
-                done.report.extend(robot.report)
-                done.sources.update(robot.sources)
-                done.locks.update(robot.locks)
+        if fleet or scenario:
+            if fleet:
+                done.model = _fleet(sound_part, path, library, report, robots)
+            else:
+                done.scenario = _scenario(sound_part, path, library, report, robots, robot)
+                done.model = done.scenario.fleet if done.scenario is not None else None
+            for one in robots.values():
+                done.report.extend(one.report)
+                done.sources.update(one.sources)
+                done.locks.update(one.locks)
         elif (modules := sound_part.get("modules")) is not None and modules.value:
             lost = sorted(_module_names(document) - _module_names(sound_part))
             lock = _lock(path, name, report, done)
@@ -90,14 +107,14 @@ def _compile(path: Path, name: str, folder: Path, library: Sequence[Path]) -> Co
             pins = _pins(model, path, done) if model is not None else ""
             done.model = model
         done.source_sha256 = _sha256(files, robots, pins)
-    for part in (shape, _without_places_of(shape, report)):
-        done.report.extend(done.located(part))
+    for said in (shape, _without_places_of(shape, report)):
+        done.report.extend(done.located(said))
     for shown, file in files.items():
         done.sources[shown if shown.startswith(OWN) else os.path.normpath(file)] = file
-    for robot in robots.values():
-        files.update(robot.files)
+    for one in robots.values():
+        files.update(one.files)
     if done.report.has_errors:
-        done.model = None
+        done.model = done.scenario = None
         done.locks.clear()
     return done
 
@@ -280,15 +297,72 @@ def _fleet(
             compiled[named] = _compile(file, named, path.parent, library)
         robot = compiled[named].model
         if isinstance(robot, Robot):
-            x, y, z = scope.vector(node.get("xyz"), "length")
-            yaw = scope.quantity(node.get("yaw"), "angle")
-            pose = Pose.from_xyz_rpy((x, y, z), (0.0, 0.0, math.remainder(yaw, 2 * math.pi)))
-            placed = Placement(name, pose.clean(), replace(robot, namespace=name))
+            placed = Placement(name, _pose(node, report), replace(robot, namespace=name))
             check_apart(placed, node.where, placements, report)
             placements.append(placed)
     return Fleet(
         scope.text(document.get("name")), scope.text(document.get("description")), tuple(placements)
     )
+
+
+def _scenario(
+    document: Node,
+    path: Path,
+    library: Sequence[Path],
+    report: Report,
+    compiled: dict[str, Compilation],
+    robot: Path | str | None,
+) -> Scenario | None:
+    """The scenario with its robots, or with ``robot`` in their place; ``None`` without any."""
+    from thorvaldc.passes.scenario import read_scenario  # which few files need
+
+    named = document.get("fleet")
+    own = document.get("robots")
+    if robot is not None:
+        file, shown, span = Path(robot), os.path.relpath(robot, path.parent), document.span
+    elif named is not None:
+        file, shown, span = path.parent / str(named.value), str(named.value), named.span
+    elif own is not None:
+        return read_scenario(document, _fleet(document, path, library, report, compiled), report)
+    else:
+        report.add(
+            "scenario-robots-missing",
+            "the scenario has neither `robots` nor a `fleet`",
+            document.span,
+            hint="add one of them, or name a robot: thorvaldc sim robot.yaml --scenario FILE",
+        )
+        return None
+    if robot is None and not os.path.isfile(file):
+        report.add("fleet-robot-missing", f"there is no file `{shown}`", span)
+        return None
+    if _is_scenario(read_file(file, shown, Report())):
+        report.add("fleet-in-fleet", f"`{shown}` is a scenario; a robot or a fleet is wanted", span)
+        return None
+    done = compiled[shown] = _compile(file, shown, path.parent, library)
+    fleet = done.model
+    if isinstance(fleet, Robot):
+        fleet = Fleet(fleet.name, "", (_stand_in(fleet, own, report),))
+    return read_scenario(document, fleet, report) if fleet is not None else None
+
+
+def _stand_in(robot: Robot, robots: Node | None, report: Report) -> Placement:
+    """The robot under the name and in the place of the one that the scenario has."""
+    entries = robots.value if robots is not None else None
+    if not isinstance(entries, dict) or len(entries) != 1:
+        return Placement(robot.name, Pose(), replace(robot, namespace=robot.name))
+    ((name, node),) = entries.items()
+    return Placement(name, _pose(node, report), replace(robot, namespace=name))
+
+
+def _pose(node: Node, report: Report) -> Pose:
+    scope = Scope(None, {}, Library(), report, None)
+    yaw = math.remainder(scope.quantity(node.get("yaw"), "angle"), 2 * math.pi)
+    xyz = scope.vector(node.get("xyz"), "length")
+    return Pose.from_xyz_rpy(xyz, (0.0, 0.0, yaw)).clean()
+
+
+def _is_scenario(document: Node | None) -> bool:
+    return document is not None and document.get("scenario") is not None
 
 
 def _is_fleet(document: Node | None) -> bool:

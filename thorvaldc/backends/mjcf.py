@@ -17,6 +17,7 @@ from thorvaldc.backends import Backend
 from thorvaldc.backends.appearance import Palette, mesh_files
 from thorvaldc.backends.contact import SOLIMP, SOLREF, WheelContact
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
+from thorvaldc.backends.mjcf_world import add_world
 from thorvaldc.backends.stance import Rest, rest, spin_axis
 from thorvaldc.backends.tree import Tree
 from thorvaldc.backends.xml_writer import Element, parse, to_bytes
@@ -112,7 +113,9 @@ class Mjcf(Backend):
         for i, tree in enumerate(trees):
             writer.add_robot(tree, i, settled[i], poses[i])
         scene = writer.root()
-        add_surroundings(scene, robots, poses)
+        add_surroundings(scene, robots, poses, fleet.world)
+        if fleet.world is not None:
+            files.update(add_world(scene, fleet.world, poses))
         add_home(scene, trees, settled, poses)
         files["mjcf/scene.xml"] = to_bytes(scene)
         return files

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from thorvaldc.backends.mjcf_world import lowest
 from thorvaldc.backends.stance import Rest
 from thorvaldc.backends.tree import Tree
 from thorvaldc.backends.xml_writer import Element
-from thorvaldc.model import Pose, Robot, Vec3
+from thorvaldc.model import Pose, Robot, Vec3, World
 from thorvaldc.model.spatial import clean
 
 
@@ -24,7 +25,9 @@ def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]
     return (x, y, z), max(1.0, round(math.dist(low, high) / 2, 3))
 
 
-def add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) -> None:
+def add_surroundings(
+    scene: Element, robots: list[Robot], poses: list[Pose], world: World | None = None
+) -> None:
     middle, reach = _reach(robots, poses)
     # The free camera starts 1.5 extents from the centre; shadows reach one extent.
     scene.add("statistic", center=middle, extent=clean(2.0 * reach))
@@ -63,10 +66,10 @@ def add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) -> 
         height=512,
     )
     asset.add("material", name="ground", texture="ground", texuniform=True, texrepeat=(1, 1))
-    world = scene.add("worldbody")
+    body = scene.add("worldbody")
     direction = (-0.35, 0.3, -1.0)
     back = -2.5 * reach
-    world.add(
+    body.add(
         "light",
         name="sun",
         type="directional",
@@ -76,7 +79,15 @@ def add_surroundings(scene: Element, robots: list[Robot], poses: list[Pose]) -> 
         specular=(0.2, 0.2, 0.2),
     )
     # Level: the robots are settled on it.  A plane, not a box, which rolls best.
-    world.add("geom", name="ground", type="plane", size=(0, 0, 1), material="ground")
+    below = lowest(world.ground) if world is not None else 0.0
+    body.add(
+        "geom",
+        name="ground",
+        type="plane",
+        pos=(0, 0, below) if below else None,
+        size=(0, 0, 1),
+        material="ground",
+    )
 
 
 def add_home(scene: Element, trees: list[Tree], settled: list[Rest], poses: list[Pose]) -> None:

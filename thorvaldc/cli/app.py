@@ -251,7 +251,8 @@ def targets(json: Json = False) -> int:
 @guarded
 def schema(
     kind: Annotated[
-        str, typer.Argument(metavar="robot|module|fleet|calibration", help="Kind of document.")
+        str,
+        typer.Argument(metavar="robot|module|fleet|calibration|scenario", help="Kind of document."),
     ],
 ) -> int:
     """Print the JSON Schema of a kind of document, for editors."""

@@ -3,6 +3,7 @@
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
+    Block,
     Box,
     Bus,
     CalculatorChoice,
@@ -12,6 +13,7 @@ from thorvaldc.model.robot import (
     DriverSettings,
     Fleet,
     Frame,
+    Ground,
     Joint,
     Link,
     Mesh,
@@ -29,12 +31,14 @@ from thorvaldc.model.robot import (
     Sphere,
     Visual,
     Wheel,
+    World,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 __all__ = [
     "Actuator",
     "Battery",
+    "Block",
     "Box",
     "Bus",
     "CalculatorChoice",
@@ -44,6 +48,7 @@ __all__ = [
     "DriverSettings",
     "Fleet",
     "Frame",
+    "Ground",
     "Inertial",
     "Joint",
     "Link",
@@ -64,4 +69,5 @@ __all__ = [
     "Vec3",
     "Visual",
     "Wheel",
+    "World",
 ]

@@ -19,6 +19,7 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3
 __all__ = [
     "Actuator",
     "Battery",
+    "Block",
     "Box",
     "Bus",
     "CalculatorChoice",
@@ -28,6 +29,7 @@ __all__ = [
     "DriverSettings",
     "Fleet",
     "Frame",
+    "Ground",
     "Joint",
     "Link",
     "Mesh",
@@ -45,6 +47,7 @@ __all__ = [
     "Sphere",
     "Visual",
     "Wheel",
+    "World",
 ]
 
 
@@ -379,9 +382,48 @@ class Placement(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Ground(Element):
+    """The ground of a scene, in whose plane z = 0 the robots' poses are given.
+
+    ``angle`` (rad) is its inclination and ``direction`` (rad, from x to y) the way uphill.
+    Bumps are -``amplitude``..``amplitude`` high (m; 0: none), no shorter than ``wavelength``
+    (m), drawn by ``seed``, on ``size`` (m along x and y, about the origin).
+    """
+
+    angle: float = 0.0
+    direction: float = 0.0
+    amplitude: float = 0.0
+    wavelength: float = 1.0
+    seed: int = 0
+    size: tuple[float, float] = (30.0, 30.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Block(Element):
+    """A thing that does not move.  ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop``, ``post``.
+
+    Wheels may roll on kerbs and rails.  ``name`` is its own within the kind.
+    """
+
+    kind: str
+    name: str
+    shape: Shape
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class World(Element):
+    """What the robots of a scene stand on and what stands around them."""
+
+    ground: Ground
+    blocks: tuple[Block, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fleet(Element):
-    """Several robots in one scene, in file order."""
+    """Several robots in one scene, in file order.  ``world`` ``None``: level ground alone."""
 
     name: str
     description: str
     placements: tuple[Placement, ...]
+    world: World | None = None

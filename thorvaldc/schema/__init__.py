@@ -1,4 +1,4 @@
-"""The JSON Schemas of robot, module and fleet documents: the definition of their shape."""
+"""The JSON Schemas of the documents: the definition of their shape."""
 
 from thorvaldc.schema.checker import check
 from thorvaldc.schema.documents import KINDS, Kind, bundle, inlined, schema_text

@@ -1,0 +1,83 @@
+"""What a simulation does and what is expected of it: a scenario, everything in SI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from thorvaldc.diagnostics import Span
+from thorvaldc.model.robot import Fleet
+
+GROUPS = ("odometry", "truth", "twist", "joints")
+"""Groups of columns that a record can hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """From ``time`` (s) on: forward and leftward m/s, turning rad/s of ``base_link``."""
+
+    time: float
+    vx: float
+    vy: float
+    wz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is wrong with a wheel from ``start`` to before ``end`` (s), unknown to the driver.
+
+    ``type`` and ``value``: ``steering_offset`` (rad, true angle less the encoder's),
+    ``radius_error`` (the share by which the true radius is larger), ``ice`` (coefficient
+    of friction), ``encoder_frozen`` and ``motor_lost`` (none).  ``motor`` is ``drive`` or
+    ``steering``.
+    """
+
+    type: str
+    robot: str
+    wheel: str
+    motor: str
+    value: float
+    start: float
+    end: float
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations of each reading: rad/s, rad and rad; drawn by ``seed``."""
+
+    seed: int = 0
+    wheel_speed: float = 0.0
+    wheel_position: float = 0.0
+    steering_angle: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """``metric`` of every robot is at least ``least`` and at most ``most`` (``None``: any)."""
+
+    metric: str
+    least: float | None
+    most: float | None
+    origin: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A run of ``duration`` s of the robots of ``fleet`` in its world.
+
+    ``commands`` holds each robot's by its name, in order of time.  Of the record,
+    ``record`` names the groups of columns and ``every`` (s) the time between two lines (0:
+    every tick).
+    """
+
+    name: str
+    description: str
+    fleet: Fleet
+    duration: float
+    commands: tuple[tuple[str, tuple[Command, ...]], ...]
+    faults: tuple[Fault, ...]
+    noise: Noise
+    expectations: tuple[Expectation, ...]
+    origin: Span
+    record: tuple[str, ...] = field(default=GROUPS)
+    every: float = 0.0
