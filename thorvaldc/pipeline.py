@@ -271,7 +271,7 @@ def _fleet(
     library: Sequence[Path],
     report: Report,
     compiled: dict[str, Compilation],
-) -> Fleet | None:
+) -> Fleet:
     """The fleet; ``compiled`` gathers what became of each robot file that it names."""
     scope = Scope(None, {}, Library(), report, None)
     placements: list[Placement] = []
@@ -323,7 +323,10 @@ def _scenario(
     elif named is not None:
         file, shown, span = path.parent / str(named.value), str(named.value), named.span
     elif own is not None:
-        return read_scenario(document, _fleet(document, path, library, report, compiled), report)
+        placed = _fleet(document, path, library, report, compiled)
+        whole = isinstance(own.value, dict) and len(placed.placements) == len(own.value)
+        # Without one of them, all that is said of it would be at fault too.
+        return read_scenario(document, placed, report) if whole else None
     else:
         report.add(
             "scenario-robots-missing",

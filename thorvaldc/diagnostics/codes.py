@@ -371,7 +371,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV809", "model-unreadable", "error", "a model file cannot be read"),
     Code("TV810", "parameter-set-unknown", "error", "there is no parameter set of that name"),
     Code("TV811", "parameter-set-scene", "warning", "a scene's wheels have other radii"),
-<<<<<<< HEAD
+    Code("TV820", "expectation-failed", "error", "a run is not as its scenario expects"),
     Code("TV830", "joint-log-header", "error", "a file's first line is none of a joint log"),
     Code("TV831", "joint-log-joint", "error", "a joint log has other joints than the robot"),
     Code("TV832", "joint-log-value", "error", "a value of a joint log is not a finite number"),
@@ -386,9 +386,6 @@ _TABLE: tuple[Code, ...] = (
         "TV841", "calibration-steering", "note", "a log's steering only confirms the robot's file"
     ),
     Code("TV840", "hidden-error", "error", "a simulated wheel shall have an impossible error"),
-=======
-    Code("TV820", "expectation-failed", "error", "a run is not as its scenario expects"),
->>>>>>> cdecd52 (Scenario documents: schema, robots, world in the generated scene, faults, noise, expectations)
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),

@@ -73,3 +73,7 @@ class SimulatedBase(BaseHandle):
     def uprightness(self) -> float:
         """Cosine of the robot's tilt: 1 upright, 0 on its side."""
         return 1.0
+
+    def leaning(self) -> str:
+        """The way in which the robot leans most, such as `to its left`; empty if unknown."""
+        return ""

@@ -9,16 +9,29 @@ from typing import Any
 
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Fault, Noise
-from thorvaldc.runtime.base import JointCommands, JointStates
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.hidden import HiddenErrors
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+
+_HIDDEN = ("radius_error", "steering_offset")
+
+
+class _Told:
+    """Joint states that can be changed."""
+
+    def __init__(self, actual: JointStates) -> None:
+        self.speeds = list(actual.speeds)
+        self.positions = list(actual.positions or ())
+        self.angles = list(actual.angles)
+        self.rates = list(actual.angle_rates)
 
 
 class FaultyBase(MujocoBase):
     """The joints as they are told, with the faults that are in force.
 
-    A wheel that is larger by some ratio rolls as one of the model's radius that turns
-    faster by it.  ``actual`` are the joints as they are.  Faults of the scene (a motor, a
-    wheel on ice) change its model; ``close`` takes that back.
+    Wrong radii and steering offsets are the hidden errors of ``MujocoBase``, which come and
+    go here.  ``actual`` are the joints as they are.  Faults of the scene (a motor, a wheel
+    on ice) change its model; ``close`` takes that back.
     """
 
     def __init__(
@@ -36,33 +49,31 @@ class FaultyBase(MujocoBase):
         seed = f"{noise.seed if noise is not None else 0} {robot.namespace}"
         self._chance = random.Random(hashlib.sha256(seed.encode()).digest())
         self._undo: dict[int, list[tuple[Any, Any, Any]]] = {}
-        self._frozen: dict[int, tuple[float, float, float]] = {}
+        self._frozen: dict[int, float] = {}
+        self._none = (self._ratios, self._offsets)
         self.actual = JointStates(0.0, [], [], [])
 
     def read(self, now: float) -> JointStates:
         for number, fault in enumerate(self._faults):
             self._switch(number, fault, fault.start <= now < fault.end)
+        self._ratios, self._offsets = self._none
         actual = self.actual = super().read(now)
-        told = JointStates(
-            actual.time,
-            list(actual.speeds),
-            list(actual.angles),
-            list(actual.angle_rates),
-            list(actual.positions or ()),
-        )
+        errors = self._errors(now)
+        if errors is None and self._noise is None and not self._faults:
+            return actual
+        told = _Told(actual)
+        if errors is not None:
+            self._ratios, self._offsets = errors.radius_ratios, errors.steering_offsets
+            for i, ratio in enumerate(self._ratios):
+                told.speeds[i] /= ratio
+                told.positions[i] /= ratio
+                told.angles[i] -= self._offsets[i]
         self._disturb(told, now)
-        return told
+        return JointStates(actual.time, told.speeds, told.angles, told.rates, told.positions)
 
-    def write(self, commands: JointCommands, now: float) -> None:
-        speeds, angles = list(commands.speeds), list(commands.angles)
-        for fault in self._faults:
-            if fault.start <= now < fault.end:
-                i = self._wheel[fault.wheel]
-                if fault.type == "radius_error":
-                    speeds[i] *= 1.0 + fault.value
-                elif fault.type == "steering_offset":
-                    angles[i] += fault.value
-        super().write(JointCommands(speeds, angles), now)
+    def motors(self) -> list[int]:
+        """The scene's numbers of the robot's actuators."""
+        return [number for _, number in (*self._drive_motors, *self._steering_motors)]
 
     def close(self) -> None:
         for number in list(self._undo):
@@ -70,32 +81,35 @@ class FaultyBase(MujocoBase):
 
     # -- what the driver is told ----------------------------------------------------
 
-    def _disturb(self, told: Any, now: float) -> None:
+    def _errors(self, now: float) -> HiddenErrors | None:
+        """The hidden errors in force."""
+        wrong = [f for f in self._faults if f.type in _HIDDEN and f.start <= now < f.end]
+        if not wrong:
+            return None
+        return HiddenErrors.of(
+            self.robot,
+            {f.wheel: 1.0 + f.value for f in wrong if f.type == "radius_error"},
+            {f.wheel: f.value for f in wrong if f.type == "steering_offset"},
+        )
+
+    def _disturb(self, told: _Told, now: float) -> None:
         noise, chance = self._noise, self._chance
-        for number, fault in enumerate(self._faults):
-            if not fault.start <= now < fault.end:
-                self._frozen.pop(number, None)
-                continue
-            i = self._wheel[fault.wheel]
-            if fault.type == "radius_error":
-                told.speeds[i] /= 1.0 + fault.value
-                told.positions[i] /= 1.0 + fault.value
-            elif fault.type == "steering_offset":
-                told.angles[i] -= fault.value
         if noise is not None:
             for i in range(len(told.speeds)):
                 told.speeds[i] += chance.gauss(0.0, noise.wheel_speed)
                 told.positions[i] += chance.gauss(0.0, noise.wheel_position)
                 told.angles[i] += chance.gauss(0.0, noise.steering_angle)
         for number, fault in enumerate(self._faults):
-            if fault.type == "encoder_frozen" and fault.start <= now < fault.end:
-                i = self._wheel[fault.wheel]
-                if fault.motor == "steering":
-                    held = self._frozen.setdefault(number, (told.angles[i], 0.0, 0.0))
-                    told.angles[i], told.angle_rates[i] = held[0], 0.0
-                else:
-                    held = self._frozen.setdefault(number, (told.positions[i], 0.0, 0.0))
-                    told.positions[i], told.speeds[i] = held[0], 0.0
+            if fault.type != "encoder_frozen":
+                continue
+            i = self._wheel[fault.wheel]
+            values, rates = told.positions, told.speeds
+            if fault.motor == "steering":
+                values, rates = told.angles, told.rates
+            if fault.start <= now < fault.end:
+                values[i], rates[i] = self._frozen.setdefault(number, values[i]), 0.0
+            else:
+                self._frozen.pop(number, None)
 
     # -- what changes in the scene ----------------------------------------------------
 
@@ -113,6 +127,8 @@ class FaultyBase(MujocoBase):
                         self._set(number, friction, (geom, part), friction[geom, part] * ratio)
         elif not active and number in self._undo:
             self._restore(number)
+            if fault.type == "motor_lost" and fault.motor == "drive":
+                self._hold(self._wheel[fault.wheel])
 
     def _set(self, number: int, where: Any, index: Any, value: float) -> None:
         self._undo[number].append((where, index, float(where[index])))
@@ -131,11 +147,21 @@ class FaultyBase(MujocoBase):
                     for k in range(3):
                         self._set(number, table, (actuator, k), 0.0)
 
+    def _hold(self, wheel: int) -> None:
+        """Let a drive that comes back go on from where its wheel is."""
+        model, data = self.scene.model, self.scene.data
+        position = {i: q for i, q, _ in self._spin}
+        for i, actuator in self._drive_motors:
+            if i == wheel and int(model.actuator_actadr[actuator]) >= 0:
+                data.act[int(model.actuator_actadr[actuator])] = data.qpos[position[i]]
+
     def _geoms(self, wheel: int) -> list[int]:
         """The scene's numbers of the geoms with which a wheel touches the ground."""
         robot, model = self.robot, self.scene.model
         prefix = f"{robot.namespace}/" if robot.namespace else ""
-        body = self.scene.index("body", prefix + robot.wheels[wheel].link, robot)
+        # What its joint turns: the wheel's own link may be welded to that.
+        joint = self.scene.index("joint", prefix + robot.wheels[wheel].spin_joint, robot)
+        body = int(model.jnt_bodyid[joint])
         first = int(model.body_geomadr[body])
         return [
             geom

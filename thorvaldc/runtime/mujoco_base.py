@@ -108,6 +108,22 @@ class MujocoScene:
             or not float(abs(self.data.qvel).max(initial=0.0)) < _OUT_OF_BOUNDS
         )
 
+    @property
+    def fastest(self) -> str:
+        """The joint that moves fastest, or is no number, and how it moves."""
+        import numpy
+
+        speeds = numpy.abs(self.data.qvel)
+        if not len(speeds):
+            return "nothing moves"
+        wild = numpy.flatnonzero(~numpy.isfinite(speeds))
+        dof = int(wild[0]) if len(wild) else int(speeds.argmax())
+        joint = int(self.model.dof_jntid[dof])
+        name = self._mujoco.mj_id2name(self.model, self._mujoco.mjtObj.mjOBJ_JOINT, joint)
+        speed = float(speeds[dof])
+        how = f"moves at {speed:.3g} (SI)" if math.isfinite(speed) else "moves at no finite speed"
+        return f"the joint `{name}` {how}"
+
     def index(self, kind: str, name: str, robot: Robot) -> int:
         """MuJoCo's number of the ``kind`` (``joint``, ``actuator``, ``body``) of that name."""
         objects = self._mujoco.mjtObj
@@ -240,6 +256,14 @@ class MujocoBase(SimulatedBase):
     def uprightness(self) -> float:
         _, _, _, _, i, j, _ = self._base_position()
         return 1.0 - 2.0 * (i * i + j * j)
+
+    def leaning(self) -> str:
+        _, _, _, w, i, j, k = self._base_position()
+        # How far the robot's own x and y point up.
+        x, y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
+        if abs(x) > abs(y):
+            return "forwards" if x < 0.0 else "backwards"
+        return "to its left" if y < 0.0 else "to its right"
 
     def _base_position(self) -> list[float]:
         # Read from qpos: MuJoCo's xpos lags a step behind it.

@@ -1,66 +1,27 @@
-"""Records of runs: samples of robots at one time, and where they go."""
+"""Records of runs: what takes the samples of robots, and CSV files of them."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TextIO
 
 from thorvaldc.model import Robot
-from thorvaldc.runtime.base import JointStates
-from thorvaldc.runtime.se2 import Pose2, Twist
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """A robot at ``time`` (s).
-
-    Poses: ``true_pose`` in the scene, ``odometry_pose`` where the robot started.  Twists of
-    ``base_link``: ``asked`` in the script, ``commanded`` within the robot's ramps and limits,
-    ``true_twist`` and ``odometry_twist``.  ``joints`` are those the driver is told,
-    ``speeds`` and ``angles`` what it asked of them.  ``tilt`` in rad.
-    """
-
-    time: float
-    robot: str
-    true_pose: Pose2
-    true_twist: Twist
-    odometry_pose: Pose2
-    odometry_twist: Twist
-    asked: Twist
-    commanded: Twist
-    joints: JointStates
-    speeds: Sequence[float]
-    angles: Sequence[float]
-    tilt: float
-
-    def numbers(self) -> Iterator[float]:
-        """All of it, for comparing runs."""
-        yield self.time
-        for part in (
-            self.true_pose,
-            self.true_twist,
-            self.odometry_pose,
-            self.odometry_twist,
-            self.asked,
-            self.commanded,
-            self.joints.speeds,
-            self.joints.positions or (),
-            self.joints.angles,
-            self.speeds,
-            self.angles,
-        ):
-            yield from part
-        yield self.tilt
+from thorvaldc.runtime.base import JointCommands
+from thorvaldc.runtime.meter import Sample
 
 
 class Recorder(Protocol):
-    """What takes samples, each robot's in order of time.  ``close`` may be called twice."""
+    """What takes the samples of a run, each robot's in order of time.
 
-    def record(self, sample: Sample) -> None: ...
+    ``commands`` are what the driver asked of the joints (``None``: nothing yet).  ``close``
+    may be called twice.
+    """
+
+    def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None: ...
 
     def close(self) -> None: ...
 
@@ -71,16 +32,30 @@ class Digest:
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
 
-    def record(self, sample: Sample) -> None:
-        self._hash.update(sample.robot.encode())
-        numbers = list(sample.numbers())
-        self._hash.update(struct.pack(f"<{len(numbers)}d", *numbers))
+    def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
+        numbers = list(_numbers(sample, commands))
+        self._hash.update(robot.encode() + struct.pack(f"<{len(numbers)}d", *numbers))
 
     def close(self) -> None:
         return
 
     def hexdigest(self) -> str:
         return self._hash.hexdigest()
+
+
+def _numbers(sample: Sample, commands: JointCommands | None) -> Iterator[float]:
+    yield sample.time
+    for part in (sample.asked, sample.aimed, sample.estimated, sample.true):
+        yield from part
+    yield from sample.pose_estimated
+    yield from sample.pose_true
+    joints = sample.joints
+    if joints is not None:
+        for values in (joints.speeds, joints.angles, joints.angle_rates, joints.positions or ()):
+            yield from values
+    if commands is not None:
+        yield from commands.speeds
+        yield from commands.angles
 
 
 _TWIST = ("vx", "vy", "wz")
@@ -90,8 +65,8 @@ _POSE = ("x", "y", "yaw")
 class CsvRecorder:
     """One CSV file for each robot in a folder, ``<robot>.csv``; SI units, a line a sample.
 
-    ``groups`` are groups of columns: ``odometry``, ``truth``, ``twist`` (asked and
-    commanded) and ``joints`` (by name; positions and velocities, then commands).
+    ``groups`` are groups of columns: ``odometry``, ``truth``, ``twist`` (asked for
+    and aimed at) and ``joints`` (by name; positions and velocities, then commands).
     """
 
     def __init__(
@@ -120,15 +95,15 @@ class CsvRecorder:
             raise
         self._robots = dict(robots)
 
-    def record(self, sample: Sample) -> None:
-        due = self._next[sample.robot]
+    def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
+        due = self._next[robot]
         if sample.time < due - 1e-9:
             return
         if self._every > 0.0:
             steps = int((sample.time + 1e-9) / self._every) + 1
-            self._next[sample.robot] = steps * self._every
-        values = _values(self._robots[sample.robot], sample, self._groups)
-        self._files[sample.robot].write(",".join(map(_text, values)) + "\n")
+            self._next[robot] = steps * self._every
+        values = _values(self._robots[robot], sample, commands, self._groups)
+        self._files[robot].write(",".join(map(_text, values)) + "\n")
 
     def close(self) -> None:
         while self._files:
@@ -141,9 +116,9 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
     if "odometry" in groups:
         found += [f"odometry_{part}" for part in (*_POSE, *_TWIST)]
     if "truth" in groups:
-        found += [f"true_{part}" for part in (*_POSE, *_TWIST)] + ["tilt"]
+        found += [f"true_{part}" for part in (*_POSE, *_TWIST)]
     if "twist" in groups:
-        found += [f"{what}_{part}" for what in ("asked", "commanded") for part in _TWIST]
+        found += [f"{what}_{part}" for what in ("asked", "aimed") for part in _TWIST]
     if "joints" in groups:
         for wheel in robot.wheels:
             if wheel.driven:
@@ -154,24 +129,33 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
     return found
 
 
-def _values(robot: Robot, sample: Sample, groups: Sequence[str]) -> list[float]:
-    found = [sample.time]
+def _values(
+    robot: Robot, sample: Sample, commands: JointCommands | None, groups: Sequence[str]
+) -> Iterator[float]:
+    yield sample.time
     if "odometry" in groups:
-        found += [*sample.odometry_pose, *sample.odometry_twist]
+        yield from sample.pose_estimated
+        yield from sample.estimated
     if "truth" in groups:
-        found += [*sample.true_pose, *sample.true_twist, sample.tilt]
+        yield from sample.pose_true
+        yield from sample.true
     if "twist" in groups:
-        found += [*sample.asked, *sample.commanded]
+        yield from sample.asked
+        yield from sample.aimed
     if "joints" in groups:
-        joints = sample.joints
-        positions = joints.positions or [0.0] * len(robot.wheels)
+        joints, still = sample.joints, [math.nan] * len(robot.wheels)
+        positions = (joints.positions if joints is not None else None) or still
+        speeds, angles = (joints.speeds, joints.angles) if joints is not None else (still, still)
         for i, wheel in enumerate(robot.wheels):
             if wheel.driven:
-                found += [positions[i], joints.speeds[i], sample.speeds[i]]
-            if wheel.steering_joint is not None:
-                found += [joints.angles[i], sample.angles[i]]
-    return found
+                yield positions[i]
+                yield speeds[i]
+                yield commands.speeds[i] if commands is not None else math.nan
+            if wheel.steered:
+                yield angles[i]
+                yield commands.angles[i] if commands is not None else math.nan
 
 
 def _text(value: float) -> str:
-    return f"{value:.9g}"
+    """Nine digits; nothing where there is no number."""
+    return f"{value:.9g}" if math.isfinite(value) else ""

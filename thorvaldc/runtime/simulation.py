@@ -14,7 +14,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.serialize import ModelFormatError, from_json
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base import BaseHandle
+from thorvaldc.runtime.base import BaseHandle, SimulatedBase
 from thorvaldc.runtime.faults import RuntimeFault
 from thorvaldc.runtime.hidden import HiddenErrors
 from thorvaldc.runtime.manoeuvre import (
@@ -145,7 +145,8 @@ class Simulation:
         if report is not None:
             if self.scene is not None:
                 self._tell_radii(report)
-            _tell(meters, result, report)
+            cause = f": {self.scene.fastest}" if diverged and self.scene is not None else ""
+            _tell(meters, result, report, cause)
         return result
 
     def demonstrate(
@@ -208,11 +209,18 @@ def _words(twist: Twist) -> str:
     return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"
 
 
-def _tell(meters: Sequence[Meter], result: SimulationResult, report: Report) -> None:
+def _way(meter: Meter) -> str:
+    way = meter.base.leaning() if isinstance(meter.base, SimulatedBase) else ""
+    return f" {way}" if way else ""
+
+
+def _tell(
+    meters: Sequence[Meter], result: SimulationResult, report: Report, cause: str = ""
+) -> None:
     if result.diverged:
         report.add(
             "simulation-diverged",
-            f"the simulation left all bounds after {result.simulated:.2f} s",
+            f"the simulation left all bounds after {result.simulated:.2f} s{cause}",
             meters[0].robot.origin,
             hint="look for masses or inertias that are very small beside the forces on them",
         )
@@ -221,7 +229,8 @@ def _tell(meters: Sequence[Meter], result: SimulationResult, report: Report) -> 
         if meter.tipped:
             report.add(
                 "simulation-tipped",
-                f"{meter.name} fell over after {result.simulated:.2f} s",
+                f"{meter.name} fell over{_way(meter)} after {result.simulated:.2f} s, "
+                f"asked for {_words(meter.driver.state.asked)}",
                 meter.robot.origin,
                 hint="lower its speed or accelerations, or its centre of mass, or widen its track",
             )

@@ -1,0 +1,277 @@
+"""Runs scenarios: faults and noise, what is measured, and whether it is as expected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model import Robot
+from thorvaldc.model.scenario import Expectation, Scenario
+from thorvaldc.runtime.base import BaseHandle
+from thorvaldc.runtime.calculators.geometry import BaseGeometry
+from thorvaldc.runtime.contacts import Contacts
+from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.faulty_base import FaultyBase
+from thorvaldc.runtime.manoeuvre import Segment
+from thorvaldc.runtime.meter import Meter, RobotRun, Watch
+from thorvaldc.runtime.record import Digest, Recorder
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.simulation import Simulation, SimulationResult
+
+UNITS = {
+    "end_error": "m",
+    "yaw_error": "rad",
+    "path": "m",
+    "length_ratio": "",
+    "tilt": "rad",
+    "slip": "m/s",
+    "largest_slip": "m/s",
+    "steering_limit_hits": "",
+    "collisions": "",
+    "energy": "J",
+}
+"""What is measured of every robot, in this order, and in which unit."""
+_AT_LIMIT = math.radians(0.2)
+_MOVING = 1e-3
+"""Length (m) of a path below which the ratio of two says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """An expectation of one robot, and what came of it."""
+
+    robot: str
+    metric: str
+    value: float
+    least: float | None
+    most: float | None
+    origin: Span
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is a number within the bounds."""
+        low = self.least is None or self.value >= self.least
+        return math.isfinite(self.value) and low and (self.most is None or self.value <= self.most)
+
+    @property
+    def bounds(self) -> str:
+        unit = UNITS[self.metric]
+        found = [f"at least {_said(self.least, unit)}"] if self.least is not None else []
+        found += [f"at most {_said(self.most, unit)}"] if self.most is not None else []
+        return " and ".join(found)
+
+    @property
+    def words(self) -> str:
+        return _said(self.value, UNITS[self.metric])
+
+
+def _said(value: float, unit: str) -> str:
+    if unit == "rad":
+        return f"{math.degrees(value):.4g} deg"
+    return f"{value:.4g} {unit}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioResult:
+    """A scenario's run: ``metrics`` by robot and name in SI, the ``checks``, and a hash.
+
+    ``hash`` is over every number of every tick: equal for equal runs.
+    """
+
+    scenario: str
+    run: SimulationResult
+    metrics: Mapping[str, Mapping[str, float]]
+    checks: tuple[Check, ...]
+    hash: str
+
+    @property
+    def completed(self) -> bool:
+        """Whether it ran to the end, with every robot on its wheels."""
+        return not self.run.diverged and not any(robot.tipped for robot in self.run.robots)
+
+    @property
+    def passed(self) -> bool:
+        return self.completed and all(check.passed for check in self.checks)
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as plain values."""
+        checks = [
+            {
+                "robot": check.robot,
+                "metric": check.metric,
+                "value": check.value,
+                "min": check.least,
+                "max": check.most,
+                "passed": check.passed,
+            }
+            for check in self.checks
+        ]
+        return {
+            "scenario": self.scenario,
+            "passed": self.passed,
+            "completed": self.completed,
+            "hash": self.hash,
+            "checks": checks,
+            "metrics": {name: dict(values) for name, values in self.metrics.items()},
+            "run": self.run.as_json(),
+        }
+
+
+class ScenarioSimulation(Simulation):
+    """A scenario's robots in its world, ready to drive."""
+
+    def __init__(self, scenario: Scenario, files: Path | str | Mapping[str, bytes]) -> None:
+        """``files`` are the outputs of the ``mjcf`` backend for ``scenario.fleet``.
+
+        Raises ``RuntimeFault`` where the scene cannot be read.
+        """
+        super().__init__(scenario.fleet, files)
+        self.scenario = scenario
+
+    def play(
+        self,
+        report: Report,
+        recorders: Sequence[Recorder] = (),
+        watch: Watch | None = None,
+    ) -> ScenarioResult:
+        """Run it.  What goes wrong, and what is not as expected, goes to ``report``.
+
+        ``recorders`` get every tick of every robot; they are not closed here.  Raises
+        ``RuntimeFault`` where it cannot start.
+        """
+        scene = self.scene
+        if scene is None:
+            raise RuntimeFault("simulation-scene", "a scenario needs a scene")
+        digest = Digest()
+        everywhere = (digest, *recorders)
+        contacts = Contacts(scene, dict(self.robots))
+        observers: dict[str, Observer] = {}
+
+        def observe(meter: Meter) -> None:
+            found = observers.get(meter.name)
+            if found is None:
+                found = observers[meter.name] = Observer(meter, contacts)
+            found.tick()
+            command = meter.driver.state.command
+            sample, joints = meter.sample(), None if command is None else command.joints
+            for recorder in everywhere:
+                recorder.record(meter.name, sample, joints)
+            if watch is not None:
+                watch(meter)
+
+        plans = {
+            name: tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
+            for name, commands in self.scenario.commands
+        }
+        self._bases: list[FaultyBase] = []
+        try:
+            run = self.run(self.scenario.duration, plans, report, observe)
+        finally:
+            for base in self._bases:
+                base.close()
+        metrics = {
+            robot.name: _metrics(robot, observers[robot.name], contacts) for robot in run.robots
+        }
+        checks = tuple(
+            _check(name, values, expectation)
+            for expectation in self.scenario.expectations
+            for name, values in metrics.items()
+        )
+        for check in checks:
+            if not check.passed:
+                report.add(
+                    "expectation-failed",
+                    f"`{check.metric}` of {check.robot} is {check.words}; "
+                    f"{check.bounds} is expected",
+                    check.origin,
+                )
+        return ScenarioResult(self.scenario.name, run, metrics, checks, digest.hexdigest())
+
+    def _base(self, name: str, robot: Robot) -> BaseHandle:
+        if self.scene is None:
+            return super()._base(name, robot)
+        faults = [fault for fault in self.scenario.faults if fault.robot == name]
+        base = FaultyBase(robot, self.scene, faults, self.scenario.noise)
+        self._bases.append(base)
+        return base
+
+
+class Observer:
+    """What is measured of a robot beside what its meter does: slip, limits, energy."""
+
+    def __init__(self, meter: Meter, contacts: Contacts) -> None:
+        base = meter.base
+        if not isinstance(base, FaultyBase):
+            raise TypeError("only robots of a scenario are observed")
+        self.meter = meter
+        self.base = base
+        self.contacts = contacts
+        self.wheels = BaseGeometry.from_robot(meter.robot).wheels
+        self.motors = base.motors()
+        self.time = 0.0
+        self.energy = 0.0
+        self.slip_squares = 0.0
+        self.slips = 0
+        self.largest_slip = 0.0
+        self.limit_hits = 0
+        self.at_limit = [False] * len(self.wheels)
+
+    def tick(self) -> None:
+        data = self.base.scene.data
+        now = self.meter.driver.state.time
+        dt, self.time = now - self.time, now
+        for motor in self.motors:
+            power = float(data.actuator_force[motor]) * float(data.actuator_velocity[motor])
+            if power > 0.0:
+                self.energy += power * dt
+        twist = self.base.true_twist()
+        joints = self.base.actual
+        for i, wheel in enumerate(self.wheels):
+            angle, rate = joints.angles[i], joints.angle_rates[i]
+            if wheel.driven and not wheel.swivel:
+                along, across = (
+                    row[0] * twist.vx + row[1] * twist.vy + row[2] * twist.wz
+                    for row in wheel.rows(angle)
+                )
+                # The contact moves about the steering axis too, where it lies beside it.
+                turning = wheel.sign * rate
+                along -= wheel.lateral * turning + wheel.radius * joints.speeds[i]
+                across += wheel.trail * turning
+                square = along * along + across * across
+                self.slip_squares += square
+                self.slips += 1
+                self.largest_slip = max(self.largest_slip, math.sqrt(square))
+            if wheel.steered:
+                upper, lower = wheel.upper, wheel.lower
+                hit = (upper is not None and angle > upper - _AT_LIMIT) or (
+                    lower is not None and angle < lower + _AT_LIMIT
+                )
+                self.limit_hits += hit and not self.at_limit[i]
+                self.at_limit[i] = hit
+        self.contacts.look()
+
+
+def _metrics(run: RobotRun, observer: Observer, contacts: Contacts) -> dict[str, float]:
+    known = run.path_odometry > _MOVING and run.path_true > _MOVING
+    values = {
+        "end_error": run.end_error,
+        "yaw_error": run.yaw_error,
+        "path": run.path_true,
+        "length_ratio": run.path_true / run.path_odometry if known else 1.0,
+        "tilt": run.largest_tilt,
+        "slip": math.sqrt(observer.slip_squares / max(observer.slips, 1)),
+        "largest_slip": observer.largest_slip,
+        "steering_limit_hits": float(observer.limit_hits),
+        "collisions": float(contacts.collisions[run.name]),
+        "energy": observer.energy,
+    }
+    return {name: values[name] for name in UNITS}
+
+
+def _check(robot: str, values: Mapping[str, float], wanted: Expectation) -> Check:
+    value = values[wanted.metric]
+    return Check(robot, wanted.metric, value, wanted.least, wanted.most, wanted.origin)
