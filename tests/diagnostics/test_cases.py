@@ -9,9 +9,9 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``entry``: the file to compile (default ``robot.yaml``);
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
   the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
-  ``seconds`` by ``parameters``), ``demo`` (of the build folder ``entry``), ``import``, or ``log``
-  and ``calibrate`` (reading joints.csv, which ``record`` makes by its arguments, and
-  calibrating by it, with ``distance``);
+  ``seconds`` by ``parameters``), ``scenario``, ``demo`` (of the build folder ``entry``),
+  ``import``, or ``log`` and ``calibrate`` (reading joints.csv, which ``record`` makes by its
+  arguments, and calibrating by it, with ``distance``);
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
@@ -82,6 +82,13 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             write_locks(done.locks, done.report)
         finally:
             os.chmod(".", 0o755)
+    if how == "scenario" and done.scenario is not None:
+        from thorvaldc.runtime.scenario import ScenarioSimulation
+
+        found = Report()
+        files = emit(done.scenario.fleet, ["mjcf"], found)
+        ScenarioSimulation(done.scenario, files).play(found)
+        done.report.extend(done.located(found))
     if how == "sim" and done.model is not None:
         from thorvaldc.runtime.faults import RuntimeFault
         from thorvaldc.runtime.manoeuvre import parse_twist

@@ -12,6 +12,7 @@ from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.model import (
     Battery,
+    Block,
     Box,
     Bus,
     CalculatorChoice,
@@ -20,6 +21,7 @@ from thorvaldc.model import (
     Cylinder,
     Fleet,
     Frame,
+    Ground,
     Link,
     Mesh,
     MeshShape,
@@ -33,6 +35,7 @@ from thorvaldc.model import (
     Signal,
     Sphere,
     Visual,
+    World,
 )
 from thorvaldc.model import robot as robot_module
 from thorvaldc.model.serialize import ModelFormatError, from_json, to_json
@@ -132,6 +135,9 @@ def test_a_model_with_everything_in_it_reads_back_equal() -> None:
     assert from_json(to_json(robot)) == robot
     fleet = Fleet("two", "", (Placement("a", POSE, robot), Placement("b", Pose(), robot)))
     assert from_json(to_json(fleet)) == fleet
+    blocks = (Block("kerb", "1", Box((1.0, 0.2, 0.1)), POSE), Block("crop", "2", Sphere(1), POSE))
+    world = World(Ground(0.1, 0.2, 0.03, 1.5, 4, (10.0, 20.0)), blocks)
+    assert from_json(to_json(replace(fleet, world=world))) == replace(fleet, world=world)
 
 
 def test_everything_has_every_class_of_the_model_in_it() -> None:
@@ -152,7 +158,7 @@ def test_everything_has_every_class_of_the_model_in_it() -> None:
         for name, value in vars(robot_module).items()
         if is_dataclass(value) and value.__module__ == robot_module.__name__  # type: ignore[union-attr]
     }
-    assert classes - {"Fleet", "Placement"} <= seen
+    assert classes - {"Fleet", "Placement", "World", "Ground", "Block"} <= seen
 
 
 def test_types_come_back_as_they_were() -> None:

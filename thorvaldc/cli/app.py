@@ -97,7 +97,21 @@ def build(
 @app.command(cls=LightCommand)
 @guarded
 def sim(
-    file: File,
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A robot.yaml, fleet.yaml or scenario.")
+    ],
+    scenario: Annotated[
+        str,
+        typer.Option("--scenario", metavar="FILE", help="A scenario for the robot to drive."),
+    ] = "",
+    record: Annotated[
+        str,
+        typer.Option("--record", metavar="DIR", help="Write a scenario's records there, as CSV."),
+    ] = "",
+    junit: Annotated[
+        str,
+        typer.Option("--junit", metavar="OUT.xml", help="Write a scenario's report as JUnit XML."),
+    ] = "",
     duration: Annotated[
         str,
         typer.Option("--duration", metavar="TIME", help="Simulated time: 5, or '5 s'."),
@@ -137,11 +151,24 @@ def sim(
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:
-    """Drive a robot in simulation, without a display."""
+    """Drive a robot in simulation, or run a scenario, without a display."""
     from thorvaldc.cli.simulating import simulate
 
     return simulate(
-        file, duration, twist, parameters, json, ideal, open_loop, log, library, plot, video
+        file,
+        duration,
+        twist,
+        parameters,
+        json,
+        ideal,
+        open_loop,
+        log,
+        library,
+        plot,
+        video,
+        scenario,
+        record,
+        junit,
     )
 
 

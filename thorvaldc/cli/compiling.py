@@ -89,9 +89,11 @@ def check_modules(folders: Sequence[str], format: str, strict: bool) -> int:
     return faults.finish(strict)
 
 
-def compile_one(file: str, library: Sequence[str]) -> Compilation:
-    """Compile; what is to be said of it goes to stderr."""
-    (done,) = _compile_all([file], library)
+def compile_one(file: str, library: Sequence[str], robot: str | None = None) -> Compilation:
+    """Compile, a scenario by ``robot``; what is to be said of it goes to stderr."""
+    from thorvaldc.pipeline import compile_file
+
+    done = compile_file(file, library=library_folders(library), robot=robot)
     faults = Faults("text", sys.stderr)
     faults.add(done.report, done.sources)
     faults.finish()

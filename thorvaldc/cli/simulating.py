@@ -5,16 +5,15 @@ from __future__ import annotations
 import contextlib
 import gc
 import json as json_format
-import math
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.faults import Faults
+from thorvaldc.cli.faults import Faults, finite
 from thorvaldc.cli.picturing import RunPictures
 
 if TYPE_CHECKING:
@@ -35,16 +34,37 @@ def simulate(
     library: Sequence[str],
     plot: str = "",
     video: str = "",
+    scenario: str = "",
+    record: str = "",
+    junit: str = "",
 ) -> int:
     """One twist for a time, or without a twist the manoeuvre that suits the robot.
 
-    The joint states go to ``log`` where it is named.
+    A scenario is run where ``file`` is one, or by the robot of ``file`` where it is
+    named beside.  The joint states go to ``log`` where it is named.
     """
     seconds = _seconds(duration) if duration else 0.0
     pictures = RunPictures(plot, video, ideal=ideal)
-    done = compile_one(file, library)
+    done = compile_one(scenario, library, file) if scenario else compile_one(file, library)
     if done.model is None:
         return INPUT
+    if done.scenario is not None:
+        given: dict[str, str | bool] = {
+            "--duration": duration,
+            "--twist": twist,
+            "--parameters": parameters,
+        }
+        given |= {"--ideal": ideal, "--open-loop": open_loop, "--log": log}
+        for option, value in given.items():
+            if value:
+                raise typer.BadParameter("a scenario says it itself", param_hint=f"'{option}'")
+        from thorvaldc.cli.scenarios import run_scenario
+
+        return run_scenario(done, done.scenario, pictures, record, junit, json)
+    for option, text in {"--scenario": scenario, "--record": record, "--junit": junit}.items():
+        if text:
+            wrong = scenario or file
+            raise typer.BadParameter(f"{wrong} is no scenario", param_hint=f"'{option}'")
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Robot
     from thorvaldc.pipeline import emit
@@ -76,7 +96,7 @@ def simulate(
         faults.add(done.located(report), done.sources)
         return faults.finish()
     if json:
-        print(json_format.dumps(_finite(result.as_json()), indent=1, ensure_ascii=False))
+        print(json_format.dumps(finite(result.as_json()), indent=1, ensure_ascii=False))
     else:
         print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
     faults.add(done.located(report), done.sources)
@@ -104,14 +124,3 @@ def _seconds(text: str) -> float:
             f"{text!r} is not between 0 and 86400 s", param_hint="'--duration'"
         )
     return seconds
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinities: a number that a run away simulation left becomes null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value

@@ -1,0 +1,156 @@
+"""``sim`` of a scenario: records, reports, a progress bar, and what decides the exit status."""
+
+from __future__ import annotations
+
+import gc
+import json as json_format
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.faults import Faults, finite, message
+from thorvaldc.cli.picturing import RunPictures, check_output
+
+if TYPE_CHECKING:
+    from thorvaldc.model.scenario import Scenario
+    from thorvaldc.pipeline import Compilation
+    from thorvaldc.runtime.meter import Meter
+    from thorvaldc.runtime.record import Recorder
+    from thorvaldc.runtime.scenario import ScenarioResult
+
+BAR = 30  # characters
+
+
+def run_scenario(
+    done: Compilation,
+    scenario: Scenario,
+    pictures: RunPictures,
+    record: str,
+    junit: str,
+    json: bool,
+) -> int:
+    """Run it, report it.  ``record`` is a folder for CSV files, ``junit`` a file; may be empty."""
+    if junit:
+        check_output(junit, ("xml",), "--junit")
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.pipeline import emit
+    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.runtime.scenario import ScenarioSimulation
+
+    gc.enable()
+    report = Report()
+    faults = Faults("text", sys.stderr)
+    progress = Progress(scenario.duration)
+
+    def watch(meter: Meter) -> None:
+        progress.show(meter.driver.state.time)
+        pictures.watch(meter)
+
+    with ExitStack() as stack:
+        recorders = _recorders(scenario, record, stack)
+        stack.callback(progress.clear)
+        try:
+            files = emit(scenario.fleet, ["mjcf"], report)
+            simulation = ScenarioSimulation(scenario, files)
+            result = simulation.play(report, recorders, watch)
+        except RuntimeFault as fault:
+            report.put(fault.diagnostic)
+            faults.add(done.located(report), done.sources)
+            return faults.finish()
+    if json:
+        print(json_format.dumps(finite(result.as_json()), indent=1, ensure_ascii=False))
+    else:
+        print(_text(result))
+    faults.add(done.located(report), done.sources)
+    if junit:
+        said = [d.message for d in report.errors if d.code.name != "expectation-failed"]
+        Path(junit).write_bytes(junit_report(result, said))
+    if record:
+        message(f"{record}: {', '.join(f'{p.name}.csv' for p in scenario.fleet.placements)}")
+    pictures.write(scenario.fleet, simulation, files)
+    return faults.finish()
+
+
+def _recorders(scenario: Scenario, record: str, stack: ExitStack) -> Sequence[Recorder]:
+    if not record:
+        return ()
+    from thorvaldc.runtime.record import CsvRecorder
+
+    robots = [(p.name, p.robot) for p in scenario.fleet.placements]
+    try:
+        recorder = CsvRecorder(Path(record), robots, scenario.record, scenario.every)
+    except OSError as fault:
+        name = fault.filename or record
+        raise OutsideError(f"cannot write {name}: {fault.strerror or fault}") from None
+    stack.callback(recorder.close)
+    return (recorder,)
+
+
+def _text(result: ScenarioResult) -> str:
+    from thorvaldc.runtime.simulation import DemoRow, demo_table
+
+    run = result.run
+    lines = [demo_table([DemoRow(robot, run.real_time_factor) for robot in run.robots])]
+    for check in result.checks:
+        mark = "ok    " if check.passed else "FAILED"
+        lines.append(f"{mark}  {check.robot} {check.metric}: {check.words} ({check.bounds})")
+    passed = sum(check.passed for check in result.checks)
+    end = "" if result.completed else f", ended after {run.simulated:.2f} s"
+    lines.append(
+        f"{result.scenario}: {passed} of {len(result.checks)} expectations met{end}, "
+        f"result {result.hash[:16]}"
+    )
+    return "\n".join(lines)
+
+
+def junit_report(result: ScenarioResult, faults: Sequence[str]) -> bytes:
+    """The result as JUnit XML: a test for the run itself, and one for each expectation."""
+    from thorvaldc.backends.xml_writer import Element, to_bytes
+
+    name = result.scenario
+    failed = sum(not check.passed for check in result.checks) + (not result.completed)
+    suite = Element(
+        "testsuite",
+        name=name,
+        tests=len(result.checks) + 1,
+        failures=failed,
+        errors=0,
+        skipped=0,
+        time=round(result.run.simulated, 6),
+    )
+    suite.add("properties").add("property", name="hash", value=result.hash)
+    case = suite.add("testcase", classname=name, name="runs to its end")
+    if not result.completed:
+        case.add("failure", message="; ".join(faults) or "it did not run to its end")
+    for check in result.checks:
+        case = suite.add("testcase", classname=f"{name}.{check.robot}", name=check.metric)
+        if not check.passed:
+            case.add("failure", message=f"{check.words}; {check.bounds} is expected")
+    top = Element("testsuites", name="thorvaldc", tests=len(result.checks) + 1, failures=failed)
+    top.append(suite)
+    return to_bytes(top)
+
+
+class Progress:
+    """A bar on a terminal; nothing elsewhere."""
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+        self.active = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        self._shown = -1
+
+    def show(self, time: float) -> None:
+        percent = int(100 * min(time / self.duration, 1.0)) if self.active else self._shown
+        if percent != self._shown:
+            self._shown = percent
+            done = "#" * (percent * BAR // 100)
+            line = f"\r[{done:<{BAR}}] {percent:3d} %  {time:.1f} of {self.duration:g} s"
+            print(line, end="", file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        if self._shown >= 0:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
