@@ -22,6 +22,8 @@ def test_help_names_every_command(thorvaldc: Command) -> None:
         "check",
         "build",
         "sim",
+        "render",
+        "view",
         "import",
         "new",
         "targets",

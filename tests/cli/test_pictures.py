@@ -74,3 +74,40 @@ def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -
         done = thorvaldc(*arguments)
         assert done.status == 3
         assert done.err.startswith("error: nothing here draws without a screen: neither EGL nor")
+
+
+def test_view_without_a_display_writes_a_page(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    done = thorvaldc("view", "good.yaml")
+    assert (done.status, done.out) == (0, "good.html\n")
+    assert Path("good.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert thorvaldc("view", "bad.yaml").status == 1
+    assert thorvaldc("view", "good.yaml", "-o", "a.txt").status == 2
+    assert thorvaldc("view", "good.yaml", "-o", "nowhere/a.html").status == 3
+
+
+def test_view_with_a_display_opens_the_viewer(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer = pytest.importorskip("mujoco.viewer")
+    opened: list[int] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(viewer, "launch", lambda model, data: opened.append(model.nmesh))
+    assert thorvaldc("view", "good.yaml").status == 0
+    assert len(opened) == 1
+    assert opened[0] > 0  # with what is seen
+    assert not Path("good.html").exists()
+    assert thorvaldc("view", "good.yaml", "--html").out == "good.html\n"
+    assert len(opened) == 1
+
+    def fail(model: object, data: object) -> None:
+        raise RuntimeError("could not create window")
+
+    monkeypatch.setattr(viewer, "launch", fail)
+    done = thorvaldc("view", "good.yaml")
+    assert done.status == 3
+    assert "could not create window; try --html" in done.err

@@ -230,6 +230,25 @@ def render(
     return render_file(file, output, size, view, library)
 
 
+@app.command(cls=LightCommand)
+@guarded
+def view(
+    file: File,
+    html: Annotated[
+        bool, typer.Option("--html", help="A web page, though there is a display.")
+    ] = False,
+    output: Annotated[
+        str,
+        typer.Option("--output", "-o", metavar="OUT.html", show_default="<name>.html"),
+    ] = "",
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Look at a robot or fleet: in MuJoCo's viewer, or without a display as a web page."""
+    from thorvaldc.cli.viewing import view_file
+
+    return view_file(file, output, html, library)
+
+
 @app.command("import", cls=LightCommand)
 @guarded
 def import_(
