@@ -191,8 +191,8 @@ def test_a_mesh_in_millimetres_is_noticed_unless_scaled(tmp_path: Path) -> None:
     assert "240 m" in next(iter(report)).message
     assert names(load(path, scale=(0.001, 0.001, 0.001))[1]) == []
     small = write(tmp_path / "small.stl", binary_stl(TETRAHEDRON))
-    assert names(load(small, scale=(1.0, 60.0, 1.0))[1]) == ["mesh-size"]
-    assert names(load(small, scale=(1.0, 40.0, 1.0))[1]) == []
+    assert names(load(small, scale=(1.0, 12.0, 1.0))[1]) == ["mesh-size"]
+    assert names(load(small, scale=(1.0, 8.0, 1.0))[1]) == []
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
@@ -239,3 +239,21 @@ def test_an_interrupt_is_not_taken_for_a_package_that_is_missing(tmp_path: Path)
     )
     assert done.stdout == ""
     assert done.stderr.endswith("KeyboardInterrupt\n")
+
+
+def test_what_a_download_left_in_place_of_a_mesh(tmp_path: Path) -> None:
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:abc\nsize 123456\n"
+    for name in ("a.stl", "a.dae"):
+        _, report = load(write(tmp_path / name, pointer))
+        (fault,) = report
+        assert fault.message == f"mesh file `{name}` is a pointer of Git LFS, not the mesh"
+    _, report = load(write(tmp_path / "b.dae", "<html><body>404 not found</body></html>"))
+    (fault,) = report
+    assert fault.message == "mesh file `b.dae` is no dae file, or has nothing to show"
+
+
+def test_a_sensor_in_millimetres_is_noticed(tmp_path: Path) -> None:
+    for largest, noticed in ((80.0, True), (20.5, True), (19.5, False)):
+        corners = [tuple(tuple(largest / 3 * n for n in p) for p in t) for t in TETRAHEDRON]
+        _, report = load(write(tmp_path / f"{largest}.stl", binary_stl(corners)))  # type: ignore[arg-type]
+        assert names(report) == ["mesh-size"] * noticed

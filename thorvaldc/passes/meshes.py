@@ -24,15 +24,15 @@ from thorvaldc.passes.interrupts import uninterrupted
 MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
 # A part of a robot that is longer than this is a mesh in millimetres.
-MAX_EXTENT = 100.0
+MAX_EXTENT = 20.0
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
 _RECORD = struct.Struct("<12xfffffffff2x")
 # Screens on the highest byte of a little-endian float: exponents of 1.7e38 and up
-# (with inf and nan), and magnitudes of 32 and up.
+# (with inf and nan), and magnitudes of 8 and up.
 _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
-_BELOW_32 = bytes(b for b in range(256) if b & 0x7F < 0x42)
+_BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 
 
 class _Fault(NamedTuple):
@@ -44,7 +44,7 @@ class _Fault(NamedTuple):
 class _Loaded(NamedTuple):
     mesh: Mesh
     suffix: str
-    large: bool  # some coordinate may be 32 m or more: worth measuring
+    large: bool  # some coordinate may be 8 m or more: worth measuring
 
 
 def load_mesh(
@@ -132,6 +132,8 @@ def _read(path: Path, mtime_ns: int, size: int) -> _Loaded | _Fault:
             f"cannot be read: {fault.strerror}",
             "check the file's permissions",
         )
+    if data.startswith(b"version https://git-lfs"):
+        return _invalid("is a pointer of Git LFS, not the mesh", "fetch it: git lfs pull")
     suffix = path.suffix.lower().lstrip(".")
     if suffix == "stl":
         checked = _check_stl(data)
@@ -180,7 +182,7 @@ def _check_stl(data: bytes) -> tuple[bytes, bool] | _Fault:
         high = data[84 + 12 + 4 * k + 3 :: 50]
         if high.translate(None, _BELOW_HUGE):
             return _invalid("has a coordinate that is not a finite number")
-        large = large or bool(high.translate(None, _BELOW_32))
+        large = large or bool(high.translate(None, _BELOW_8))
     return data, large
 
 
@@ -232,7 +234,7 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _Fault:
         return _invalid(f"has {vertices} vertices and {faces} triangles, no body")
     if faces > MAX_TRIANGLES:
         return _too_large(f"has {faces} triangles; at most {MAX_TRIANGLES} are read")
-    return b"\n".join(kept), largest >= 32.0
+    return b"\n".join(kept), largest >= 8.0
 
 
 def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Fault:
@@ -263,6 +265,8 @@ def _converted(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Fa
             if suffix == "dae":
                 corners = corners @ _collada_axes(data)
             rows = corners.reshape(-1, 9).tolist()
+    except (AttributeError, TypeError, LookupError):  # a reader that finds something else
+        return _invalid(f"is no {suffix} file, or has nothing to show")
     except Exception as fault:  # readers of eight formats raise what they like
         reason = " ".join(str(fault).split())[:200] or type(fault).__name__
         return _invalid(f"cannot be read as {suffix}: {reason}")
