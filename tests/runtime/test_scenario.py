@@ -187,3 +187,35 @@ def test_rough_ground_is_as_high_as_it_says_and_level_where_robots_start() -> No
     assert rows[0][5] == rows[5][0] == 0.0
     assert heights(ground, []) == heights(ground, [])
     assert heights(Ground(0, 0, 0.02, 1.0, 6, (20.0, 10.0)), []) != heights(ground, [])
+
+
+def test_who_diverges_is_told_with_time_and_cause(tmp_path: Path) -> None:
+    drive = simulation(tmp_path, HEAD)
+
+    def watch(meter: Any) -> None:
+        if meter.driver.state.time >= 1.0:
+            meter.scene.data.qvel[7] = 1e7
+
+    report = Report()
+    result = drive.play(report, watch=watch)
+    (fault,) = report.errors
+    assert fault.code.name == "simulation-diverged"
+    assert "after 1.0" in fault.message
+    assert "the joint `cart/" in fault.message
+    assert not result.passed
+
+
+def test_an_interrupted_run_leaves_whole_records(tmp_path: Path) -> None:
+    drive = simulation(tmp_path, HEAD)
+    recorder = CsvRecorder(tmp_path / "r", drive.robots, drive.scenario.record)
+
+    def watch(meter: Any) -> None:
+        if meter.driver.state.time >= 1.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        drive.play(Report(), [recorder], watch)
+    recorder.close()
+    rows = read(tmp_path / "r/cart.csv")
+    assert float(rows[-1]["time"]) == 1.0
+    assert all(None not in row.values() for row in rows)
