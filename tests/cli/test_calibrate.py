@@ -86,6 +86,27 @@ def test_log_with_a_header_alone(thorvaldc: Command, calibrated: str) -> None:
         assert "joint-log-short" in found.err
 
 
+def test_what_is_included_stays_where_the_log_is_silent(
+    thorvaldc: Command, calibrated: str
+) -> None:
+    thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
+    kept = TRUE.replace("202 mm, steering_offset: 1 deg", "203 mm, steering_offset: 2 deg")
+    Path("old.yaml").write_text(kept, encoding="utf-8")
+    Path("has.yaml").write_text(GOOD + "calibration: old.yaml\n", encoding="utf-8")
+    assert thorvaldc("calibrate", "joints.csv", "has.yaml", "-o", "old.yaml").status == 0
+    text = Path("old.yaml").read_text(encoding="utf-8")
+    # Wheels that turned as commanded tell no radius.
+    assert "radius: 203.0000 mm  # as before" in text
+    assert "steering_offset: 1.0000 deg  # +-" in text
+
+
+def test_unknown_parameter_set(thorvaldc: Command, calibrated: str) -> None:
+    thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
+    found = thorvaldc("calibrate", "joints.csv", "good.yaml", "--parameters", "rails")
+    assert found.status == 1
+    assert "parameter-set-unknown" in found.err
+
+
 @pytest.mark.parametrize("distance", ["ten", "10 kg", "-3", "0", "nan"])
 def test_bad_distance(thorvaldc: Command, distance: str) -> None:
     assert thorvaldc("calibrate", "j.csv", "good.yaml", f"--distance={distance}").status == 2

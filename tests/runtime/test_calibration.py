@@ -11,12 +11,13 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.recording import TURNS, record
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Robot
+from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.runtime.calibration import CalibrationResult, WheelCalibration, calibrate
 from thorvaldc.runtime.calibration_text import as_json, overlay, table
 from thorvaldc.runtime.joint_log import JointLog, read_log
@@ -331,15 +332,40 @@ def test_table_and_json(log: JointLog) -> None:
 
 
 def test_overlay_keeps_what_is_not_determined(tmp_path: Path) -> None:
-    present = tuple(
-        replace(a, encoder_offset=0.1 if a.joint == "w1_steering_axis" else 0.0)
-        for a in ROBOT.actuators
-    )
-    robot = replace(ROBOT, actuators=present)
-    _, result, _ = found(logged(tmp_path, robot, record(robot, radii=RADII)), robot)
-    text = overlay(result)
-    assert text.count("steering_offset") == 1
-    assert "steering_offset: 5.72958 deg  # not determined, as before" in text
+    _, result, _ = found(logged(tmp_path, ROBOT, record(ROBOT, radii=RADII)))
+    before = {
+        "w1": {"steering_offset": 0.1, "radius": 0.3, "radii": {"rail": 0.15}},
+        "gone": {"radius": 0.1},
+    }
+    wheels = yaml.safe_load(overlay(result, before))["wheels"]
+    assert list(wheels) == ["w0", "w1", "w2", "w3"]
+    assert wheels["w1"]["steering_offset"] == "5.72958 deg"
+    assert wheels["w1"]["radii"] == {"rail": "150.0000 mm"}
+    assert wheels["w1"]["radius"].startswith("197.")
+    assert "steering_offset" not in wheels["w0"]
+
+
+def test_overlay_of_what_tells_nothing(tmp_path: Path) -> None:
+    text = record(ROBOT, open_loop=False)
+    _, result, _ = found(logged(tmp_path, ROBOT, text))
+    assert yaml.safe_load(overlay(result))["wheels"] == {}
+
+
+def test_radii_of_a_parameter_set(tmp_path: Path) -> None:
+    rail = tuple(replace(w, radii=(("rail", 0.15),)) for w in ROBOT.wheels[:3])
+    sets = (ParameterSet("rails", "rail", ROBOT.driver, ROBOT.origin),)
+    robot = replace(ROBOT, wheels=(*rail, ROBOT.wheels[3]), parameter_sets=sets)
+    rolls = replace(robot, wheels=(*(replace(w, radius=0.15) for w in rail), ROBOT.wheels[3]))
+    log = logged(tmp_path, robot, record(rolls, radii=RADII, offsets=OFFSETS))
+    result = calibrate(robot, log, Report(), parameters="rails")
+    assert result is not None
+    wheels = yaml.safe_load(overlay(result, {"w0": {"radius": 0.2}}))["wheels"]
+    scale = math.prod(RADII.get(w.name, 1.0) for w in ROBOT.wheels) ** 0.25
+    assert list(wheels["w0"]["radii"]) == ["rail"]
+    assert wheels["w0"]["radius"] == "200.0000 mm"
+    assert float(wheels["w0"]["radii"]["rail"].split()[0]) == pytest.approx(151.5 / scale, abs=0.01)
+    assert "radii" not in wheels["w3"]
+    assert float(wheels["w3"]["radius"].split()[0]) == pytest.approx(201.0 / scale, abs=0.01)
 
 
 def test_long_logs_are_thinned(log: JointLog, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,13 +194,17 @@ def calibrate(
             " their common scale.",
         ),
     ] = "",
+    parameters: Annotated[
+        str,
+        typer.Option("--parameters", metavar="SET", help="Parameter set that the robot drove by."),
+    ] = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:
     """Find steering offsets and wheel radii from recorded joint states."""
     from thorvaldc.cli.calibrating import calibrate_robot
 
-    return calibrate_robot(log, robot, output, distance, json, library)
+    return calibrate_robot(log, robot, output, distance, parameters, json, library)
 
 
 @app.command(cls=LightCommand)

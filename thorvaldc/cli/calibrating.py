@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -16,7 +17,13 @@ from thorvaldc.cli.faults import Faults, message
 
 
 def calibrate_robot(
-    log: str, robot: str, output: str, distance: str, json: bool, library: Sequence[str]
+    log: str,
+    robot: str,
+    output: str,
+    distance: str,
+    parameters: str,
+    json: bool,
+    library: Sequence[str],
 ) -> int:
     """Print what was found; write it to ``output`` if any of it is determined."""
     metres = _metres(distance) if distance else None
@@ -25,18 +32,26 @@ def calibrate_robot(
         return INPUT
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet
+    from thorvaldc.runtime.faults import RuntimeFault
     from thorvaldc.runtime.joint_log import read_log
+    from thorvaldc.runtime.parameters import Parameters
 
     if isinstance(done.model, Fleet):
         raise typer.BadParameter(f"{robot} is a fleet; name one robot's file", param_hint="ROBOT")
     report, faults = Report(), Faults("text", sys.stderr)
+    try:
+        Parameters.of(done.model, parameters or None)
+    except RuntimeFault as fault:
+        report.put(fault.diagnostic)
+        faults.add(done.located(report), done.sources)
+        return faults.finish()
     read = read_log(Path(log), log, done.model, report)
     result = None
     if read is not None:
         from thorvaldc.runtime.calibration import calibrate
         from thorvaldc.runtime.calibration_text import as_json, overlay, table
 
-        result = calibrate(done.model, read, report, metres, log)
+        result = calibrate(done.model, read, report, metres, log, parameters or None)
     faults.add(report, done.sources | {log: Path(log)})
     status = faults.finish()
     if result is None:
@@ -46,9 +61,29 @@ def calibrate_robot(
         if not result.tells:
             message(f"{output} is not written: the log determines nothing")
             return INPUT
-        _write(Path(output), overlay(result))
+        _write(Path(output), overlay(result, _included(Path(robot))))
         message(f"{output}: include it in {robot} by `calibration: {Path(output).name}`")
     return status
+
+
+def _included(robot: Path) -> dict[str, dict[str, Any]]:
+    """What the robot's calibration says of its wheels now, in SI."""
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.passes.calibration import load_calibration
+    from thorvaldc.source.reader import read_file
+
+    document = read_file(robot, robot.name, Report())
+    found = load_calibration(document, robot.parent, Report(), {}) if document else None
+    if found is None:
+        return {}
+    wheels: dict[str, dict[str, Any]] = {name: {} for name in found.names}
+    for name, (value, _) in found.radii.items():
+        wheels[name]["radius"] = value
+    for name, named in found.named_radii.items():
+        wheels[name]["radii"] = {key: value for key, (value, _) in named.items()}
+    for name, (value, _) in found.offsets.items():
+        wheels[name]["steering_offset"] = value
+    return wheels
 
 
 def _metres(text: str) -> float:

@@ -23,7 +23,7 @@ Numpy is imported with this module: import it where it is used.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +41,7 @@ from thorvaldc.runtime.calibration_solver import (
 )
 from thorvaldc.runtime.calibration_ticks import Ticks
 from thorvaldc.runtime.joint_log import JointLog
+from thorvaldc.runtime.parameters import Parameters
 
 SHORTEST = 5.0
 """Time (s) in motion that a log must have."""
@@ -71,13 +72,15 @@ class WheelCalibration:
     ``offset`` (rad): the joint's position where its encoder reads 0, ``None`` for
     a wheel that no motor steers.  ``ratio``: its radius over that of the robot's
     file, all ratios together leaving the common scale; ``radius`` (m) has the
-    measured scale as well.  Both ``None`` for a wheel without encoder.
+    measured scale as well.  Both ``None`` for a wheel without encoder.  ``named`` is
+    the name of that radius in the file, empty for the ordinary one.
     """
 
     name: str
     offset: Estimate | None
     ratio: Estimate | None
     radius: float | None
+    named: str
     present_offset: float
 
 
@@ -114,21 +117,39 @@ class CalibrationResult:
 
 
 def calibrate(
-    robot: Robot, log: JointLog, report: Report, distance: float | None = None, display: str = ""
+    robot: Robot,
+    log: JointLog,
+    report: Report,
+    distance: float | None = None,
+    display: str = "",
+    parameters: str | None = None,
 ) -> CalibrationResult | None:
     """Find the wheels' errors; ``None`` where the log tells nothing (reported).
 
     ``distance`` (m) is what was measured between where ``base_link`` stood at the
     log's first and last line, in a straight line.  The way between may turn a little.
-    ``display`` is the log's name for spans.
+    ``display`` is the log's name for spans; ``parameters`` the parameter set by whose
+    radii the robot drove.  Raises ``RuntimeFault`` where the robot has no such set.
     """
+    names = [""] * len(robot.wheels)
+    if parameters is not None:
+        radii = Parameters.of(robot, parameters).radii
+        name = next(s.radii for s in robot.parameter_sets if s.name == parameters) or ""
+        names = [name if name in dict(wheel.radii) else "" for wheel in robot.wheels]
+        wheels = zip(robot.wheels, radii, strict=True)
+        robot = replace(robot, wheels=tuple(replace(w, radius=r) for w, r in wheels))
     # A log may hold any number; what comes of it is looked at in the end.
     with np.errstate(all="ignore"):
-        return _calibrate(robot, log, report, distance, Span(display) if display else None)
+        return _calibrate(robot, names, log, report, distance, Span(display) if display else None)
 
 
 def _calibrate(
-    robot: Robot, log: JointLog, report: Report, distance: float | None, span: Span | None
+    robot: Robot,
+    names: Sequence[str],
+    log: JointLog,
+    report: Report,
+    distance: float | None,
+    span: Span | None,
 ) -> CalibrationResult | None:
     ticks = Ticks(robot, log)
     moving = float(ticks.dt[ticks.moves].sum())
@@ -151,7 +172,7 @@ def _calibrate(
         return None
     apart = _from_commands(log, ticks)
     forced = apart is not None and apart < _FORCED
-    wheels = _wheels(robot, solution, forced)
+    wheels = _wheels(robot, names, solution, forced)
     scale = None
     if distance is not None:
         scale = _scale(robot, ticks, solution, wheels, distance, span, report)
@@ -199,7 +220,9 @@ def _from_commands(log: JointLog, ticks: Ticks) -> float | None:
 # -- the result ---------------------------------------------------------------------------
 
 
-def _wheels(robot: Robot, solution: Solution, forced: bool) -> tuple[WheelCalibration, ...]:
+def _wheels(
+    robot: Robot, names: Sequence[str], solution: Solution, forced: bool
+) -> tuple[WheelCalibration, ...]:
     wheels: list[WheelCalibration] = []
     for i, wheel in enumerate(BaseGeometry.from_robot(robot).wheels):
         offset = ratio = radius = None
@@ -213,7 +236,7 @@ def _wheels(robot: Robot, solution: Solution, forced: bool) -> tuple[WheelCalibr
             error = float(solution.ratio_errors[i])
             ratio = Estimate(value, error, error <= RATIO_WANTED and not forced)
             radius = wheel.radius * (value if ratio.determined else 1.0)
-        wheels.append(WheelCalibration(wheel.name, offset, ratio, radius, present))
+        wheels.append(WheelCalibration(wheel.name, offset, ratio, radius, names[i], present))
     return tuple(wheels)
 
 

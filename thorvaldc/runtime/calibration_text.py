@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from thorvaldc.runtime.calibration import CalibrationResult, Estimate
+from thorvaldc.runtime.calibration import CalibrationResult, Estimate, WheelCalibration
+
+_BEFORE = "as before"
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
@@ -74,29 +77,48 @@ def _cell(estimate: Estimate | None, shown: Any, unit: str, size: Any) -> str:
     return f"{shown(estimate.value)} +- {error:.{digits}f}{unit}"
 
 
-def overlay(result: CalibrationResult) -> str:
+Values = Mapping[str, Any]
+"""A wheel's entry in a calibration, in SI: ``radius``, ``radii`` by name, ``steering_offset``."""
+
+
+def overlay(result: CalibrationResult, before: Mapping[str, Values] | None = None) -> str:
     """The calibration as a document for ``calibration`` in ``robot.yaml``.
 
-    What the log does not determine keeps the value that it has there.
+    What the log does not determine stays as ``before``, the entries that the robot
+    includes now.
     """
-    lines = ["thorvaldc: 1", f"robot: {result.robot}", "wheels:"]
+    lines = []
     for wheel in result.wheels:
-        entry: list[str] = []
-        if wheel.radius is not None and wheel.ratio is not None:
-            note = f"+- {wheel.radius * wheel.ratio.error * 1000:.3f} mm"
-            if not wheel.ratio.determined:
-                note = "not determined, as before"
-            entry.append(f"    radius: {wheel.radius * 1000:.4f} mm  # {note}")
-        offset = wheel.offset
-        if offset is not None and offset.determined:
-            degrees = math.degrees(offset.value)
-            note = f"+- {math.degrees(offset.error):.3f} deg"
-            entry.append(f"    steering_offset: {degrees:.4f} deg  # {note}")
-        elif offset is not None and wheel.present_offset:
-            degrees = math.degrees(wheel.present_offset)
-            entry.append(f"    steering_offset: {degrees:.6g} deg  # not determined, as before")
+        old = (before or {}).get(wheel.name, {})
+        entry = [*_radii(wheel, old, scaled=result.scale is not None), *_offset(wheel, old)]
         if entry:
-            lines += [f"  {wheel.name}:", *entry]
-    if len(lines) == 3:
-        lines[2] = "wheels: {}"
-    return "\n".join(lines) + "\n"
+            lines += [f"  {wheel.name}:", *(f"    {line}" for line in entry)]
+    head = ["thorvaldc: 1", f"robot: {result.robot}"]
+    return "\n".join([*head, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
+
+
+def _radii(wheel: WheelCalibration, old: Values, *, scaled: bool) -> Iterator[str]:
+    values = {"": old["radius"]} if "radius" in old else {}
+    values |= old.get("radii", {})
+    notes = dict.fromkeys(values, _BEFORE)
+    if wheel.radius is not None and wheel.ratio is not None:
+        determined = wheel.ratio.determined
+        if determined or scaled:
+            values[wheel.named] = wheel.radius
+            error = f"+- {wheel.radius * wheel.ratio.error * 1000:.3f} mm"
+            notes[wheel.named] = error if determined else "by the common scale alone"
+    if "" in values:
+        yield f"radius: {values.pop('') * 1000:.4f} mm  # {notes['']}"
+    if values:
+        yield "radii:"
+    for name, value in values.items():
+        yield f"  {name}: {value * 1000:.4f} mm  # {notes[name]}"
+
+
+def _offset(wheel: WheelCalibration, old: Values) -> Iterator[str]:
+    offset = wheel.offset
+    if offset is not None and offset.determined:
+        error = math.degrees(offset.error)
+        yield f"steering_offset: {math.degrees(offset.value):.4f} deg  # +- {error:.3f} deg"
+    elif "steering_offset" in old:
+        yield f"steering_offset: {math.degrees(old['steering_offset']):.6g} deg  # {_BEFORE}"
