@@ -153,6 +153,21 @@ def test_wheels_that_do_not_turn_tell_as_well(tmp_path: Path) -> None:
     assert wheels["w4"].radius is None
 
 
+def test_contacts_beside_their_steering_axes(tmp_path: Path) -> None:
+    sides = (0.1, -0.1, 0.15, 0.05)
+    wheels = zip(ROBOT.wheels, sides, strict=True)
+    robot = replace(ROBOT, wheels=tuple(replace(w, lateral_offset=s) for w, s in wheels))
+    # Wheels that steer all the time, and roll by it.
+    twists = [
+        (2.0 * k, 0.6 * math.cos(k), 0.6 * math.sin(k), 0.4 * math.sin(2.3 * k)) for k in range(10)
+    ]
+    text = record(robot, twists=twists, radii=RADII, offsets=OFFSETS)
+    made, _, _ = found(logged(tmp_path, robot, text), robot)
+    ratio, offset = errors(made, RADII, OFFSETS)
+    assert ratio < 2e-3
+    assert offset < 0.01
+
+
 def test_wheels_on_one_joint_have_one_offset(tmp_path: Path) -> None:
     robot = make_robot([*FOUR_STEERED, (0.55, 0.45, "steered")])
     first = robot.wheels[0].steering_joint
@@ -231,9 +246,14 @@ def files() -> dict[str, bytes]:
 
 
 def test_radii_from_physics(files: dict[str, bytes], tmp_path: Path) -> None:
-    text = record(SIX, radii=RADII, files=files)
+    text = record(SIX, radii=RADII, offsets={"w0": 0.3, "w5": -0.3}, files=files)
     wheels, _, _ = found(logged(tmp_path, SIX, text), SIX)
     assert errors(wheels, RADII, {})[0] < 5e-4
+    scale = math.prod(RADII.get(w.name, 1.0) for w in SIX.wheels) ** (1 / 6)
+    for name, wheel in wheels.items():
+        assert wheel.ratio is not None
+        # Slip that lasts is in the standard error.
+        assert abs(wheel.ratio.value - RADII.get(name, 1.0) / scale) < 4.0 * wheel.ratio.error
 
 
 def test_offsets_against_the_ground_are_not_invented(
