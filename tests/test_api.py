@@ -42,3 +42,19 @@ def test_the_import_itself_loads_nothing() -> None:
         env={"PYTHONPATH": ":".join(sys.path)},
     )
     assert done.stdout == "[]\n"
+
+
+def test_the_readmes_script_runs(tmp_path: Path) -> None:
+    readme = (EXAMPLE.parents[2] / "README.md").read_text(encoding="utf-8")
+    document = readme.split("```yaml\n", 1)[1].split("```", 1)[0]
+    (tmp_path / "first.yaml").write_text(document, encoding="utf-8")
+    script = readme.split("```python\n", 1)[1].split("```", 1)[0]
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        text=True,
+        env={"PYTHONPATH": ":".join(sys.path)},
+    )
+    assert float(done.stdout) > 2.0
