@@ -477,3 +477,34 @@ def same_estimate(
     largest = max(max(row) for row in b.covariance)
     for ra, rb in zip(a.covariance, b.covariance, strict=True):
         assert ra == pytest.approx(rb, rel=1e-6, abs=1e-6 * largest)
+
+
+numbers = st.one_of(
+    st.floats(-2.0, 2.0),
+    st.floats(),
+    st.sampled_from([1e308, -1e200, 1e20, 1e9, 1e8, 1e5, 5e-324, math.pi, -math.pi]),
+)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_any_numbers_give_finite_ones_or_an_error(name: str, data: st.DataObject) -> None:
+    calculator = draw_robot(data, name)
+    n = len(calculator.geometry.wheels)
+    joint = st.lists(numbers, min_size=n, max_size=n)
+    for _ in range(3):
+        twist = Twist(*(data.draw(numbers) for _ in range(3)))
+        states = JointStates(0.0, data.draw(joint), data.draw(joint), data.draw(joint))
+        given_states = data.draw(st.sampled_from([None, states]))
+        dt = data.draw(st.sampled_from([None, 0.02, 1e-9, 5e-324, 1e9]))
+        try:
+            command = calculator.command(twist, given_states, dt)
+        except NotFiniteError:
+            continue
+        for value in (*command.joints.speeds, *command.joints.angles, *command.twist):
+            assert math.isfinite(value)
+        try:
+            estimate = calculator.odometry(states)
+        except NotFiniteError:
+            continue
+        assert math.isfinite(sum(estimate.twist) + sum(map(sum, estimate.covariance)))

@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.runtime.calculators.estimator import RANK_TOLERANCE, TwistEstimator
-from thorvaldc.runtime.calculators.fit import BOTH, TEST_SIDE, UNTESTABLE, USE_ROLL, USE_SIDE, Row
+from thorvaldc.runtime.calculators.fit import (
+    BOTH,
+    STILL,
+    TEST_SIDE,
+    UNTESTABLE,
+    USE_ROLL,
+    USE_SIDE,
+    Row,
+)
 
 Array = NDArray[np.float64]
 Value = Array | float
@@ -172,7 +180,7 @@ def fit(
         v_t += slip2
         if row.turns:
             t2 = across * across
-            near = t2 < 0.25 * a2
+            near = t2 < 0.25 * a2 - STILL
             k = np.sqrt(a2)
             np.copysign(k, c * ux + s * uy, out=k)
             np.divide(1.0, k, out=k, where=near)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import abc
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -46,6 +47,25 @@ class BaseCommand:
 @dataclass(frozen=True, slots=True)
 class NoOptions:
     """A calculator's options are a frozen dataclass of scalars; here there are none."""
+
+
+Odometry = Callable[[Any, JointStates], TwistEstimate]
+
+
+def bounded(odometry: Odometry) -> Odometry:
+    """``NotFiniteError`` in place of a result that is not finite, for joints beyond all bounds."""
+
+    @functools.wraps(odometry)
+    def checked(self: Any, states: JointStates) -> TwistEstimate:
+        try:
+            found = odometry(self, states)
+        except (ZeroDivisionError, OverflowError):
+            raise NotFiniteError("the joint states are out of all bounds") from None
+        if not math.isfinite(sum(found.twist) + sum(map(sum, found.covariance))):
+            raise NotFiniteError("the joint states are out of all bounds")
+        return found
+
+    return checked
 
 
 class BaseCalculator(abc.ABC):

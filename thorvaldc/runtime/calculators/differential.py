@@ -7,6 +7,7 @@ from typing import Self
 
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, NoOptions
+from thorvaldc.runtime.calculators.calculator import bounded
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.motors import Motors
@@ -101,6 +102,7 @@ class Differential(BaseCalculator):
         joints = JointCommands(reached, zeros)
         return BaseCommand(joints, target, now, infeasible, scale, (), zeros)
 
+    @bounded
     def odometry(self, states: JointStates) -> TwistEstimate:
         if len(self._wheels) > 2:  # one may be wrong
             return super().odometry(states)

@@ -28,6 +28,8 @@ measures (x, y), the variances of that along and across."""
 
 Squares = tuple[float, float, float, float, float, float]
 
+STILL = 2.5e-13
+"""A quarter of the square of a speed, (1e-6 m/s)^2, below which rounding decides a direction."""
 UNTESTABLE = 1e-6
 """Share of a reading's variance that the others must leave of it to test it."""
 
@@ -145,7 +147,7 @@ def fit(
         if turns:
             # About the direction it is predicted to have, where that is near its angle.
             t2 = across * across
-            if t2 < 0.25 * a2:
+            if t2 < 0.25 * a2 - STILL:
                 k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
                 c, s = ux / k, uy / k
                 # The arc from there to its angle: a asin(across / a).

@@ -7,6 +7,7 @@ from typing import Self
 
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
+from thorvaldc.runtime.calculators.calculator import bounded
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
 from thorvaldc.runtime.calculators.general import SteeringOptions
 from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
@@ -121,6 +122,7 @@ class OneWheel(BaseCalculator):
         joints = JointCommands(reached, angles)
         return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
 
+    @bounded
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
         i, wheel, noise = self._index, self._wheel, self.noise

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators.calculator import bounded
 from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.geometry import BaseGeometry
@@ -84,6 +85,7 @@ class RandomPairs(General):
         super().resume(before)
         self._random = before._random
 
+    @bounded
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
         # Per wheel: contact, rolling direction, speed (None without encoder).

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
-from thorvaldc.runtime.calculators.fit import UNTESTABLE, Squares
+from thorvaldc.runtime.calculators.fit import STILL, UNTESTABLE, Squares
 from thorvaldc.runtime.se2 import Twist
 
 Estimate = Callable[[Sequence[float], Sequence[float]], Any]
@@ -74,7 +74,7 @@ _VARIANCES = """\
 _ARC = """\
     across = c * uy - s * ux
     t2 = across * across
-    if t2 < 0.25 * a2:
+    if t2 < 0.25 * a2 - {still}:
         k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
         c = ux / k
         s = uy / k
@@ -136,12 +136,12 @@ _TEST = """\
     s12 = v12_{i} - p12 - {x} * p13 + {y} * (p23 + {x} * p33)
     s22 = v22_{i} - p22 - {x} * ({x} * p33 + 2.0 * p23)
     det = s11 * s22 - s12 * s12
-    if det <= least{i}:
+    if not det > least{i}:
         return None
     rx = mx{i} - vx + wz * {y}
     ry = my{i} - vy - wz * {x}
     d{i} = ((s22 * rx - 2.0 * s12 * ry) * rx + s11 * ry * ry) / det
-    if d{i} > {gate}:
+    if not d{i} <= {gate}:
         return None
 """
 _RETURN = """\
@@ -185,7 +185,7 @@ def unrolled(
     ratio2, angle2, floor2, slip2, _, _ = noise
     places: dict[str, Any] = {
         "ratio2": ratio2, "angle2": angle2, "floor2": floor2, "slip2": slip2,
-        "untestable": UNTESTABLE, "xm": centre[0], "ym": centre[1],
+        "still": STILL, "untestable": UNTESTABLE, "xm": centre[0], "ym": centre[1],
     }  # fmt: skip
     q11, q12, q13, q22, q23, q33 = inverse
     rows = {"vx": (q11, q12, q13), "vy": (q12, q22, q23), "wz": (q13, q23, q33)}
