@@ -173,8 +173,7 @@ class General(BaseCalculator):
             steering.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
             if steering.unreachable:
                 unreachable += steering.wheels
-        rates: Sequence[float] = self._standing if dt is None else self._required_rates(dt)
-        self._move_steering(dt)
+        rates = self._move_steering(dt)
         commanded = self._angles
         asked, scale = self._speeds_at_targets(target)
         if scale < 1.0:
@@ -192,32 +191,31 @@ class General(BaseCalculator):
 
     # -- steering -----------------------------------------------------------------
 
-    def _required_rates(self, dt: float) -> list[float]:
-        """The rates (rad/s) at which the joints would be at their angles after ``dt`` s."""
-        rates = list(self._standing)
-        for i, steering in self._turned:
-            rates[i] = (steering.target - steering.angle) / dt
-        return rates
-
-    def _move_steering(self, dt: float | None) -> None:
+    def _move_steering(self, dt: float | None) -> Sequence[float]:
+        """Move the joints; the rates (rad/s) at which each would be at its angle in this tick."""
         angles = list(self._standing)
         if dt is None:
             for i, steering in self._turned:
                 angles[i] = steering.angle = steering.target
                 steering.rate = 0.0
             self._angles = (*angles,)
-            return
+            return self._standing
+        rates = list(self._standing)
         slowest = 0.0
-        if self.options.arrive_together:
-            for steering in self._steering:
-                slowest = max(slowest, steering.time_to_target())
+        for i, steering in self._turned:
+            error = steering.target - steering.angle
+            rates[i] = error / dt
+            time = abs(error) * steering.seconds_per_rad
+            if time > slowest:
+                slowest = time
         # A wheel that follows within a tick or two need not wait for the others.
-        together = slowest > 2.0 * dt
+        together = slowest > 2.0 * dt and self.options.arrive_together
         for steering in self._steering:
             steering.advance(dt, steering.time_to_target() / slowest if together else 1.0)
         for i, steering in self._turned:
             angles[i] = steering.angle
         self._angles = (*angles,)
+        return rates
 
     def _away(self, angles: Sequence[float]) -> float:
         """How far (rad) the worst wheel is from the direction that the motion asks of it."""

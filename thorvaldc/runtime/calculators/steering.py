@@ -209,30 +209,39 @@ class Steering:
         if error == 0.0 and self.rate == 0.0:
             return
         change = self._max_rate_change * dt
+        slower, faster = self.rate - change, self.rate + change
         wanted = error / dt
-        if (
-            -change <= wanted <= change
-            and abs(wanted - self.rate) <= change
-            and abs(wanted) <= self._max_rate * share
-        ):
+        top = self._max_rate * share
+        if -change <= wanted <= change and slower <= wanted <= faster and -top <= wanted <= top:
             self.angle = self.target
             self.rate = wanted
             return
-        fastest = abs(error) / dt
+        fastest = abs(wanted)
         if change < fastest:
             # The rate from which the joint still stops at the target, braking in whole
             # ticks, of which the last is a partial one.
             left = abs(error) - change * dt / 8.0
-            stop = math.sqrt(change * change / 4.0 + 2.0 * self._max_rate_change * left)
-            fastest = min(fastest, max(stop - change / 2.0, change))
-        fastest = min(fastest, self._max_rate * share)
-        wanted = math.copysign(fastest, error)
-        rate = min(max(wanted, self.rate - change), self.rate + change)
+            stop = sqrt(change * change / 4.0 + 2.0 * self._max_rate_change * left) - change / 2.0
+            if stop < change:
+                stop = change
+            if stop < fastest:
+                fastest = stop
+        if fastest > top:
+            fastest = top
+        rate = fastest if error > 0.0 else -fastest
+        if rate > faster:
+            rate = faster
+        elif rate < slower:
+            rate = slower
         after = self.angle + rate * dt
-        if abs(self.target - after) < 1e-9:
+        if -1e-9 < self.target - after < 1e-9:
             after = self.target
-        self.angle = min(max(after, self._lower), self._upper)
-        self.rate = rate if self.angle == after else 0.0
+        if self._lower <= after <= self._upper:
+            self.angle = after
+            self.rate = rate
+        else:
+            self.angle = self._lower if after < self._lower else self._upper
+            self.rate = 0.0
 
     def jump(self) -> None:
         """Command the target at once."""
