@@ -386,6 +386,7 @@ _TABLE: tuple[Code, ...] = (
         "TV841", "calibration-steering", "note", "a log's steering only confirms the robot's file"
     ),
     Code("TV840", "hidden-error", "error", "a simulated wheel shall have an impossible error"),
+    Code("TV850", "bus-missing", "error", "a robot without a bus is to be run on one"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),

@@ -205,13 +205,15 @@ class CanopenDevice(Device):
         objects.add(0x1003, 0, Entry("u8", 0, "rw", read=self._errors, write=self._clear, upper=0))
         for place in range(8):
             objects.add(0x1003, place + 1, Entry("u32", read=partial(self._error, place)))
-        objects.add(0x1005, 0, Entry("u32", 0x80, "const"))
+        objects.add(0x1005, 0, Entry("u32", 0x80, "rw", lower=0x80, upper=0x80))
         objects.add(0x1008, 0, Entry("text", profile.name, "const"))
         objects.add(0x1009, 0, Entry("text", profile.hardware, "const"))
         objects.add(0x100A, 0, Entry("text", profile.software, "const"))
         objects.add_record(0x1010, Entry("u32", 1, "rw", read=lambda: 1, write=self._save))
         objects.add_record(0x1011, Entry("u32", 1, "rw", read=lambda: 1, write=self._restore))
-        objects.add(0x1014, 0, Entry("u32", 0x80 + self.node_id, "const"))
+        own = 0x80 + self.node_id
+        objects.add(0x1014, 0, Entry("u32", own, "rw", lower=own, upper=own))
+        objects.add(0x1015, 0, Entry("u16", 0, "rw", stored=True))
         objects.add_record(0x1016, *(Entry("u32", 0, "rw", stored=True) for _ in range(CONSUMERS)))
         period = round(profile.heartbeat_period * 1000.0)
         objects.add(0x1017, 0, Entry("u16", period, "rw", stored=True))

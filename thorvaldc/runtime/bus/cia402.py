@@ -25,7 +25,8 @@ MOTION_ERROR = 0x20
 class Cia402Drive(CanopenDevice):
     """Starts in SWITCH ON DISABLED, whatever was before.
 
-    What it does when the master is lost (a heartbeat of 0x1016 missing, bus-off, or
+    ``received`` and ``sent`` are its PDOs as delivered, their identifiers without the node
+    id.  What it does when the master is lost (a heartbeat of 0x1016 missing, bus-off, or
     taken out of OPERATIONAL while it is powered) is 0x6007's to say.
     """
 
@@ -53,7 +54,11 @@ class Cia402Drive(CanopenDevice):
             axis.build(objects, 0x6000 + STRIDE * place)
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
-        return PdoSet(objects, self._received, self._sent, self.send)
+        received, sent = (
+            [pdo._replace(cob_id=pdo.cob_id + self.node_id) for pdo in pdos]
+            for pdos in (self._received, self._sent)
+        )
+        return PdoSet(objects, received, sent, self.send)
 
     def ready(self) -> None:
         for axis in self.axes:

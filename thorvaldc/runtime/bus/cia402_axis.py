@@ -115,6 +115,7 @@ class Axis:
         add(0x6C, Entry("i32", read=lambda: round(self.velocity * velocity)))
         stored(0x6D, "u16", min(0.02 * speed, 0xFFFF))
         add(0x77, Entry("i16", read=self._torque_share))
+        add(0x79, Entry("u32", 48000))
         add(0x7A, Entry("i32", 0, "rw"))
         add(0x7C, Entry("i32", 0, "rw", stored=True))
         objects.add(base + 0x7D, 0, Entry("u8", 2, "const"))
@@ -122,9 +123,13 @@ class Axis:
             start = 0 if limit is None else round(limit * position)
             add(0x7D, Entry("i32", start, "rw", stored=True), subindex)
         stored(0x7F, "u32", speed)
+        stored(0x80, "u32", s.max_velocity * s.gear_ratio * 30.0 / math.pi)
         stored(0x81, "u32", speed)
         for index in (0x83, 0x84, 0x85, 0x9A, 0xC5):
             stored(index, "u32", acceleration, low=1)
+        objects.add(base + 0x8F, 0, Entry("u8", 2, "const"))
+        stored(0x8F, "u32", 4 * s.encoder_pulses, 1, 1)
+        stored(0x8F, "u32", 1, 2, 1)
         add(0x98, Entry("i8", 37, "rw", stored=True))
         objects.add(base + 0x99, 0, Entry("u8", 2, "const"))
         stored(0x99, "u32", 0.25 * speed, 1, 1)
@@ -252,6 +257,7 @@ class Axis:
         if not self.states.state.powered:
             self._relax(now)
             motion.rest(self.position, self._mode())
+            motion.take_start()  # what was asked for without power is forgotten
             return
         if self._free:
             self._free = False
@@ -284,9 +290,10 @@ class Axis:
 
     def _bounds(self, acceleration: int = 0x83, deceleration: int = 0x84) -> Bounds:
         most = self.settings.max_acceleration
+        motor = self.number(0x80) * math.pi / 30.0 / self.settings.gear_ratio
         return Bounds(
             *self.limits,
-            min(self._speed(0x7F), self.settings.max_velocity),
+            min(self._speed(0x7F), motor, self.settings.max_velocity),
             min(self._speed(acceleration), most),
             min(self._speed(deceleration), most),
         )

@@ -67,7 +67,7 @@ class Motion:
         """Stand at ``position`` in ``mode``, with no set-point left over."""
         self.mode = mode
         self.move = Move(position)
-        self.reached = self.limited = self._asked = False
+        self.reached = self.limited = False
         self._goal, self._next, self._target = position, None, math.nan
 
     def change(self, mode: int, position: float, velocity: float) -> None:

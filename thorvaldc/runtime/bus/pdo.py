@@ -176,6 +176,20 @@ class PdoSet:
                 pdo.last = data
                 self._send(cob_id, data)
 
+    def event_period(self, place: int) -> float:
+        """s between two of a sent PDO, from 0 on; 0 where it has none or is switched off."""
+        pdo = self.sent[place]
+        period: int = pdo.event.value
+        return period / 1000.0 if pdo.cob_id is not None else 0.0
+
+    def set_event_period(self, place: int, milliseconds: int) -> None:
+        self.sent[place].event.value = milliseconds
+
+    def send_now(self, place: int) -> None:
+        pdo = self.sent[place]
+        if pdo.cob_id is not None:
+            self._send(pdo.cob_id, pdo.pack())
+
     def tick(self, now: float) -> None:
         """Send what goes by time or, without one, by change."""
         for place, pdo in enumerate(self.sent):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from thorvaldc.runtime.bus.device import Device
@@ -107,18 +107,21 @@ class IoBoard(Device):
 
 
 class ForeignFrame(NamedTuple):
-    """A frame of a device that nothing else is known of; ``period`` (s) ``None``: an answer."""
+    """A frame of a device that nothing else is known of; ``period`` (s) ``None``: an answer.
+
+    ``data`` ``None``: it counts in its first byte.
+    """
 
     cob_id: int
     length: int
     period: float | None
+    data: bytes | None = None
 
 
 class ForeignDevice(Device):
     """A device of somebody else's: reports by time, and answers what it is told.
 
-    ``heard`` holds the frames that were for it, the newest last.  ``content`` gives the
-    data of a frame of its own; without, it counts in the first byte.
+    ``heard`` holds the frames that were for it, the newest last.
     """
 
     def __init__(
@@ -129,14 +132,12 @@ class ForeignDevice(Device):
         listens: Sequence[int],
         sends: Sequence[ForeignFrame],
         *,
-        content: Callable[[int], bytes] | None = None,
         seed: int = 0,
         kept: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(name, wire, bitrate, seed=seed, kept=kept)
         self._listens = tuple(listens)
         self._sends = tuple(sends)
-        self._content = content
         self._count = 0
         self.heard: list[CanFrame] = []
 
@@ -159,9 +160,8 @@ class ForeignDevice(Device):
                 self._say(answer)
 
     def _say(self, frame: ForeignFrame) -> None:
-        self._count = (self._count + 1) % 256
-        if self._content is not None:
-            data = self._content(frame.cob_id)
-        else:
+        data = frame.data
+        if data is None:
+            self._count = (self._count + 1) % 256
             data = bytes([self._count]).ljust(frame.length, b"\0")[: frame.length]
         self.send(frame.cob_id, data)

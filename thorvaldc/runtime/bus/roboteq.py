@@ -14,9 +14,9 @@ from functools import partial
 from typing import Any
 
 from thorvaldc.runtime.bus.canopen import CanopenDevice, NmtState, Profile
-from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.motors import MotorModel, MotorState
-from thorvaldc.runtime.bus.object_dictionary import Entry, ObjectDictionary
+from thorvaldc.runtime.bus.object_dictionary import Entry, Later, ObjectDictionary
+from thorvaldc.runtime.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
 from thorvaldc.runtime.bus.roboteq_channel import DRIVE, NOISE_RPM, Channel, ChannelSettings
 from thorvaldc.runtime.bus.wire import Wire
 
@@ -90,13 +90,12 @@ class RoboteqController(CanopenDevice):
         self.alignment_fault = False
         self.home_switch_works = True
         self._running = False
-        self._factory_cycles = (cycle, status_period, status_period, identity_period)
+        self._cycles = (cycle, status_period, status_period, identity_period)
         self._restart()
 
     # -- start and stop --------------------------------------------------------------------
 
     def _restart(self) -> None:
-        self.cycles = list(self._factory_cycles)
         self.homed = False
         self.homing_at_maximum = False
         self.illegal_command = False
@@ -110,6 +109,7 @@ class RoboteqController(CanopenDevice):
         self._home_way = 0.0
         self._home_side: bool | None = None
         self._content = 0
+        self._told = [0] * 8
 
     def ready(self) -> None:
         if not self._running:
@@ -117,22 +117,20 @@ class RoboteqController(CanopenDevice):
             for channel in self.channels:
                 channel.start(self.now)
             self._running = True
-        n = self.node_id
-        for base, handler in (
-            (0x200, self._rpdo1),
-            (0x300, self._rpdo2),
-            (0x400, self._rpdo3),
-            (0x500, self._rpdo4),
-        ):
-            self.handlers[base + n] = self._when_operational(handler)
         self.every(lambda: LOOP_PERIOD, self._loop, first=LOOP_PERIOD)
-        for place, report in enumerate((self._tpdo1, self._tpdo2, self._tpdo3, self._tpdo4)):
+        for place in range(4):
             # They start at different times, as cycles do that nothing keeps together.
-            first = self.random.uniform(0.0, self.cycles[place])
-            self.every(partial(self._cycle, place), self._reporting(report), first=first)
+            first = self.random.uniform(0.0, self._cycle(place))
+            self.every(partial(self._cycle, place), partial(self._report, place), first=first)
 
     def _cycle(self, place: int) -> float:
-        return self.cycles[place]
+        return self.pdos.event_period(place) if self.pdos is not None else 0.0
+
+    def _report(self, place: int) -> None:
+        if self.state is NmtState.OPERATIONAL and self.pdos is not None:
+            if place == 3:
+                self._content = self._content % 3 + 1
+            self.pdos.send_now(place)
 
     def stop(self) -> None:
         super().stop()
@@ -146,11 +144,47 @@ class RoboteqController(CanopenDevice):
             self._speeds = [0, 0]
 
     def build(self, objects: ObjectDictionary) -> None:
-        """The script's variables, as the manufacturer's objects show them: 1..8 in, 9..16 out."""
-        objects.add_record(
-            0x2106, *(Entry("i32", read=partial(self._variable, place)) for place in range(16))
+        """The script's variables: 9 to 16 are told to it, 1 to 8 are what it tells."""
+        self._told = [0] * 8
+        reports = (
+            self._speeds_measured,
+            self._counts,
+            self._currents,
+            self._powers,
+            self._state,
+            self._supply,
+            lambda: self._content << 24,
+            self._constant,
         )
-        objects.add_record(0x210D, *(Entry("u16", read=self._volts) for _ in range(3)))
+        objects.add(0x2005, 0, Entry("u8", 16, "const"))
+        objects.add(0x2106, 0, Entry("u8", 16, "const"))
+        for place in range(8):
+            entry = Entry("i32", 0, "rw", write=partial(self._tell_script, place))
+            objects.add(0x2005, place + 9, entry)
+            objects.add(0x2106, place + 1, Entry("i32", read=reports[place]))
+
+    def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
+        """Two variables in each of four PDOs either way."""
+
+        def two(index: int, first: int) -> tuple[tuple[int, int, int], ...]:
+            return (index, first, 32), (index, first + 1, 32)
+
+        n = self.node_id
+        received = [
+            Pdo(k + 1, 0x200 + 0x100 * k + n, EVENT_DRIVEN, two(0x2005, 9 + 2 * k))
+            for k in range(4)
+        ]
+        sent = [
+            Pdo(
+                k + 1,
+                0x180 + 0x100 * k + n,
+                EVENT_DRIVEN,
+                two(0x2106, 1 + 2 * k),
+                round(1000.0 * self._cycles[k]),
+            )
+            for k in range(4)
+        ]
+        return PdoSet(objects, received, sent, self.send)
 
     def set_node_id(self, node_id: int) -> None:
         """What the manufacturer's tool does over its own cable: kept, and valid at once."""
@@ -160,12 +194,13 @@ class RoboteqController(CanopenDevice):
 
     # -- commands -----------------------------------------------------------------------------
 
-    def _when_operational(self, handler: Any) -> Any:
-        def handle(frame: CanFrame) -> None:
-            if self.state is NmtState.OPERATIONAL and len(frame.data) == 8:
-                handler(*struct.unpack("<ii", frame.data))
-
-        return handle
+    def _tell_script(self, place: int, value: Any) -> Later | None:
+        """A variable of the script is written; the second of two makes a command of them."""
+        self._told[place] = value
+        if place % 2:
+            command = (self._rpdo1, self._rpdo2, self._rpdo3, self._rpdo4)[place // 2]
+            command(self._told[place - 1], value)
+        return None
 
     def _rpdo1(self, sequence: int, speed: int) -> None:
         if sequence != self._sequence:
@@ -184,8 +219,8 @@ class RoboteqController(CanopenDevice):
             channel.max_rpm = min(float(value), channel.settings.max_rpm)
         elif setup in (5, 7) and value >= 0:
             (first if setup == 5 else second).acceleration = float(value)
-        elif 8 <= setup <= 11 and 0 <= value <= 32767:
-            self.cycles[setup - 8] = value / 1000.0
+        elif 8 <= setup <= 11 and 0 <= value <= 32767 and self.pdos is not None:
+            self.pdos.set_event_period(setup - 8, value)
         else:
             self.illegal_command = True
 
@@ -291,34 +326,30 @@ class RoboteqController(CanopenDevice):
 
     # -- reports -----------------------------------------------------------------------------------
 
-    def _reporting(self, report: Any) -> Any:
-        def act() -> None:
-            if self.state is NmtState.OPERATIONAL:
-                report()
-
-        return act
-
-    def _tpdo1(self) -> None:
-        first, second = self.channels
+    def _speeds_measured(self) -> int:
         for channel in self.channels:
             channel.measure(self.now)
-        counts = second.counts if second.settings.steering else 0
-        self._report(0x180, "<hhi", _i16(first.rpm), _i16(second.rpm), _i32(counts))
+        return _words(*(channel.rpm for channel in self.channels))
 
-    def _tpdo2(self) -> None:
-        powers = [self._power(channel) for channel in self.channels]
-        amps = [_i16(10.0 * power / self.supply_voltage) for power in powers]
-        self._report(0x280, "<hhhh", *amps, *(_i16(power) for power in powers))
+    def _counts(self) -> int:
+        second = self.channels[1]
+        return second.counts if second.settings.steering else 0
 
-    def _tpdo3(self) -> None:
+    def _currents(self) -> int:
+        return _words(*(10.0 * self._power(c) / self.supply_voltage for c in self.channels))
+
+    def _powers(self) -> int:
+        return _words(*(self._power(channel) for channel in self.channels))
+
+    def _state(self) -> int:
+        return _words(self.flags, self.temperature)
+
+    def _supply(self) -> int:
         total = _STATIC_POWER + sum(self._power(channel) for channel in self.channels)
-        amps = _i16(10.0 * total / self.supply_voltage)
-        volts = _i16(10.0 * self.supply_voltage)
-        self._report(0x380, "<Bxhhh", self.flags, self.temperature, amps, volts)
+        return _words(10.0 * total / self.supply_voltage, 10.0 * self.supply_voltage)
 
-    def _tpdo4(self) -> None:
-        self._content = self._content % 3 + 1
-        self._report(0x480, "<3xB4s", self._content, self._constants(self._content))
+    def _constant(self) -> int:
+        return int.from_bytes(self._constants(self._content), "little")
 
     def _constants(self, content: int) -> bytes:
         first, second = self.channels
@@ -351,37 +382,11 @@ class RoboteqController(CanopenDevice):
         state = channel.state
         return abs(state.torque * state.velocity) + 4.0 * abs(state.velocity)
 
-    def _report(self, base: int, layout: str, *values: Any) -> None:
-        self.send(base + self.node_id, struct.pack(layout, *values))
 
-    def _variable(self, place: int) -> int:
-        first, second = self.channels
-        return (
-            self._sequence or 0,
-            self._speeds[0],
-            0,
-            0,
-            first.mode,
-            second.mode,
-            self._steering_rpm,
-            self._position if second.settings.steering else self._speeds[1],
-            _i16(first.rpm),
-            _i16(second.rpm),
-            second.counts,
-            self.flags,
-            self.temperature,
-            int(self.homed),
-            first.settings.encoder_pulses,
-            second.settings.encoder_pulses,
-        )[place]
-
-    def _volts(self) -> int:
-        return round(10.0 * self.supply_voltage)
+def _words(low: float, high: float) -> int:
+    """Two signed words of 16 bits in a variable."""
+    return _i16(low) & 0xFFFF | _i16(high) << 16
 
 
 def _i16(value: float) -> int:
     return min(max(round(value), -0x8000), 0x7FFF)
-
-
-def _i32(value: float) -> int:
-    return min(max(round(value), -0x80000000), 0x7FFFFFFF)
