@@ -301,7 +301,9 @@ def test_targets(thorvaldc: Command) -> None:
     assert set(json.loads(thorvaldc("targets", "--json").out)) == {"can", "mjcf", "ros2", "urdf"}
 
 
-@pytest.mark.parametrize("kind", ["robot", "module", "fleet", "calibration", "scenario"])
+@pytest.mark.parametrize(
+    "kind", ["robot", "module", "fleet", "calibration", "scenario", "bus_faults"]
+)
 def test_schema_is_a_document_that_stands_alone(thorvaldc: Command, kind: str) -> None:
     import jsonschema
 

@@ -302,7 +302,9 @@ def targets(json: Json = False) -> int:
 def schema(
     kind: Annotated[
         str,
-        typer.Argument(metavar="robot|module|fleet|calibration|scenario", help="Kind of document."),
+        typer.Argument(
+            metavar="robot|module|fleet|calibration|scenario|bus_faults", help="Kind of document."
+        ),
     ],
 ) -> int:
     """Print the JSON Schema of a kind of document, for editors."""

@@ -17,7 +17,7 @@ from thorvaldc.cli.faults import Faults, width_of
 if TYPE_CHECKING:
     from thorvaldc.library import ModuleType
 
-KINDS = ("robot", "module", "fleet", "calibration", "scenario")
+KINDS = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults")
 
 
 def list_targets(json: bool) -> int:

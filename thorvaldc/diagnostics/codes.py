@@ -387,6 +387,8 @@ _TABLE: tuple[Code, ...] = (
     ),
     Code("TV840", "hidden-error", "error", "a simulated wheel shall have an impossible error"),
     Code("TV850", "bus-missing", "error", "a robot without a bus is to be run on one"),
+    Code("TV851", "bus-fault-node", "error", "a fault is that of a device that is not there"),
+    Code("TV852", "bus-fault-unsuited", "error", "a device cannot have such a fault"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),

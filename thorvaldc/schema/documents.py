@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any, Literal
 
-Kind = Literal["robot", "module", "fleet", "calibration", "scenario"]
-KINDS: tuple[Kind, ...] = ("robot", "module", "fleet", "calibration", "scenario")
+Kind = Literal["robot", "module", "fleet", "calibration", "scenario", "bus_faults"]
+KINDS: tuple[Kind, ...] = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults")
 
 _COMMON = "common.schema.json#/$defs/"
 

@@ -281,7 +281,7 @@ def test_it_has_neither_lss_nor_a_serial_number() -> None:
 
 def test_the_makers_tool_sets_its_id() -> None:
     c = Controller()
-    c.device.set_node_id(7)
+    c.device.become(7)
     c.master.client.sleep(0.2)
     assert c.master.number(7, 0x1018, 1) == 0x469
     c.device.power_off()

@@ -141,6 +141,12 @@ class CanopenDevice(Device):
         self.pdos = None
         self.lss = None
 
+    def become(self, node_id: int) -> None:
+        """As if somebody had set it: kept, and taken on with a reset."""
+        self.kept[NODE_ID] = node_id
+        if self.powered:
+            self.reset_node()
+
     def reset_node(self) -> None:
         """As after power on, but that the CAN controller goes on."""
         self._life += 1

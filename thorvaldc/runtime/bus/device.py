@@ -82,6 +82,15 @@ class Device:
     def start(self) -> None:
         """What it does when the power comes."""
 
+    def become(self, node_id: int) -> None:
+        """Have another id all of a sudden.  Raises ``ValueError`` where it has none."""
+        raise ValueError(f"{self.name} has no id")
+
+    def change_bitrate(self, bitrate: int) -> None:
+        """Go on with another bitrate until the power goes."""
+        self.controller.bitrate = bitrate
+        self.controller.restart()
+
     def stop(self) -> None:
         """What follows from the power's loss, for what is moved by the device."""
 

@@ -30,8 +30,10 @@ class MotorModel(abc.ABC):
     """A motor with its gear on a joint: rad and rad/s of the joint, N m at the joint.
 
     Times are s and never go back.  What was asked last is followed until something
-    else is asked.
+    else is asked.  ``blocked``: nothing moves it.
     """
+
+    blocked = False
 
     @abc.abstractmethod
     def read(self, now: float) -> MotorState:
@@ -53,7 +55,7 @@ class MotorModel(abc.ABC):
 class IdealMotor(MotorModel):
     """No mass: speeds ramp by ``max_acceleration``, positions slew by ``max_velocity``.
 
-    ``lower`` and ``upper`` (rad) are mechanical stops.  ``blocked``: nothing moves it.
+    ``lower`` and ``upper`` (rad) are mechanical stops.
     """
 
     def __init__(
@@ -70,7 +72,6 @@ class IdealMotor(MotorModel):
         self.max_torque = max_torque
         self.lower = lower
         self.upper = upper
-        self.blocked = False
         self._position = position
         self._velocity = 0.0
         self._torque = 0.0
@@ -215,6 +216,8 @@ class _BaseMotor(MotorModel):
             self._write(min(max(asked, here - LEAD), here + LEAD), now)
 
     def _write(self, value: float, now: float) -> None:
+        if self.blocked:  # as near as a base can come to it: it is asked to stay
+            value = self._motors.states(now).angles[self._wheel] if self._steering else 0.0
         if value != self._asked:
             self._asked = value
             self._motors.write(self._wheel, self._steering, value, now)

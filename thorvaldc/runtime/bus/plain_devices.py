@@ -51,6 +51,9 @@ class KcBattery(Device):
     def start(self) -> None:
         self.every(lambda: self.period, self._report, first=self.random.uniform(0.0, self.period))
 
+    def become(self, node_id: int) -> None:
+        self.id = node_id
+
     def _report(self) -> None:
         used = self.current * self.period / (self.capacity * _SECONDS_PER_HOUR)
         self.charge = min(max(self.charge - used, 0.0), 1.0)
@@ -97,6 +100,12 @@ class IoBoard(Device):
 
     def stop(self) -> None:
         self.outputs = 0
+
+    def become(self, node_id: int) -> None:
+        handler = self.handlers.pop(0x200 + self.id, None)
+        self.id = node_id
+        if handler is not None:
+            self.handlers[0x200 + node_id] = handler
 
     def _switch(self, frame: CanFrame) -> None:
         if len(frame.data) >= 3 and frame.data[0] == 1:

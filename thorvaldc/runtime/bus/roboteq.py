@@ -48,6 +48,8 @@ _STATIC_POWER = 24.0
 class RoboteqController(CanopenDevice):
     """Propulsion and steering, or two propulsion motors, on one node.
 
+    Its id cannot be written over the bus: ``become`` is what its maker's tool does.
+
     ``home_angle`` (rad) is where the steering's home switch really is; the setting
     `home_count` says what is counted there, so that a steering counts from straight ahead.
     """
@@ -185,12 +187,6 @@ class RoboteqController(CanopenDevice):
             for k in range(4)
         ]
         return PdoSet(objects, received, sent, self.send)
-
-    def set_node_id(self, node_id: int) -> None:
-        """What the manufacturer's tool does over its own cable: kept, and valid at once."""
-        self.kept["node_id"] = node_id
-        if self.powered:
-            self.reset_node()
 
     # -- commands -----------------------------------------------------------------------------
 
