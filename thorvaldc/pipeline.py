@@ -14,6 +14,7 @@ from thorvaldc import backends
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import OWN, Library
 from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
+from thorvaldc.model.bus_faults import BusFaults
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.bus_lock import Lock, has_pins, lock_path, lock_text, read_lock
@@ -158,6 +159,22 @@ def check_library(folder: Path | None) -> LibraryCheck:
         check_module(name, library, done.report)
     done.sources = library.files
     return done
+
+
+def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | None:
+    """The faults of a document for the robot's simulated bus; ``None`` where it is at fault."""
+    from thorvaldc.passes.bus_faults import read_bus_faults  # which few runs need
+
+    shape, said = Report(), Report()
+    document = read_file(Path(path), str(path), shape)
+    if document is None:
+        report.extend(shape)
+        return None
+    check(document, "bus_faults", shape)
+    script = read_bus_faults(sound(document, shape), robot, said)
+    for found in (shape, _without_places_of(shape, said)):
+        report.extend(found)
+    return None if shape.has_errors or said.has_errors else script
 
 
 def emit(

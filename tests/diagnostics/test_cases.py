@@ -9,9 +9,10 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``entry``: the file to compile (default ``robot.yaml``);
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
   the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
-  ``seconds`` by ``parameters``), ``scenario``, ``demo`` (of the build folder ``entry``),
-  ``import``, or ``log`` and ``calibrate`` (reading joints.csv, which ``record`` makes by its
-  arguments, and calibrating by it, with ``distance``);
+  ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml), ``scenario``,
+  ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
+  joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
+  ``distance``);
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
@@ -100,9 +101,29 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), done.report)
         except RuntimeFault as fault:
             done.report.put(fault.diagnostic)
+    if how == "bus" and isinstance(done.model, Robot):
+        run_on_a_bus(done.model, done.report)
     if how in ("log", "calibrate") and isinstance(done.model, Robot):
         calibrate(done.model, case, done.report)
     return list(done.report)
+
+
+def run_on_a_bus(robot: Robot, report: Report) -> None:
+    from thorvaldc.pipeline import read_faults
+    from thorvaldc.runtime.bus.faults import Faults
+    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.runtime.faults import RuntimeFault
+
+    script = read_faults("faults.yaml", robot, report)
+    try:
+        simulated = SimulatedRobot(robot)
+    except RuntimeFault as fault:
+        report.put(fault.diagnostic)
+        return
+    if script is not None:
+        Faults(simulated, script)
+        simulated.power_on()
+        simulated.run(0.3)
 
 
 def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:

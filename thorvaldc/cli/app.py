@@ -303,7 +303,7 @@ def schema(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="robot|module|fleet|calibration|scenario|bus_faults", help="Kind of document."
+            metavar="KIND", help="robot, module, fleet, calibration, scenario or bus_faults."
         ),
     ],
 ) -> int:
