@@ -741,3 +741,29 @@ def test_actuators_know_their_channel(bench: Bench) -> None:
         ("d1", "steering"),
         (None, None),
     ]
+
+
+@pytest.mark.parametrize(("rate", "period"), [(50.0, 0.02), (60.0, 0.016), (30.0, 0.033)])
+def test_reports_come_by_a_timer_of_whole_milliseconds(
+    bench: Bench, rate: float, period: float
+) -> None:
+    bench.drive(1)
+    (bus,) = bench.build(cycle=1.0 / rate)
+    assert not list(bench.report)
+    frames = {frame.name.rpartition("_")[2]: frame for frame in bus.frames}
+    assert frames["tpdo1"].period == period
+    assert frames["rpdo1"].period == 1.0 / rate
+
+
+def test_a_bus_without_a_bitrate_is_fast_enough(bench: Bench) -> None:
+    for i in range(3):
+        bench.drive(i + 1, index=i)
+    spec = BusSpec("main", 500_000, line(99), stated=False)
+    assert [bus.bitrate for bus in bench.build([spec])] == [500_000]
+    assert not list(bench.report)
+    (bus,) = bench.build([spec], cycle=0.005)
+    assert bus.bitrate == 800_000
+    note = bench.fault("can-bitrate-chosen")
+    assert "800 kbit/s" in note.message
+    (stated,) = bench.build([spec._replace(stated=True)], cycle=0.005)
+    assert stated.bitrate == 500_000

@@ -312,6 +312,7 @@ _TABLE: tuple[Code, ...] = (
         "error",
         "a heartbeat is waited for less than twice as long as its period",
     ),
+    Code("TV536", "can-bitrate-chosen", "note", "a bus gets a higher bitrate than the default"),
     Code("TV540", "channel-unknown", "error", "a controller has no channel of that name"),
     Code("TV542", "motor-conflict", "error", "one motor is on two channels"),
     Code("TV543", "channel-role", "error", "a channel is for another kind of motor"),

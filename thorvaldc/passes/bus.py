@@ -13,7 +13,13 @@ from dataclasses import replace
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
 from thorvaldc.model.robot import Actuator, Bus, Frame, Signal
-from thorvaldc.passes.bus_checks import check_bus, check_serials, check_wiring
+from thorvaldc.passes.bus_checks import (
+    LOAD_WARNING,
+    check_bus,
+    check_serials,
+    check_wiring,
+    late_frames,
+)
 from thorvaldc.passes.bus_device import (
     CANOPEN,
     MASTER,
@@ -31,6 +37,9 @@ from thorvaldc.passes.bus_place import place
 from thorvaldc.source import node as source
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
+
+# Bitrates of CiA 301 above the default, for a bus whose bitrate is not stated.
+FASTER = (800_000, 1_000_000)
 
 NMT_COMMANDS = (
     (1, "start"),
@@ -116,20 +125,51 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
     frames = list(_master_frames(spec, placed, sync_period))
     for device in placed:
         frames.extend(device.frames)
-    bus = Bus(
-        spec.name,
-        spec.bitrate,
-        sync_period,
-        tuple(device.node for device in placed),
-        tuple(frames),
-        spec.span,
+    bus = _timed(
+        Bus(
+            spec.name,
+            spec.bitrate,
+            sync_period,
+            tuple(device.node for device in placed),
+            tuple(frames),
+            spec.span,
+        )
     )
-    if len({frame.cob_id for frame in frames}) == len(frames):  # else that is reported
-        times = frame_response_times(bus)
-        timed = tuple(replace(frame, response_time=times[frame.name]) for frame in frames)
-        bus = replace(bus, frames=timed, load=bus_load(bus))
+    if not spec.stated:
+        bus = _fast_enough(bus, report)
     check_bus(bus, placed, report)
     return bus
+
+
+def _timed(bus: Bus) -> Bus:
+    """With load and response times, where no two frames have one identifier (reported)."""
+    if len({frame.cob_id for frame in bus.frames}) < len(bus.frames):
+        return bus
+    times = frame_response_times(bus)
+    timed = tuple(replace(frame, response_time=times[frame.name]) for frame in bus.frames)
+    return replace(bus, frames=timed, load=bus_load(bus))
+
+
+def _fast_enough(bus: Bus, report: Report) -> Bus:
+    """A bus whose bitrate nobody has stated: faster if that is what its frames need."""
+    chosen = bus
+    for bitrate in FASTER:
+        if chosen.load <= LOAD_WARNING and not late_frames(chosen):
+            break
+        if all(not node.bitrates or bitrate in node.bitrates for node in bus.nodes):
+            chosen = _timed(replace(bus, bitrate=bitrate))
+    if chosen is not bus and not late_frames(chosen):
+        why = f"take {100 * bus.load:.0f} % of"
+        if late_frames(bus):
+            why = "come too late at"
+        report.add(
+            "can-bitrate-chosen",
+            f"the bus `{bus.name}` gets {chosen.bitrate / 1000:g} kbit/s: its frames would {why} "
+            f"{bus.bitrate / 1000:g} kbit/s",
+            bus.origin,
+            hint=f"state a bitrate: `buses: {{{bus.name}: {{bitrate: ..}}}}`",
+        )
+    return chosen
 
 
 def _master_frames(spec: BusSpec, placed: Sequence[Placed], sync_period: float) -> Iterator[Frame]:

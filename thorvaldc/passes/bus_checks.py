@@ -328,16 +328,21 @@ def _check_load(bus: Bus, report: Report) -> None:
     )
 
 
-def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Every frame must be there in time, also when all others come at the worst instant."""
-    owners = {frame.name: device for device in placed for frame in device.frames}
-    late = [
+def late_frames(bus: Bus) -> list[Frame]:
+    """The periodic frames that can come after their deadline."""
+    return [
         frame
         for frame in bus.frames
         if frame.deadline is not None
         and frame.period is not None
         and (frame.response_time is None or frame.response_time > frame.deadline)
     ]
+
+
+def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Every frame must be there in time, also when all others come at the worst instant."""
+    owners = {frame.name: device for device in placed for frame in device.frames}
+    late = late_frames(bus)
     if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported
         return
     worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
@@ -346,9 +351,12 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
         named += f" and {len(late) - 3} more"
     time = worst.response_time
     takes = f"{time * 1000:.4g} ms" if time is not None else "any time"
-    labels = [Label(worst.origin, f"`{worst.name}`")]
-    if worst.name in owners:
-        labels.append(Label(owners[worst.name].span, "this device has it"))
+    labels = []
+    if worst.name in owners:  # not one of the master's, which are in no file
+        labels = [
+            Label(worst.origin, f"`{worst.name}`"),
+            Label(owners[worst.name].span, "this device has it"),
+        ]
     report.add(
         "can-deadline",
         f"on the bus `{bus.name}` {named} can come too late: `{worst.name}` takes {takes} at "

@@ -64,11 +64,12 @@ class Placed(NamedTuple):
 
 
 class BusSpec(NamedTuple):
-    """A bus as the robot declares it: ``bitrate`` in bit/s."""
+    """A bus as the robot declares it: ``bitrate`` in bit/s, ``stated`` if the file gives it."""
 
     name: str
     bitrate: int
     span: Span
+    stated: bool = True
 
 
 def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:

@@ -60,6 +60,8 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
                 (node.get("period") or node.get("synchronous") or node).span,
                 hint="write `period: cycle`",
             )
+        if number is not None and not sends and not synchronous and period == sync_period:
+            period = _by_timer(sync_period)
         if fits:
             check_scales(device, node, signals, report)
             yield Frame(
@@ -80,6 +82,11 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
                 synchronous=synchronous,
             )
     yield from _standard_frames(device, node_id, report)
+
+
+def _by_timer(cycle: float) -> float:
+    """A node's timer has whole milliseconds: rather a report too many than one too late."""
+    return max(math.floor(cycle * 1000 + 1e-6), 1) / 1000
 
 
 def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:

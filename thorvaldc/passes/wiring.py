@@ -53,12 +53,13 @@ class Wiring(NamedTuple):
         node = self.document.get("buses")
         if node is None or not isinstance(node.value, dict) or not node.value:
             named = self.document.get("name") or self.document
-            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, named.span)]
+            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, named.span, stated=False)]
         return [
             BusSpec(
                 name,
                 round(self.scope.quantity(entry.get("bitrate"), "bitrate", DEFAULT_BITRATE)),
                 entry.where,
+                stated=entry.get("bitrate") is not None,
             )
             for name, entry in node.value.items()
         ]
