@@ -95,7 +95,7 @@ def test_no_size_of_a_joint_state_makes_a_nan(
     try:
         told = estimator.estimate(data.draw(joints(len(wheels), size)))
     except NotFiniteError:
-        assert size > 1e8
+        assert size >= 1e8
         return
     assert all(math.isfinite(v) for v in told.twist)
     assert all(math.isfinite(v) for row in told.covariance for v in row)
@@ -138,7 +138,8 @@ def test_order_of_the_wheels_does_not_matter(
     turned = [wheels[i] for i in order]
     two = TwistEstimator(BaseGeometry.from_wheels(turned), None, chosen).estimate(other)
     assert one.rank == two.rank
-    assert close(one.twist, two.twist, 1e-6 * max(1.0, *(abs(v) for v in one.twist)))
+    sigma = math.sqrt(max(one.covariance[j][j] for j in range(3)))
+    assert close(one.twist, two.twist, 1e-6 * max(1.0, *(abs(v) for v in one.twist)) + 0.01 * sigma)
 
 
 @SETTINGS
@@ -173,20 +174,18 @@ def test_one_wheel_that_is_plainly_wrong_is_named_and_does_no_harm(
 
 
 @SETTINGS
-@given(wheels=robots, data=st.data())
-def test_a_gyro_never_makes_it_worse(wheels: list[WheelGeometry], data: st.DataObject) -> None:
-    states = data.draw(joints(len(wheels)))
-    chosen = Estimation(faulty=0)
-    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels), None, chosen)
-    states.yaw_rate = None
-    blind = estimator.estimate(states)
-    # A gyro that says what the wheels say: only the certainty changes.
-    states.yaw_rate = blind.twist.wz
-    told = estimator.estimate(states)
+@given(wheels=robots, twist=twists)
+def test_a_gyro_never_makes_it_worse(wheels: list[WheelGeometry], twist: object) -> None:
+    calculator = make("general", wheels)
+    states, target, reached = states_of(calculator, twist)  # type: ignore[arg-type]
+    assume(reached)
+    blind = calculator.odometry(states)
+    states.yaw_rate = target.wz
+    told = calculator.odometry(states)
     assert told.rank >= blind.rank
     if blind.rank == 3:
         assert told.covariance[2][2] <= blind.covariance[2][2] * 1.001
-    assert math.sqrt(told.covariance[2][2]) <= estimator.noise.gyro * 1.001
+    assert math.sqrt(told.covariance[2][2]) <= calculator.noise.gyro * 1.001
 
 
 @pytest.mark.parametrize("what", ["speed", "steering angle", "steering rate", "position", "yaw"])
@@ -194,11 +193,18 @@ def test_a_gyro_never_makes_it_worse(wheels: list[WheelGeometry], data: st.DataO
 def test_what_is_not_finite_is_named(what: str, bad: float) -> None:
     wheels = [wheel(f"w{i}", x, 0.0, "steered") for i, x in enumerate((-0.5, 0.5))]
     estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
-    values = {
-        name: [0.0, bad] if name == what else [0.0, 0.0]
-        for name in ("speed", "steering angle", "steering rate", "position")
-    }
-    states = JointStates(0.0, *values.values(), bad if what == "yaw" else 0.0)
+
+    def values(name: str) -> list[float]:
+        return [0.0, bad if name == what else 0.0]
+
+    states = JointStates(
+        0.0,
+        values("speed"),
+        values("steering angle"),
+        values("steering rate"),
+        values("position"),
+        values("yaw")[1],
+    )
     name = f"the {what} of wheel w1" if what != "yaw" else "the yaw rate"
     with pytest.raises(NotFiniteError, match=name):
         estimator.estimate(states)
