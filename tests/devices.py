@@ -1,0 +1,121 @@
+"""Devices as the elaboration hands them over, put together one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.diagnostics import Diagnostic, Report, Span
+from thorvaldc.library import Library, ModuleType
+from thorvaldc.model.robot import Actuator, Bus
+from thorvaldc.passes.bus import BusSpec, Device, Wire, build_buses
+from thorvaldc.passes.bus_lock import Lock
+from thorvaldc.passes.scope import Scope
+from thorvaldc.source.node import Node
+from thorvaldc.source.reader import read_text
+
+MODULES = Path(__file__).parents[1] / "modules"
+DRIVE = "controller/propulsion_steering"
+TWO_DRIVES = "controller/propulsion_propulsion"
+CIA_402 = "controller/cia402_propulsion_steering"
+BATTERY = "battery/enclosure"
+CYCLE = 0.02
+LIMIT = 3.078027759
+MOTORS = make_robot(FOUR_STEERED).actuators
+SIMPLE = """
+description: test
+channels: {motor: {role: propulsion}}
+can:
+  protocol: simple
+  id_space: canopen
+  ids: [1, 127]
+  frames:
+"""
+
+
+def line(number: int, file: str = "robot.yaml") -> Span:
+    return Span(file, number, 1, number, 9)
+
+
+class Bench:
+    """Devices put together one after the other; the n-th stands on line n of robot.yaml."""
+
+    def __init__(self) -> None:
+        self.report = Report()
+        self.devices: list[Device] = []
+
+    def add(
+        self,
+        type_name: str,
+        address: object = None,
+        wires: dict[str, Actuator] | None = None,
+        *,
+        text: str | None = None,
+        params: dict[str, Any] | None = None,
+        limits: tuple[float | None, float | None] = (-LIMIT, LIMIT),
+        name: str | None = None,
+    ) -> None:
+        display = f"{type_name}/module.yaml"
+        data = text.encode() if text else (MODULES / display).read_bytes()
+        document = read_text(data, display, self.report)
+        assert document is not None
+        module = ModuleType(type_name, MODULES / type_name, display, document)
+        number = len(self.devices) + 1
+        here = line(number)
+        given = {k: (Node(v, here), EMPTY) for k, v in (params or {}).items()}
+        can = document.get("can")
+        assert can is not None
+        name = name or f"d{number}"
+        self.devices.append(
+            Device(
+                name,
+                name,
+                can,
+                document.get("channels"),
+                tuple(
+                    Wire(channel, motor, *limits, here)
+                    if motor.role == "steering"
+                    else Wire(channel, motor, None, None, here)
+                    for channel, motor in (wires or {}).items()
+                ),
+                node_of(address, here) if address is not None else None,
+                Scope(module, given, Library(), self.report, None),
+                here,
+            )
+        )
+
+    def drive(self, address: object = None, index: int | None = None) -> None:
+        i = 2 * (len(self.devices) if index is None else index)
+        self.add(DRIVE, address, {"propulsion": MOTORS[i], "steering": MOTORS[i + 1]})
+
+    def build(
+        self,
+        specs: Sequence[BusSpec] = (BusSpec("main", 500_000, line(99)),),
+        *,
+        motors: Sequence[Actuator] | None = None,
+        cycle: float = CYCLE,
+        foreign: str = "",
+        lock: Lock | None = None,
+    ) -> tuple[Bus, ...]:
+        wired = [w.actuator for d in self.devices for w in d.wires]
+        used = list(dict.fromkeys(wired)) if motors is None else motors
+        section = read_text(foreign.encode(), "robot.yaml", self.report) if foreign else None
+        return build_buses(
+            self.devices, specs, used, cycle, self.report, foreign=section, lock=lock
+        )
+
+    def fault(self, code: str) -> Diagnostic:
+        """The only diagnostic, which is of that code."""
+        assert [d.code.name for d in self.report] == [code]
+        return next(iter(self.report))
+
+
+EMPTY = Scope(None, {}, Library(), Report(), None)
+
+
+def node_of(value: object, span: Span) -> Node:
+    if isinstance(value, dict):
+        return Node({k: Node(v, span) for k, v in value.items()}, span)
+    return Node(value, span)  # type: ignore[arg-type]
