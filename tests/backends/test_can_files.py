@@ -119,6 +119,7 @@ def test_canopen_reads_pdos_that_lie_as_the_map_says(
                 index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
                 mapped = od[index]
                 assert mapped.pdo_mappable
+                assert mapped.access_type == ("ro" if frame.producer == node.name else "rww")
                 assert (len(mapped), subindex) == (bits, 0)  # canopen counts bits
                 signal = next(s for s in frame.signals if s.start == start)
                 assert (signal.length, signal.name) == (bits, mapped.name)

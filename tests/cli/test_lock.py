@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from tests.cli.conftest import GOOD, Command
+from thorvaldc.pipeline import compile_file
 
 AUTO = GOOD.replace(", can: 3", "").replace(", can: 4", "")
 LOCK = Path("auto.lock.yaml")
@@ -48,6 +49,17 @@ def test_the_second_build_is_the_first(thorvaldc: Command) -> None:
     assert "pinned" not in done.out
 
 
+def test_the_sources_hash_is_of_the_lock_file_too(thorvaldc: Command) -> None:
+    hashes = set()
+    for node_id in (3, 9):
+        LOCK.write_text(
+            f"thorvaldc_lock: 1\naddresses: {{main: {{canopen: {{rl.controller: {node_id}}}}}}}\n"
+        )
+        thorvaldc("build", "auto.yaml", "-o", "out", "--target", "ros2")
+        hashes.add(json.loads(Path("out/manifest.json").read_text())["source_sha256"])
+    assert len(hashes) == 2
+
+
 @pytest.mark.parametrize(
     "arguments",
     [("check",), ("check", "--strict"), ("sim", "--duration", "0.1", "--ideal")],
@@ -74,6 +86,7 @@ def test_a_build_that_fails_pins_nothing(thorvaldc: Command) -> None:
     Path("auto.yaml").write_text(AUTO.replace("can: 2", "can: 1"), encoding="utf-8")
     assert thorvaldc("build", "auto.yaml").status == 1
     assert not LOCK.exists()
+    assert compile_file("auto.yaml").locks == {}
 
 
 def test_no_lock_file_where_every_id_is_given(thorvaldc: Command) -> None:
