@@ -88,7 +88,7 @@ def integer(scope: Scope, node: source.Node | None, default: int) -> int:
         return default
     if type(node.value) is int:
         return node.value
-    value = scope.quantity(node, "ratio", default)
+    value = scope.quantity(node, "ratio", float(default))
     if not value.is_integer():
         scope.report.add("wrong-type", f"a whole number is wanted, not `{value:g}`", node.span)
         return default

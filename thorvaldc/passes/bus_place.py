@@ -139,6 +139,7 @@ def _id(
             "can-id-range",
             f"`{device.path}` has the id {request.id}; this device can have {low} to {high}",
             request.span,
+            labels=[Label((device.can.get("ids") or device.can).where, "said here")],
         )
         return None
     pin = pins.get((request.bus, id_space, device.path))
@@ -152,6 +153,7 @@ def _id(
             "can-ids-exhausted",
             f"no id is left for `{device.path}`: {first} to {last} are all taken",
             request.span,
+            labels=[Label((device.can.get("auto_ids") or device.can).where, "said here")],
             hint=f"give it one of {low} to {high} with `can: ...`, or use another bus",
         )
         return None
@@ -238,7 +240,15 @@ def _node(
 
     def number(key: str) -> int | None:
         node = can.get(key)
-        return integer(scope, node, 0) if node is not None else None
+        value = integer(scope, node, 0)
+        if node is None or 0 <= value <= 0xFFFFFFFF:
+            return value if node is not None else None
+        scope.report.add(
+            "can-object-range",
+            f"`{key}` is {value}; it is a number of 32 bits",
+            node.span,
+        )
+        return None
 
     def time(key: str, default: float | None = None) -> float | None:
         node = can.get(key)
