@@ -258,6 +258,21 @@ def test_sim_tells_how_it_went(thorvaldc: Command) -> None:
     assert out.splitlines()[1].startswith("good ")
 
 
+def test_sim_by_a_parameter_set(thorvaldc: Command) -> None:
+    examples = Path(__file__).parent.parent.parent / "examples"
+    file = str(shutil.copy(examples / "2wd0ws_greenhouse/robot.yaml", "greenhouse.yaml"))
+    shown = thorvaldc(
+        "sim", file, "--ideal", "--twist", "1,0,0", "--duration", "3", "--parameters", "rail"
+    )
+    assert (shown.status, shown.err) == (0, "")
+    # 0.4 m/s, ramped at 1.08 m/s^2.
+    assert re.search(r" 1\.1[0-9]+ m ", shown.out)
+    shown = thorvaldc("sim", file, "--ideal", "--twist", "1,0,0", "--parameters", "rial")
+    assert shown.status == 1
+    assert "parameter-set-unknown" in shown.err
+    assert "did you mean `rail`?" in shown.err
+
+
 def test_sim_as_json(thorvaldc: Command) -> None:
     status, out, err = thorvaldc(
         *("sim", "good.yaml", "--duration", "2 s", "--twist", "-0.5,0,0.2", "--json")

@@ -16,6 +16,8 @@ from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 
 LEAD = 0.1
 """Speed (m/s, of the wheels) by which the ramp may be ahead of what the wheels do."""
+BEYOND = 1e9
+"""Twist (m/s, rad/s) that nobody can have meant."""
 _SLACK = 1e-9
 
 
@@ -107,10 +109,10 @@ class BaseDriver:
     def command(self, twist: Twist, now: float) -> bool:
         """Follow ``twist`` from ``now`` on, for at most the command timeout.
 
-        A twist that is not finite is refused (``False``): the one before stays
-        in force until it times out.
+        A twist or a time that is not finite, or beyond all bounds, is refused
+        (``False``): the twist before stays in force until it times out.
         """
-        if not twist.finite:
+        if not (sum(map(abs, twist)) < BEYOND and math.isfinite(now)):
             return False
         self._asked = twist
         self._asked_at = now
@@ -178,7 +180,7 @@ class BaseDriver:
         state = self.state
         first = not math.isfinite(state.time)
         dt = 0.0 if first else now - state.time
-        if not first and not dt > 0.0:
+        if not math.isfinite(now) or not (first or dt > 0.0):
             return state
         joints = self.base.read(now)
         odometry = self.odometry
