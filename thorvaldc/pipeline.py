@@ -83,6 +83,8 @@ def _compile(
     robots: dict[str, Compilation] = {}
     pins = ""
     document = read_file(path, name, shape)
+    if document is not None and _is_other(document, shape):
+        document = None
     if document is not None:
         scenario = _is_scenario(document)
         fleet = not scenario and _is_fleet(document)
@@ -383,6 +385,31 @@ def _pose(node: Node, report: Report) -> Pose:
 
 def _is_scenario(document: Node | None) -> bool:
     return document is not None and document.get("scenario") is not None
+
+
+# Files that may be taken for a robot's, by a key that only they have.
+_OTHERS = (
+    (
+        "motor_drives",
+        "a configuration file of the original system",
+        "`thorvaldc import FILE -o robot.yaml` makes a robot of it",
+    ),
+    ("thorvaldc_lock", "a lock file", "name the robot's own file"),
+    ("links", "a module document", "`thorvaldc modules check` checks a folder of modules"),
+    ("params", "a module document", "`thorvaldc modules check` checks a folder of modules"),
+)
+
+
+def _is_other(document: Node, report: Report) -> bool:
+    """Whether the document is another thing altogether, which is all that is said of it."""
+    if document.get("name") is None:
+        for key, what, hint in _OTHERS:
+            node = document.get(key)
+            if node is not None:
+                message = f"this is {what}; a robot, fleet or scenario document is wanted"
+                report.add("other-document", message, node.where, hint=hint)
+                return True
+    return False
 
 
 def _is_fleet(document: Node | None) -> bool:

@@ -103,6 +103,7 @@ _TABLE: tuple[Code, ...] = (
         "warning",
         "an angle without a unit is more than a full turn: degrees may be meant",
     ),
+    Code("TV218", "other-document", "error", "the document is of another kind"),
     # -- 3xx: references -----------------------------------------------------
     Code("TV301", "module-type-unknown", "error", "a module has a type that no library has"),
     Code("TV302", "module-unknown", "error", "a reference names a module that is not there"),
