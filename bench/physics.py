@@ -184,6 +184,7 @@ def _minimal(robot: Robot) -> Any:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 100
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     base = spec.worldbody.add_body(name="base")
     base.add_freejoint()

@@ -35,7 +35,7 @@ def test_robot_file_can_be_attached(written: Written) -> None:
     parent = mujoco.MjSpec()
     child = mujoco.MjSpec.from_file(str(folder / "mjcf" / "robot.xml"))
     # Options are the parent's to set; MuJoCo warns where it does not.
-    for option in ("timestep", "impratio", "integrator", "cone"):
+    for option in ("timestep", "impratio", "integrator", "cone", "jacobian"):
         setattr(parent.option, option, getattr(child.option, option))
     for prefix in ("a/", "b/"):
         frame = parent.worldbody.add_frame(pos=[0, 5 if prefix == "b/" else 0, 0])
