@@ -9,7 +9,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``entry``: the file to compile (default ``robot.yaml``);
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
   the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
-  ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml), ``scenario``,
+  ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml),
+  ``port`` (opening ``bus`` for its first bus), ``scenario``,
   ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
   joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
   ``distance``);
@@ -33,7 +34,7 @@ HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
-    *("twist", "seconds", "parameters", "record", "distance", "read_only"),
+    *("twist", "seconds", "parameters", "record", "distance", "read_only", "bus"),
 }
 OWN = "neighbour_"
 
@@ -103,6 +104,14 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             done.report.put(fault.diagnostic)
     if how == "bus" and isinstance(done.model, Robot):
         run_on_a_bus(done.model, done.report)
+    if how == "port" and isinstance(done.model, Robot):
+        from thorvaldc.runtime.bus.port import open_port
+        from thorvaldc.runtime.faults import RuntimeFault
+
+        try:
+            open_port(case["bus"], done.model.buses[0]).close()
+        except RuntimeFault as fault:
+            done.report.put(fault.diagnostic)
     if how in ("log", "calibrate") and isinstance(done.model, Robot):
         calibrate(done.model, case, done.report)
     return list(done.report)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
-from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
@@ -74,6 +74,8 @@ class Faults:
             text = render(self._all, self.format, self._sources, builds=builds)
             if text:
                 print(text)
+        if errors and all(fault.code.outside for fault in self._all.errors):
+            return OUTSIDE
         return INPUT if errors or (strict and warnings) else DONE
 
 

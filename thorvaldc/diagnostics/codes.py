@@ -12,12 +12,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Stable number (``TV501``), name (``can-id-duplicate``), severity and meaning."""
+    """Stable number (``TV501``), name (``can-id-duplicate``), severity and meaning.
+
+    ``outside``: nothing in a file is wrong but something in the world; the exit status is 3.
+    """
 
     number: str
     name: str
     severity: str  # "error", "warning" or "note"
     meaning: str
+    outside: bool = False
 
 
 _TABLE: tuple[Code, ...] = (
@@ -391,6 +395,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV850", "bus-missing", "error", "a robot without a bus is to be run on one"),
     Code("TV851", "bus-fault-node", "error", "a fault is that of a device that is not there"),
     Code("TV852", "bus-fault-unsuited", "error", "a device cannot have such a fault"),
+    Code("TV875", "bus-interface", "error", "the interface to a bus cannot be used", outside=True),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),
     Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),
