@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli.can import can
 from thorvaldc.cli.command import LightCommand, LightGroup, guarded
 
 app = typer.Typer(
@@ -23,6 +24,7 @@ app = typer.Typer(
 )
 modules = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(modules, name="modules", help="The hardware modules of the library.")
+app.add_typer(can, name="can", help="Set up, check and watch a robot's CAN bus.")
 
 Files = Annotated[list[str], typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
