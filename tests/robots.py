@@ -18,6 +18,7 @@ from thorvaldc.model import (
     Link,
     Pose,
     Robot,
+    TwistInput,
     Visual,
     Wheel,
 )
@@ -240,6 +241,14 @@ def make_robot(
         DriverSettings(50.0, 0.5, 1.5, 1.5, 1.5, 1.5),
         total,
         SPAN,
+        twist_sources=(
+            TwistInput("teleop_joy", "teleop_joy/cmd_vel", 100, 0.5),
+            TwistInput("auto_nav", "auto_nav/cmd_vel", 10, 0.5),
+        ),
+        twist_locks=(
+            TwistInput("safety_stop", "safety_stop/lock", 255, 0.0),
+            TwistInput("auto_nav_pause", "auto_nav/pause", 50, 0.0),
+        ),
     )
 
 

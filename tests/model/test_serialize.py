@@ -34,6 +34,7 @@ from thorvaldc.model import (
     Sensor,
     Signal,
     Sphere,
+    TwistInput,
     Visual,
     World,
 )
@@ -113,6 +114,8 @@ def everything() -> Robot:
             ParameterSet("a", "rail", replace(robot.driver, noise=(("angle", 0.1),)), SPAN),
             ParameterSet("b", None, robot.driver, SPAN),
         ),
+        twist_sources=(TwistInput("nav", "nav/cmd_vel", 10, 0.5),),
+        twist_locks=(TwistInput("pause", "nav/pause", 50, 0.0),),
     )
 
 

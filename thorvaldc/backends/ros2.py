@@ -13,8 +13,7 @@ from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import Actuator, Joint, Wheel
 
-# The original's topics and default covariance of the measured twist (its diagonal).
-TELEOP_TOPIC, NAVIGATION_TOPIC = "teleop_joy/cmd_vel", "auto_nav/cmd_vel"
+# The original's default covariance of the measured twist (its diagonal).
 TWIST_COVARIANCE = (0.001, 0.001, 0.001, 0.001, 0.001, 0.03)
 TELEOP_SHARE = 0.5  # of the robot's limits, without the turbo button
 
@@ -136,19 +135,16 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
 
 
 def twist_mux(robot: Robot) -> Parameters:
-    """A person comes before the navigation; a lock stops all that is not above it."""
-    timeout = robot.driver.command_timeout
-    return {
-        "use_stamped": False,
-        "topics": {
-            "teleop_joy": {"topic": TELEOP_TOPIC, "timeout": timeout, "priority": 100},
-            "auto_nav": {"topic": NAVIGATION_TOPIC, "timeout": timeout, "priority": 10},
-        },
-        "locks": {
-            "safety_stop": {"topic": "safety_stop/lock", "timeout": 0.0, "priority": 255},
-            "auto_nav_pause": {"topic": "auto_nav/pause", "timeout": 0.0, "priority": 50},
-        },
-    }
+    """The sources and locks of the model; a list of them that is empty is left out."""
+    lists = {"topics": robot.twist_sources, "locks": robot.twist_locks}
+    found: Parameters = {"use_stamped": False}
+    for key, inputs in lists.items():
+        if inputs:
+            found[key] = {
+                i.name: {"topic": i.topic, "timeout": i.timeout, "priority": i.priority}
+                for i in inputs
+            }
+    return found
 
 
 def teleop(robot: Robot) -> Parameters:

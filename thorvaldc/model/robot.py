@@ -45,6 +45,7 @@ __all__ = [
     "Shape",
     "Signal",
     "Sphere",
+    "TwistInput",
     "Visual",
     "Wheel",
     "World",
@@ -325,6 +326,22 @@ class ParameterSet(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class TwistInput(Element):
+    """A source of twists in front of the driver, or a lock that holds sources back.
+
+    Of the sources that are being published the one of the highest ``priority`` (1..255)
+    drives.  A lock holds back those below its priority.  ``timeout`` (s): silence after
+    which a source is not published any more, and after which a lock holds (0: a silent
+    lock stays as it is).  ``topic`` is its ROS topic, in the robot's name space.
+    """
+
+    name: str
+    topic: str
+    priority: int
+    timeout: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Robot(Element):
     """A whole robot.  ``links[0]`` is ``base_link``, which lies on the ground.
 
@@ -349,6 +366,8 @@ class Robot(Element):
     origin: Span
     urdf_extensions: tuple[str, ...] = ()
     parameter_sets: tuple[ParameterSet, ...] = ()
+    twist_sources: tuple[TwistInput, ...] = ()
+    twist_locks: tuple[TwistInput, ...] = ()
 
     def link(self, name: str) -> Link:
         """The link of that name; ``KeyError`` where there is none."""

@@ -45,6 +45,7 @@ from thorvaldc.passes.hardware import Hardware, hardware_of
 from thorvaldc.passes.parameters import DEFAULT_RATE, DriverParameters
 from thorvaldc.passes.resolve import Instance, Resolver, flat, used_by
 from thorvaldc.passes.scope import Scope
+from thorvaldc.passes.twist_inputs import TwistInputs
 from thorvaldc.passes.wiring import Wiring
 from thorvaldc.source.node import Node
 
@@ -151,6 +152,8 @@ class Elaborator:
         )
         driver = parameters.driver()
         parameter_sets = parameters.sets(driver)
+        inputs = TwistInputs(self.document, self.scope, self.report)
+        sources, locks = inputs.sources(driver.command_timeout), inputs.locks()
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate)
         if not sound:
             return None
@@ -172,6 +175,8 @@ class Elaborator:
             origin=self.origin,
             urdf_extensions=extensions,
             parameter_sets=parameter_sets,
+            twist_sources=sources,
+            twist_locks=locks,
         )
 
     # -- links, joints, motors ------------------------------------------------------------

@@ -323,6 +323,14 @@ class _Fault:
             self.node.span,
         )
 
+    def _maximum(self) -> None:
+        most = self.error.validator_value
+        self.add(
+            "out-of-range",
+            f"{self.place} is {_text(self.node)}; it must be at most {most}",
+            self.node.span,
+        )
+
     def other(self) -> None:
         """A keyword that has no words of its own here."""
         self.add("wrong-type", f"{self.place} is not as the schema wants it", self.start)
