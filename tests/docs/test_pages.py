@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -67,3 +68,25 @@ def test_the_architecture_page_has_the_layers_that_are_checked() -> None:
     assert shown == checked
     for name in [name for layer in checked for name in layer]:
         assert (ROOT / "thorvaldc" / name).is_dir() or (ROOT / f"thorvaldc/{name}.py").is_file()
+
+
+def test_the_environment_of_the_page_runs() -> None:
+    """In a process of its own, where the entry point may not be installed."""
+    page = (ROOT / "docs/batches.md").read_text(encoding="utf-8")
+    example = re.search(r"```python\n(import gymnasium.*?)```", page, re.S)
+    assert example is not None
+    if not os.environ.get("CI"):
+        pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
+    first = "from thorvaldc import environments\nenvironments.register()\n"
+    last = "print(info['true_pose'], sorted(info))\n"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", first + example[1] + last],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    assert done.stdout.startswith("[")
+    assert "cause" not in done.stdout  # the last step but one ended it

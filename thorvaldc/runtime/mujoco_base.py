@@ -247,6 +247,17 @@ class MujocoBase(SimulatedBase):
         yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return Pose2(x, y, yaw)
 
+    def place(self, pose: Pose2) -> None:
+        """Put the robot there, as high, upright and fast as it is."""
+        data, start = self.scene.data, self._base
+        w, i, j, k = data.qpos[start + 3 : start + 7].tolist()
+        turn = (pose.yaw - self.true_pose().yaw) / 2.0
+        c, s = math.cos(turn), math.sin(turn)
+        turned = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
+        data.qpos[start : start + 2] = pose[:2]
+        data.qpos[start + 3 : start + 7] = turned
+        self.scene.forward()
+
     def true_twist(self) -> Twist:
         v = self.scene.data.qvel[self._base_velocity : self._base_velocity + 6].tolist()
         yaw = self.true_pose().yaw

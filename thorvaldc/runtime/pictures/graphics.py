@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -17,22 +18,35 @@ _MISSING = (
 
 
 def choose_graphics() -> None:
-    """Choose what MuJoCo draws by; call it before anything imports MuJoCo, which looks once.
+    """Choose what MuJoCo draws by; best before anything imports MuJoCo, which looks once.
 
     What the user says in ``MUJOCO_GL`` stands.  On Linux EGL and then OSMesa are tried, in
     a process of their own: one that fails leaves its libraries behind.  Raises
     ``PictureError`` where neither works.
     """
-    if sys.platform != "linux" or "mujoco" in sys.modules:
+    if sys.platform != "linux":
         return
     said = os.environ.get(VARIABLE, "")
+    late = "mujoco" in sys.modules
+    if late and said:
+        return
     for name in [said] if said else ["egl", "osmesa"]:
         if _works(name):
             os.environ[VARIABLE] = name
+            if late:
+                _look_again()
             return
     if said:
         raise PictureError(f"MuJoCo cannot draw with {VARIABLE}={said}; leave it out, or mend it")
     raise PictureError(_MISSING)
+
+
+def _look_again() -> None:
+    """Let MuJoCo, which is imported already, see the variable."""
+    for name in ("mujoco.rendering.classic.gl_context", "mujoco.gl_context"):
+        module = sys.modules.get(name)
+        if module is not None:
+            importlib.reload(module)
 
 
 def _works(name: str) -> bool:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.model import Fleet, Robot
@@ -106,7 +107,11 @@ def render(
 
 
 def dressed_scene(
-    files: Mapping[str, bytes], size: tuple[int, int], view: View, *, quick: bool = False
+    files: Path | str | Mapping[str, bytes],
+    size: tuple[int, int],
+    view: View,
+    *,
+    quick: bool = False,
 ) -> MujocoScene:
     """The scene in the light of a picture; ``quick`` leaves out shadows and smooth edges."""
     return MujocoScene(
