@@ -27,7 +27,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.passes.interrupts import uninterrupted
+from thorvaldc.diagnostics.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
 FORMAT = "thorvaldc-manifest"

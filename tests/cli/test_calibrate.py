@@ -116,11 +116,3 @@ def test_missing_files_and_robots_at_fault(thorvaldc: Command) -> None:
     assert thorvaldc("calibrate", "none.csv", "good.yaml").status == 1
     assert thorvaldc("calibrate", "none.csv", "bad.yaml").status == 1
     assert thorvaldc("sim", "good.yaml", "--ideal", "--log", "none/joints.csv").status == 3
-
-
-def test_fleets_have_no_log(thorvaldc: Command) -> None:
-    Path("fleet.yaml").write_text(
-        "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: good.yaml}\n", encoding="utf-8"
-    )
-    assert thorvaldc("sim", "fleet.yaml", "--ideal", "--log", "joints.csv").status == 2
-    assert thorvaldc("calibrate", "joints.csv", "fleet.yaml").status == 2

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
+
+import pytest
 
 from tests.cli.conftest import Command
 
@@ -66,5 +69,50 @@ def test_options_of_one_twist_are_none_of_a_scenario(thorvaldc: Command, tmp_pat
     path = tmp_path / "s.yaml"
     path.write_text(SCENARIO)
     assert thorvaldc("sim", str(path), "--twist", "1,0,0").status == 2
-    assert thorvaldc("sim", str(ROBOT), "--record", str(tmp_path)).status == 2
+    assert thorvaldc("sim", str(ROBOT), "--junit", str(tmp_path / "a.xml")).status == 2
     assert thorvaldc("sim", str(ROBOT), "--scenario", str(ROBOT)).status == 2
+
+
+def test_what_is_recorded_is_chosen_by_the_name(thorvaldc: Command, tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(SCENARIO)
+    for source in (path, ROBOT):
+        seconds = [] if source == path else ["--twist", "0.5,0,0", "--duration", "1"]
+        for name, starts in (("a.mcap", b"\x89MCAP"), ("a.csv", b"time,")):
+            done = thorvaldc("sim", str(source), *seconds, "--record", name)
+            assert done.status == 0, done.err
+            assert done.err == f"{name}\n"
+            assert Path(name).read_bytes().startswith(starts)
+    done = thorvaldc("sim", str(path), "--record", "a.bag")
+    assert done.status == 2
+    assert ".mcap" in done.err
+
+
+def test_fleets_have_logs_records_and_plots_of_every_robot(
+    thorvaldc: Command, tmp_path: Path
+) -> None:
+    fleet = str(ROOT / "examples/fleet_of_four/fleet.yaml")
+    short = ["--twist", "0.5,0,0", "--duration", "0.5"]
+    done = thorvaldc("sim", fleet, *short, "--log", "logs", "--record", "r", "--plot", "p.png")
+    assert done.status == 0, done.err
+    names = ["six.csv", "slim.csv", "tall.csv", "wide.csv"]
+    for folder, column in (("logs", ".position"), ("r", "odometry_x")):
+        files = sorted((tmp_path / folder).iterdir())
+        assert [file.name for file in files] == names
+        for file in files:
+            head, *rows = file.read_text().splitlines()
+            assert column in head
+            assert len(rows) == 26
+    done = thorvaldc("sim", fleet, "--record", "all.csv")
+    assert done.status == 2
+    assert "4 robots do not go into one CSV file" in done.err
+
+
+def test_without_rosbags_one_line_says_what_to_install(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    done = thorvaldc("sim", str(ROBOT), "--record", "a.mcap")
+    assert done.status == 3
+    assert done.out == ""
+    assert "pip install 'thorvaldc[record]'" in done.err

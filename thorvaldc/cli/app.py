@@ -108,7 +108,12 @@ def sim(
     ] = "",
     record: Annotated[
         str,
-        typer.Option("--record", metavar="DIR", help="Write a scenario's records there, as CSV."),
+        typer.Option(
+            "--record",
+            metavar="OUT",
+            help="Record the run: OUT.mcap (Foxglove, PlotJuggler, ROS 2), or a folder of CSV"
+            " files.",
+        ),
     ] = "",
     junit: Annotated[
         str,
@@ -139,7 +144,12 @@ def sim(
         ),
     ] = False,
     log: Annotated[
-        str, typer.Option("--log", metavar="FILE", help="Write the joint states as CSV.")
+        str,
+        typer.Option(
+            "--log",
+            metavar="FILE",
+            help="Write the joint states as CSV, to calibrate by; of several robots to a folder.",
+        ),
     ] = "",
     plot: Annotated[
         str,

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import gc
 import json as json_format
-import os
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.faults import Faults, finite, message
 from thorvaldc.cli.picturing import RunPictures, check_output
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
     from thorvaldc.model.scenario import Scenario
     from thorvaldc.pipeline import Compilation
-    from thorvaldc.runtime.meter import Meter
-    from thorvaldc.runtime.record import Recorder
+    from thorvaldc.runtime.meter import Watch
     from thorvaldc.runtime.scenario import ScenarioResult
-
-BAR = 30  # characters
 
 
 def run_scenario(
@@ -31,9 +28,10 @@ def run_scenario(
     pictures: RunPictures,
     record: str,
     junit: str,
+    log: str,
     json: bool,
 ) -> int:
-    """Run it, report it.  ``record`` is a folder for CSV files, ``junit`` a file; may be empty."""
+    """Run it, report it.  ``record``, ``junit`` and ``log`` are files or folders, or empty."""
     if junit:
         check_output(junit, ("xml",), "--junit")
     from thorvaldc.diagnostics import Report
@@ -45,18 +43,17 @@ def run_scenario(
     report = Report()
     faults = Faults("text", sys.stderr)
     progress = Progress(scenario.duration)
-
-    def watch(meter: Meter) -> None:
-        progress.show(meter.driver.state.time)
-        pictures.watch(meter)
-
+    robots = [(p.name, p.robot) for p in scenario.fleet.placements]
     with ExitStack() as stack:
-        recorders = _recorders(scenario, record, stack)
+        recorders = open_recorder(record, robots, scenario.record, scenario.every, stack)
+        watches: list[Watch] = [progress.watch, pictures.watch]
+        if log:
+            watches.append(open_logs(log, robots, stack))
         stack.callback(progress.clear)
         try:
             files = emit(scenario.fleet, ["mjcf"], report)
             simulation = ScenarioSimulation(scenario, files)
-            result = simulation.play(report, recorders, watch)
+            result = simulation.play(report, recorders, each(watches))
         except RuntimeFault as fault:
             report.put(fault.diagnostic)
             faults.add(done.located(report), done.sources)
@@ -70,24 +67,9 @@ def run_scenario(
         said = [d.message for d in report.errors if d.code.name != "expectation-failed"]
         Path(junit).write_bytes(junit_report(result, said))
     if record:
-        message(f"{record}: {', '.join(f'{p.name}.csv' for p in scenario.fleet.placements)}")
+        message(recorded(record, robots))
     pictures.write(scenario.fleet, simulation, files)
     return faults.finish()
-
-
-def _recorders(scenario: Scenario, record: str, stack: ExitStack) -> Sequence[Recorder]:
-    if not record:
-        return ()
-    from thorvaldc.runtime.record import CsvRecorder
-
-    robots = [(p.name, p.robot) for p in scenario.fleet.placements]
-    try:
-        recorder = CsvRecorder(Path(record), robots, scenario.record, scenario.every)
-    except OSError as fault:
-        name = fault.filename or record
-        raise OutsideError(f"cannot write {name}: {fault.strerror or fault}") from None
-    stack.callback(recorder.close)
-    return (recorder,)
 
 
 def _text(result: ScenarioResult) -> str:
@@ -133,24 +115,3 @@ def junit_report(result: ScenarioResult, faults: Sequence[str]) -> bytes:
     top = Element("testsuites", name="thorvaldc", tests=len(result.checks) + 1, failures=failed)
     top.append(suite)
     return to_bytes(top)
-
-
-class Progress:
-    """A bar on a terminal; nothing elsewhere."""
-
-    def __init__(self, duration: float) -> None:
-        self.duration = duration
-        self.active = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-        self._shown = -1
-
-    def show(self, time: float) -> None:
-        percent = int(100 * min(time / self.duration, 1.0)) if self.active else self._shown
-        if percent != self._shown:
-            self._shown = percent
-            done = "#" * (percent * BAR // 100)
-            line = f"\r[{done:<{BAR}}] {percent:3d} %  {time:.1f} of {self.duration:g} s"
-            print(line, end="", file=sys.stderr, flush=True)
-
-    def clear(self) -> None:
-        if self._shown >= 0:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

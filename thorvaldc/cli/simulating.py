@@ -13,11 +13,13 @@ import typer
 
 from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.faults import Faults, finite
+from thorvaldc.cli.faults import Faults, finite, message
 from thorvaldc.cli.picturing import RunPictures
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
-    from thorvaldc.runtime.meter import Meter, Watch
+    from thorvaldc.runtime.meter import Watch
 
 SECONDS = 5.0  # of a twist, where the user does not say
 
@@ -54,43 +56,48 @@ def simulate(
             "--twist": twist,
             "--parameters": parameters,
         }
-        given |= {"--ideal": ideal, "--open-loop": open_loop, "--log": log}
+        given |= {"--ideal": ideal, "--open-loop": open_loop}
         for option, value in given.items():
             if value:
                 raise typer.BadParameter("a scenario says it itself", param_hint=f"'{option}'")
         from thorvaldc.cli.scenarios import run_scenario
 
-        return run_scenario(done, done.scenario, pictures, record, junit, json)
-    for option, text in {"--scenario": scenario, "--record": record, "--junit": junit}.items():
+        return run_scenario(done, done.scenario, pictures, record, junit, log, json)
+    for option, text in {"--scenario": scenario, "--junit": junit}.items():
         if text:
             wrong = scenario or file
             raise typer.BadParameter(f"{wrong} is no scenario", param_hint=f"'{option}'")
     from thorvaldc.diagnostics import Report
-    from thorvaldc.model import Robot
+    from thorvaldc.model.scenario import GROUPS
     from thorvaldc.pipeline import emit
     from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.joint_log import JointLogWriter
     from thorvaldc.runtime.manoeuvre import parse_twist
+    from thorvaldc.runtime.record import recording
     from thorvaldc.runtime.simulation import DemoRow, Simulation, demo_table
 
-    if log and not isinstance(done.model, Robot):
-        raise typer.BadParameter("a fleet has no log; simulate one robot", param_hint="'--log'")
     gc.enable()
     report = Report()
     faults = Faults("text", sys.stderr)
     try:
         files = None if ideal else emit(done.model, ["mjcf"], report)
         simulation = Simulation(done.model, files, parameters or None, open_loop=open_loop)
+        motion = parse_twist(twist) if twist else None
+        length = seconds or (SECONDS if motion is not None else simulation.demonstration()[1])
         with contextlib.ExitStack() as stack:
-            watches: list[Watch] = [pictures.watch]
-            if log and isinstance(done.model, Robot):
-                stream = stack.enter_context(open(log, "w", encoding="utf-8", newline="\n"))
-                watches.append(JointLogWriter(done.model, stream).watch)
-            watch = _each(watches)
-            if twist:
-                result = simulation.run(seconds or SECONDS, parse_twist(twist), report, watch)
+            progress = Progress(length)
+            watches: list[Watch] = [progress.watch, pictures.watch]
+            robots = simulation.robots
+            recorders = open_recorder(record, robots, GROUPS, 0.0, stack)
+            if recorders:
+                watches.append(recording(recorders))
+            if log:
+                watches.append(open_logs(log, robots, stack))
+            stack.callback(progress.clear)
+            watch = each(watches)
+            if motion is not None:
+                result = simulation.run(length, motion, report, watch)
             else:
-                result = simulation.demonstrate(report, seconds or None, watch)
+                result = simulation.demonstrate(report, length, watch)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
         faults.add(done.located(report), done.sources)
@@ -100,16 +107,10 @@ def simulate(
     else:
         print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
     faults.add(done.located(report), done.sources)
+    if record:
+        message(recorded(record, simulation.robots))
     pictures.write(done.model, simulation, files)
     return faults.finish()
-
-
-def _each(watches: Sequence[Watch]) -> Watch:
-    def watch(meter: Meter) -> None:
-        for one in watches:
-            one(meter)
-
-    return watch
 
 
 def _seconds(text: str) -> float:

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Mesh, Vec3
-from thorvaldc.passes.interrupts import uninterrupted
 
 # MuJoCo's STL reader takes 1..200000 faces; more helps no viewer either.
 MAX_TRIANGLES = 200_000

@@ -70,6 +70,10 @@ class SimulatedBase(BaseHandle):
     def true_twist(self) -> Twist:
         """Velocity of ``base_link`` in itself, on the ground."""
 
+    def posture(self) -> tuple[float, float, float]:
+        """Height (m) of ``base_link`` over the ground's plane, its roll and pitch (rad)."""
+        return 0.0, 0.0, 0.0
+
     def uprightness(self) -> float:
         """Cosine of the robot's tilt: 1 upright, 0 on its side."""
         return 1.0

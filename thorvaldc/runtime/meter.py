@@ -12,7 +12,7 @@ from thorvaldc.runtime.base import BaseHandle, JointStates, SimulatedBase
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.manoeuvre import Manoeuvre, twist_at
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
-from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
+from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
 
 TIPPED = math.cos(math.radians(60.0))
 """Cosine of the tilt at which a robot counts as fallen."""
@@ -62,6 +62,9 @@ class Sample:
     limits and ramps, ``estimated`` and ``pose_estimated`` are the odometry's, ``true`` and
     ``pose_true`` the simulated world's.  Both poses are in the world, the estimated one
     from the true start on; yaw is not wrapped.  With ideal joints true is estimated.
+    ``posture`` is what the true pose leaves out: height (m), roll and pitch (rad).  The
+    covariances are those of a small motion of ``base_link`` and of the estimated twist, both
+    in ``base_link``.
     """
 
     time: float
@@ -72,6 +75,9 @@ class Sample:
     pose_estimated: Pose2
     pose_true: Pose2
     joints: JointStates | None
+    posture: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pose_covariance: Cov3 = ZERO_COV
+    twist_covariance: Cov3 = ZERO_COV
 
 
 class Meter:
@@ -149,12 +155,24 @@ class Meter:
         state = self.driver.state
         estimated, pose = state.odometry.twist, self.start.moved(state.pose)
         true, pose_true = estimated, pose
+        posture = (0.0, 0.0, 0.0)
         if isinstance(self.base, SimulatedBase):
             true = self.base.true_twist()
             pose_true = Pose2(self.true.x, self.true.y, self.start.yaw + self.turned)
+            posture = self.base.posture()
         aimed = ZERO_TWIST if state.command is None else state.command.target
         return Sample(
-            state.time, state.asked, aimed, estimated, true, pose, pose_true, state.joints
+            state.time,
+            state.asked,
+            aimed,
+            estimated,
+            true,
+            pose,
+            pose_true,
+            state.joints,
+            posture,
+            state.pose_covariance,
+            state.odometry.covariance,
         )
 
     @property

@@ -264,6 +264,11 @@ class MujocoBase(SimulatedBase):
         c, s = math.cos(yaw), math.sin(yaw)
         return Twist(c * v[0] + s * v[1], c * v[1] - s * v[0], v[5])
 
+    def posture(self) -> tuple[float, float, float]:
+        _, _, z, w, i, j, k = self._base_position()
+        roll = math.atan2(2.0 * (w * i + j * k), 1.0 - 2.0 * (i * i + j * j))
+        return z, roll, math.asin(min(max(2.0 * (w * j - k * i), -1.0), 1.0))
+
     def uprightness(self) -> float:
         _, _, _, _, i, j, _ = self._base_position()
         return 1.0 - 2.0 * (i * i + j * j)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
+import os
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,7 +13,11 @@ from typing import Protocol, TextIO
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base import JointCommands
-from thorvaldc.runtime.meter import Sample
+from thorvaldc.runtime.meter import Meter, Sample, Watch
+
+
+class RecordError(Exception):
+    """What a record needs is not there; the message is one line for the user."""
 
 
 class Recorder(Protocol):
@@ -24,6 +30,43 @@ class Recorder(Protocol):
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None: ...
 
     def close(self) -> None: ...
+
+
+def recording(recorders: Sequence[Recorder]) -> Watch:
+    """What hands a run's ticks to the recorders."""
+
+    def watch(meter: Meter) -> None:
+        sample, command = meter.sample(), meter.driver.state.command
+        for recorder in recorders:
+            recorder.record(meter.name, sample, None if command is None else command.joints)
+
+    return watch
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """An ``OSError`` of the block tells the file's name."""
+    try:
+        yield
+    except OSError as fault:
+        number = fault.errno or 0
+        raise OSError(number, fault.strerror or os.strerror(number), str(path)) from None
+
+
+class Pace:
+    """Which samples are recorded: of each robot one in ``every`` s, all of them for 0."""
+
+    def __init__(self, every: float) -> None:
+        self._every = every
+        self._next: dict[str, float] = {}
+
+    def due(self, robot: str, time: float) -> bool:
+        if self._every <= 0.0:
+            return True
+        if time < self._next.get(robot, 0.0) - 1e-9:
+            return False
+        self._next[robot] = (int((time + 1e-9) / self._every) + 1) * self._every
+        return True
 
 
 class Digest:
@@ -60,10 +103,13 @@ def _numbers(sample: Sample, commands: JointCommands | None) -> Iterator[float]:
 
 _TWIST = ("vx", "vy", "wz")
 _POSE = ("x", "y", "yaw")
+_POSTURE = ("z", "roll", "pitch")
 
 
 class CsvRecorder:
-    """One CSV file for each robot in a folder, ``<robot>.csv``; SI units, a line a sample.
+    """One CSV file for each robot; SI units, a line a sample.
+
+    ``where`` is a folder, for ``<robot>.csv``, or of one robot a file ``*.csv``.
 
     ``groups`` are groups of columns: ``odometry``, ``truth``, ``twist`` (asked for
     and aimed at) and ``joints`` (by name; positions and velocities, then commands).
@@ -71,43 +117,49 @@ class CsvRecorder:
 
     def __init__(
         self,
-        folder: Path,
+        where: Path,
         robots: Sequence[tuple[str, Robot]],
         groups: Sequence[str],
         every: float = 0.0,
     ) -> None:
         """Makes the folder and opens the files.  Raises ``OSError`` where that fails."""
         self._groups = groups
-        self._every = every
+        self._pace = Pace(every)
         self._files: dict[str, TextIO] = {}
-        self._next: dict[str, float] = {}
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            for name, robot in robots:
-                path = folder / f"{name}.csv"
-                file = path.open("w", encoding="utf-8", newline="\n")
-                self._files[name] = file
-                self._next[name] = 0.0
-                file.write(",".join(columns(robot, groups)) + "\n")
-                file.flush()
-        except OSError:
-            self.close()
-            raise
         self._robots = dict(robots)
+        folder, file = (where.parent, where.name) if where.suffix == ".csv" else (where, "")
+        if not file:
+            folder.mkdir(parents=True, exist_ok=True)
+        self._paths = {name: folder / (file or f"{name}.csv") for name in self._robots}
+        try:
+            for name, path in self._paths.items():
+                with naming(path):
+                    stream = path.open("w", encoding="utf-8", newline="\n")
+                    self._files[name] = stream
+                    stream.write(",".join(columns(self._robots[name], groups)) + "\n")
+                    stream.flush()
+        except OSError:
+            self._files.clear()
+            raise
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
-        due = self._next[robot]
-        if sample.time < due - 1e-9:
+        if not self._pace.due(robot, sample.time):
             return
-        if self._every > 0.0:
-            steps = int((sample.time + 1e-9) / self._every) + 1
-            self._next[robot] = steps * self._every
         values = _values(self._robots[robot], sample, commands, self._groups)
-        self._files[robot].write(",".join(map(_text, values)) + "\n")
+        with naming(self._paths[robot]):
+            self._files[robot].write(",".join(map(_text, values)) + "\n")
 
     def close(self) -> None:
+        fault: OSError | None = None
         while self._files:
-            self._files.popitem()[1].close()
+            name, stream = self._files.popitem()
+            try:
+                with naming(self._paths[name]):
+                    stream.close()
+            except OSError as found:
+                fault = found
+        if fault is not None:
+            raise fault
 
 
 def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
@@ -116,7 +168,7 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
     if "odometry" in groups:
         found += [f"odometry_{part}" for part in (*_POSE, *_TWIST)]
     if "truth" in groups:
-        found += [f"true_{part}" for part in (*_POSE, *_TWIST)]
+        found += [f"true_{part}" for part in (*_POSE, *_TWIST, *_POSTURE)]
     if "twist" in groups:
         found += [f"{what}_{part}" for what in ("asked", "aimed") for part in _TWIST]
     if "joints" in groups:
@@ -139,6 +191,7 @@ def _values(
     if "truth" in groups:
         yield from sample.pose_true
         yield from sample.true
+        yield from sample.posture
     if "twist" in groups:
         yield from sample.asked
         yield from sample.aimed

@@ -156,14 +156,16 @@ class Simulation:
         watch: Watch | None = None,
     ) -> SimulationResult:
         """Drive the default manoeuvre, for ``duration`` s or to its end."""
+        plans, end = self.demonstration()
+        return self.run(duration or end, plans, report, watch)
+
+    def demonstration(self) -> tuple[Mapping[str, Manoeuvre], float]:
+        """The default manoeuvres by robot, and their length in s."""
         if len(self.robots) == 1:
             name, robot = self.robots[0]
             plan, end = default_manoeuvre(robot)
-            plans = {name: plan}
-        else:
-            placed = [(name, robot, self.starts[name]) for name, robot in self.robots]
-            plans, end = fleet_manoeuvres(placed)
-        return self.run(duration or end, plans, report, watch)
+            return {name: plan}, end
+        return fleet_manoeuvres([(name, robot, self.starts[name]) for name, robot in self.robots])
 
     def _tell_radii(self, report: Report) -> None:
         """A scene's wheels roll on their ordinary radii, whatever set is in force."""

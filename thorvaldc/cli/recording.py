@@ -1,0 +1,105 @@
+"""What a run writes while it runs: records and joint logs, opened before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from thorvaldc.cli.exits import OutsideError
+
+if TYPE_CHECKING:
+    from thorvaldc.model import Robot
+    from thorvaldc.runtime.meter import Watch
+    from thorvaldc.runtime.record import Recorder
+
+Robots = Sequence[tuple[str, "Robot"]]
+_OTHERS = (".bag", ".db3", ".json", ".parquet", ".txt")
+
+
+def open_recorder(
+    record: str, robots: Robots, groups: Sequence[str], every: float, stack: ExitStack
+) -> Sequence[Recorder]:
+    """The recorder to ``record``, none for an empty one; ``stack`` closes it.
+
+    ``*.mcap`` is one file of all robots, ``*.csv`` the file of one robot, all else a folder of
+    CSV files.
+    """
+    if not record:
+        return ()
+    path = Path(record)
+    kind = path.suffix.lower()
+    if kind in _OTHERS or (kind == ".csv" and len(robots) > 1):
+        wrong = f"{len(robots)} robots do not go into one CSV file" if kind == ".csv" else "unknown"
+        raise typer.BadParameter(
+            f"{record}: {wrong}; name a .mcap file, or a folder for CSV files",
+            param_hint="'--record'",
+        )
+    with writing(record):
+        if kind == ".mcap":
+            from thorvaldc.runtime.mcap_record import McapRecorder
+
+            recorder: Recorder = McapRecorder(path, robots, groups, every)
+        else:
+            from thorvaldc.runtime.record import CsvRecorder
+
+            recorder = CsvRecorder(path, robots, groups, every)
+    stack.callback(recorder.close)
+    return (recorder,)
+
+
+def recorded(record: str, robots: Robots) -> str:
+    """What the user is told of a record that is written."""
+    if Path(record).suffix.lower() in (".mcap", ".csv"):
+        return record
+    return f"{record}: {', '.join(f'{name}.csv' for name, _ in robots)}"
+
+
+def open_logs(log: str, robots: Robots, stack: ExitStack) -> Watch:
+    """What writes the joint logs: of one robot to the file ``log``, of several to a folder."""
+    from thorvaldc.runtime.joint_log import JointLogWriter
+    from thorvaldc.runtime.meter import Meter
+
+    folder = Path(log)
+    several = len(robots) > 1
+    writers = {}
+    with writing(log):
+        if several:
+            folder.mkdir(parents=True, exist_ok=True)
+        for name, robot in robots:
+            path = folder / f"{name}.csv" if several else folder
+            stream = stack.enter_context(path.open("w", encoding="utf-8", newline="\n"))
+            writers[name] = JointLogWriter(robot, stream)
+
+    def watch(meter: Meter) -> None:
+        writers[meter.name].watch(meter)
+
+    return watch
+
+
+def each(watches: Sequence[Watch]) -> Watch:
+    """One watch that calls them all."""
+    from thorvaldc.runtime.meter import Meter
+
+    def watch(meter: Meter) -> None:
+        for one in watches:
+            one(meter)
+
+    return watch
+
+
+@contextmanager
+def writing(path: str) -> Iterator[None]:
+    """What cannot be written, as a fault of the world."""
+    from thorvaldc.runtime.record import RecordError
+
+    try:
+        yield
+    except RecordError as fault:
+        raise OutsideError(str(fault)) from None
+    except OSError as fault:
+        name = fault.filename or path
+        raise OutsideError(f"cannot write {name}: {fault.strerror or fault}") from None
