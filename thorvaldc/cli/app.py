@@ -221,6 +221,58 @@ def calibrate(
 
 @app.command(cls=LightCommand)
 @guarded
+def bus(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml.")],
+    channel: Annotated[
+        str,
+        typer.Option(
+            "--channel",
+            metavar="NAME",
+            help="Name of the bus for other programs, or the path of its socket.",
+            show_default="the robot's name",
+        ),
+    ] = "",
+    physics: Annotated[
+        str,
+        typer.Option("--physics", metavar="ideal|mujoco", help="What moves the motors."),
+    ] = "ideal",
+    faults: Annotated[
+        str, typer.Option("--faults", metavar="FILE", help="What is to go wrong, and when.")
+    ] = "",
+    seed: Annotated[
+        str, typer.Option("--seed", metavar="N", help="Of everything that happens by chance.")
+    ] = "",
+    store: Annotated[
+        str,
+        typer.Option(
+            "--store",
+            metavar="FILE",
+            help="What devices keep without power: read at the start, written at the end.",
+        ),
+    ] = "",
+    delivered: Annotated[
+        bool,
+        typer.Option(
+            "--delivered", help="Devices as their makers send them, without ids and parameters."
+        ),
+    ] = False,
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep", help="Time runs only while all programs in lockstep wait for it."
+        ),
+    ] = False,
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Run a robot's bus in simulation, for programs that attach to it by python-can."""
+    from thorvaldc.cli.bus import run_bus
+
+    return run_bus(file, channel, physics, faults, seed, store, delivered, lockstep, json, library)
+
+
+@app.command(cls=LightCommand)
+@guarded
 def render(
     file: File,
     output: Annotated[
