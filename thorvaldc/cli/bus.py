@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from thorvaldc.runtime.base import BaseHandle
     from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
 
+NOTABLE_LAG = 50_000_000
+"""ns behind the clock that are worth a word."""
+
 
 def run_bus(
     file: str,
@@ -91,7 +94,7 @@ def run_bus(
             signal.signal(number_, handler)
         if store:
             _write_store(store, simulated)
-    _say_end(simulated)
+    _say_end(simulated, server.behind)
     return DONE
 
 
@@ -191,12 +194,18 @@ def _say_fault(time: float, fault: BusFault, begins: bool) -> None:
     print(f"{time:.3f} s: {what}{of}{ends}", file=sys.stderr, flush=True)
 
 
-def _say_end(simulated: SimulatedRobot) -> None:
+def _say_end(simulated: SimulatedRobot, behind: int) -> None:
     seconds = simulated.timeline.seconds
     for name, wire in simulated.wires.items():
         load = wire.busy / max(simulated.timeline.now, 1)
         print(
             f"{name}: {wire.frames} frames in {seconds:.1f} s, {100 * load:.1f} % of the time, "
             f"{wire.errors} error frames",
+            file=sys.stderr,
+        )
+    if behind > NOTABLE_LAG:
+        print(
+            f"the simulation fell behind the clock, by {behind / 1e9:.2f} s at most: "
+            "times on the bus were longer than they should be",
             file=sys.stderr,
         )

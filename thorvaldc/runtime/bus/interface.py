@@ -24,6 +24,8 @@ from thorvaldc.runtime.bus.timeline import Event, to_ns
 from thorvaldc.runtime.bus.wire import ErrorState, Wire
 
 NAME = "thorvaldc_sim"
+PATIENCE = 1.0
+"""s that a send without a time-out waits for room: canopen's scanner sends 127 frames at once."""
 _STATES = {
     ErrorState.ACTIVE: can.BusState.ACTIVE,
     ErrorState.PASSIVE: can.BusState.PASSIVE,
@@ -100,7 +102,10 @@ class SimulatedBus(can.BusABC):
         self.port.restart()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """As of python-can: ``CanOperationError`` where the queue is full or the bus is off."""
+        """As of python-can: ``CanOperationError`` where the queue stays full or the bus is off.
+
+        ``timeout`` in s, ``None``: ``PATIENCE``.
+        """
         if msg.is_fd or msg.is_error_frame:
             raise can.CanOperationError("the simulated bus takes classical data and remote frames")
         frame = CanFrame(
@@ -111,7 +116,7 @@ class SimulatedBus(can.BusABC):
             msg.dlc if msg.is_remote_frame else 0,
         )
         try:
-            taken = self.port.send(frame, timeout or 0.0)
+            taken = self.port.send(frame, PATIENCE if timeout is None else timeout)
         except ConnectionError as fault:
             raise can.CanOperationError(str(fault)) from None
         if not taken:
@@ -215,5 +220,5 @@ class VirtualCyclicTask(
         if self._modifier is not None:
             self._modifier(message)
         with contextlib.suppress(can.CanOperationError):
-            self._bus.send(message)
+            self._bus.send(message, timeout=0.0)
         self._event = self._timeline.after(to_ns(self.period), self._act)

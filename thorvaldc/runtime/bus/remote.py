@@ -18,6 +18,8 @@ from thorvaldc.runtime.bus.wire import ErrorState
 
 ANSWER_TIME = 5.0
 """s to wait for the server's welcome."""
+LOCKSTEP_POLL = 0.0001
+"""s of the simulation after which a client in lockstep looks whether there is room to send."""
 
 
 class RemoteClient:
@@ -49,6 +51,7 @@ class RemoteClient:
         self.overruns = 0
         self._received: deque[Received] = deque()
         self._changed = threading.Condition()
+        self._writing = threading.Lock()
         self._outstanding = 0
         self._state = ErrorState.ACTIVE
         self._closed = ""
@@ -97,8 +100,8 @@ class RemoteClient:
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
         """Queue a frame.  Where the queue is full, wait at most ``timeout`` s for room."""
         with self._changed:
-            if self._outstanding >= self.send_limit and timeout > 0.0 and not self.lockstep:
-                self._changed.wait_for(self._has_room, timeout)
+            if self._outstanding >= self.send_limit and timeout > 0.0:
+                self._wait_for_room(timeout)
             if self._outstanding >= self.send_limit or self._state is ErrorState.BUS_OFF:
                 return False
             self._outstanding += 1
@@ -146,6 +149,14 @@ class RemoteClient:
     def _has_room(self) -> bool:
         return self._outstanding < self.send_limit or bool(self._closed)
 
+    def _wait_for_room(self, timeout: float) -> None:
+        if not self.lockstep:
+            self._changed.wait_for(self._has_room, timeout)
+            return
+        until = self._now + to_ns(timeout)
+        while not self._has_room() and self._now < until:
+            self._wait(LOCKSTEP_POLL, stop_at_frame=False)
+
     def _wait(self, timeout: float | None, stop_at_frame: bool) -> None:
         def over() -> bool:
             return bool(self._closed) or (stop_at_frame and bool(self._received))
@@ -161,7 +172,8 @@ class RemoteClient:
 
     def _write(self, message: bytes) -> None:
         try:
-            self._socket.sendall(message)
+            with self._writing:
+                self._socket.sendall(message)
         except OSError:
             raise ConnectionError(self._closed or "the bus is not run any more") from None
 
@@ -172,12 +184,16 @@ class RemoteClient:
                 data = self._socket.recv(65536)
                 if not data:
                     raise ConnectionError("the bus closed the connection")
+                welcome: dict[str, Any] | None = None
                 for kind, body in self._unpacker.feed(data):
                     if kind == protocol.CLOSED:
                         raise ConnectionError(json.loads(body)["reason"])
                     if kind == protocol.WELCOME:
-                        found: dict[str, Any] = json.loads(body)
-                        return found
+                        welcome = json.loads(body)
+                    else:  # on a busy bus frames come in the same breath
+                        self._take(kind, body)
+                if welcome is not None:
+                    return welcome
         except TimeoutError:
             raise ConnectionError("the bus does not answer") from None
         finally:
@@ -213,6 +229,6 @@ class RemoteClient:
         elif kind == protocol.STATE:
             found = json.loads(body)
             self._state = ErrorState(found["state"])
-            self._outstanding = found["pending"]
+            self._outstanding = max(self._outstanding - found["dropped"], 0)
         elif kind == protocol.TIME:
             self._now = self._waited_until = protocol.unpack_time(body)

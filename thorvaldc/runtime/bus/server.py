@@ -19,6 +19,8 @@ from thorvaldc.runtime.bus.timeline import NEVER, Timeline
 from thorvaldc.runtime.bus.wire import Controller, ErrorState, Wire
 
 LONGEST_WAIT = 0.5
+LONGEST_WORK = 20_000_000
+"""ns of work on the simulation after which clients are served, however far behind it is."""
 BACKLOG = 1 << 20
 """Bytes that wait for a client that does not read; after that it loses frames."""
 _MAXIMUM_RATE = 10_000_000
@@ -37,6 +39,18 @@ class _Connection:
         self.waits_until: int | None = None
         self.heard = False
         self.lost = 0
+        self.pending = 0
+
+    def tell_state(self) -> None:
+        """The controller's state, and how many frames it dropped with it (bus-off, restart)."""
+        controller = self.controller
+        if controller is not None:
+            dropped, self.pending = self.pending - controller.pending, controller.pending
+            self.put(
+                protocol.pack_json(
+                    protocol.STATE, {"state": controller.state.value, "dropped": dropped}
+                )
+            )
 
     def put(self, message: bytes) -> None:
         if len(self.out) > BACKLOG:
@@ -48,8 +62,10 @@ class _Connection:
 class BusServer:
     """Listens on a channel for each wire of a timeline and lets the time run.
 
-    By the clock: simulated time follows it, from where the timeline stands.  In
-    ``lockstep`` it moves only while every client that asked for lockstep waits.
+    By the clock: simulated time follows it, from where the timeline stands; what takes
+    longer to compute than it lasts falls behind, and is caught up with (``behind`` is the
+    most, in ns).  In ``lockstep`` time moves only while every client that asked for
+    lockstep waits.
     """
 
     def __init__(
@@ -59,6 +75,7 @@ class BusServer:
         self.timeline = timeline
         self.lockstep = lockstep
         self.channels = tuple(wires)
+        self.behind = 0
         self._selector = selectors.SelectSelector()  # to the microsecond, unlike epoll
         self._connections: list[_Connection] = []
         self._paths: list[Path] = []
@@ -100,7 +117,11 @@ class BusServer:
     # -- time ---------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        self.timeline.run_until(time.monotonic_ns() - self._start)
+        began = time.monotonic_ns()
+        clock = began - self._start
+        self.behind = max(self.behind, clock - self.timeline.next_time)
+        limit = began + LONGEST_WORK
+        self.timeline.run_until(clock, lambda: time.monotonic_ns() > limit)
 
     def _patience(self) -> float:
         """s until something must be done without a client's asking."""
@@ -133,6 +154,8 @@ class BusServer:
     # -- clients ------------------------------------------------------------------------------
 
     def _listen(self, path: Path, wire: Wire) -> None:
+        if path.exists() and not path.is_socket():
+            raise OSError(f"{path} is no socket, and is left as it is")
         if path.exists():
             with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
                 try:
@@ -185,7 +208,7 @@ class BusServer:
         try:
             for kind, body in connection.unpacker.feed(data):
                 self._take(connection, kind, body)
-        except (ValueError, KeyError, TypeError) as fault:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as fault:
             self._refuse(connection, f"not understood: {fault}")
 
     def _take(self, connection: _Connection, kind: bytes, body: bytes) -> None:
@@ -194,10 +217,13 @@ class BusServer:
             self._greet(connection, json.loads(body))
         elif kind == protocol.SEND and controller is not None:
             _, frame, _ = protocol.unpack_frame(body)
-            if not controller.send(frame):
+            if controller.send(frame):
+                connection.pending += 1
+            else:
                 connection.put(protocol.pack(protocol.REFUSED))
         elif kind == protocol.RESTART and controller is not None:
             controller.restart()
+            connection.tell_state()
         elif kind == protocol.WAIT and connection.lockstep:
             connection.waits_until = protocol.unpack_time(body)
         else:
@@ -231,15 +257,15 @@ class BusServer:
             connection.put(protocol.pack_frame(protocol.FRAME, frame, self.timeline.now))
 
         def sent(frame: CanFrame) -> None:
+            connection.pending -= 1
             connection.put(protocol.pack(protocol.SENT))
             if own:
                 connection.heard = True
                 now = self.timeline.now
                 connection.put(protocol.pack_frame(protocol.FRAME, frame, now, own=True))
 
-        def changed(state: ErrorState) -> None:
-            value = {"state": state.value, "pending": controller.pending}
-            connection.put(protocol.pack_json(protocol.STATE, value))
+        def changed(_: ErrorState) -> None:
+            connection.tell_state()
 
         controller.on_frame, controller.on_sent, controller.on_state = hear, sent, changed
         connection.controller = controller
