@@ -11,10 +11,9 @@ from typing import Any
 
 import mujoco
 
-from bench.figure import ROOT, Figure
-from thorvaldc.diagnostics import Report
+from bench.figure import Figure
+from bench.robots import built, example
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file, emit
 from thorvaldc.runtime.manoeuvre import Segment
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.se2 import Twist
@@ -41,7 +40,7 @@ def figures() -> Iterator[Figure]:
     with TemporaryDirectory() as folder:
         path = Path(folder, "skid.yaml")
         path.write_text(SKID, encoding="utf-8")
-        skid, files = _built(path)
+        skid, files = built(path)
         ours = max(abs(_skid_error(skid, files, rate)) for rate in RATES)
         defaults = max(abs(_skid_error(skid, files, rate, True)) for rate in RATES)
     yield Figure(
@@ -53,7 +52,7 @@ def figures() -> Iterator[Figure]:
         "worst error of the yaw rate against 2 W v/(W^2 + L^2) at 0.1, 0.5, 1 and 2 rad/s; "
         f"MuJoCo's default contact: {100 * defaults:.0f} %",
     )
-    robot, files = _built(_example("4wd4ws_wide"))
+    robot, files = built(example("4wd4ws_wide"))
     straight = _drive(robot, files, Twist(0.8, 0.0, 0.0), 12.0)
     yield Figure(
         "straight line",
@@ -81,7 +80,7 @@ def figures() -> Iterator[Figure]:
         "speed of 4WD4WS that holds on 10 deg, between 3 s and 8 s",
     )
     for name in ("4wd4ws_wide", "6wd6ws"):
-        robot, files = _built(_example(name))
+        robot, files = built(example(name))
         ratio, ours = _step_ratio(robot, files)
         yield Figure(
             f"step time of {name}",
@@ -91,17 +90,6 @@ def figures() -> Iterator[Figure]:
             "lower",
             f"over a minimal model of the same freedoms and contacts; ours {ours * 1e6:.1f} us",
         )
-
-
-def _example(name: str) -> Path:
-    return ROOT / "examples" / name / "robot.yaml"
-
-
-def _built(path: Path) -> tuple[Robot, dict[str, bytes]]:
-    model = compile_file(path).model
-    if not isinstance(model, Robot):
-        raise SystemExit(f"{path} does not compile")
-    return model, emit(model, ["mjcf"], Report())
 
 
 def _skid_error(

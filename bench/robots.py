@@ -1,12 +1,32 @@
-"""Steered wheels to measure with."""
+"""Robots and steered wheels to measure with."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.figure import ROOT
+
 if TYPE_CHECKING:
+    from thorvaldc.model import Robot
     from thorvaldc.runtime.calculators import WheelGeometry
+
+
+def example(name: str) -> Path:
+    return ROOT / "examples" / name / "robot.yaml"
+
+
+def built(path: Path) -> tuple[Robot, dict[str, bytes]]:
+    """A robot and its MJCF."""
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.model import Robot
+    from thorvaldc.pipeline import compile_file, emit
+
+    model = compile_file(path).model
+    if not isinstance(model, Robot):
+        raise SystemExit(f"{path} does not compile")
+    return model, emit(model, ["mjcf"], Report())
 
 
 def places(wheels: int) -> list[tuple[float, float]]:

@@ -238,9 +238,9 @@ class BaseDriver:
     def _limited(self, twist: Twist) -> Twist:
         """The twist scaled as a whole to the robot's limits."""
         settings = self.settings
-        scale = 1.0
-        if twist.speed > settings.max_linear_velocity:
-            scale = settings.max_linear_velocity / twist.speed
+        scale, speed = 1.0, twist.speed
+        if speed > settings.max_linear_velocity:
+            scale = settings.max_linear_velocity / speed
         if abs(twist.wz) * scale > settings.max_angular_velocity:
             scale = settings.max_angular_velocity / abs(twist.wz)
         return twist.scaled(scale) if scale < 1.0 else twist

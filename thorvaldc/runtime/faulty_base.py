@@ -150,7 +150,7 @@ class FaultyBase(MujocoBase):
     def _hold(self, wheel: int) -> None:
         """Let a drive that comes back go on from where its wheel is."""
         model, data = self.scene.model, self.scene.data
-        position = {i: q for i, q, _ in self._spin}
+        position = {i: self._base + q for i, q, _ in self._spin}
         for i, actuator in self._drive_motors:
             if i == wheel and int(model.actuator_actadr[actuator]) >= 0:
                 data.act[int(model.actuator_actadr[actuator])] = data.qpos[position[i]]

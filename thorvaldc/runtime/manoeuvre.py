@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -21,16 +22,14 @@ class Segment(NamedTuple):
 
 
 Manoeuvre = Sequence[Segment]
+"""In the order of their starts."""
+_LAST = (math.inf, math.inf, math.inf)
 
 
 def twist_at(manoeuvre: Manoeuvre, time: float) -> Twist:
     """The twist asked for at ``time``; zero before the first segment."""
-    found = ZERO_TWIST
-    for start, twist in manoeuvre:
-        if start > time + 1e-9:
-            break
-        found = twist
-    return found
+    after = bisect.bisect_right(manoeuvre, (time + 1e-9, _LAST))
+    return manoeuvre[after - 1].twist if after else ZERO_TWIST
 
 
 def parse_twist(text: str) -> Twist:

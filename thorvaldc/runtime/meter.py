@@ -101,7 +101,7 @@ class Meter:
         self.true = self.start
         self.turned = 0.0
         self.commanded = self.path = self.estimated = 0.0
-        self.largest_tilt = 0.0
+        self.upright = 1.0
         self.infeasible = ZERO_TWIST
         self.unreachable: tuple[int, ...] = ()
         self.unreachable_twist = ZERO_TWIST
@@ -147,8 +147,9 @@ class Meter:
         chord = math.hypot(pose.x - self.true.x, pose.y - self.true.y)
         self.path += chord / se2.chord_over_arc(turn)
         self.true = pose
-        upright = min(max(self.base.uprightness(), -1.0), 1.0)
-        self.largest_tilt = max(self.largest_tilt, math.acos(upright))
+        upright = self.base.uprightness()
+        if upright < self.upright:
+            self.upright = upright
 
     def sample(self) -> Sample:
         """The last tick."""
@@ -177,7 +178,7 @@ class Meter:
 
     @property
     def tipped(self) -> bool:
-        return math.cos(self.largest_tilt) < TIPPED
+        return self.upright < TIPPED
 
     def result(self) -> RobotRun:
         robot = self.robot
@@ -199,7 +200,7 @@ class Meter:
             yaw_error=abs(true.yaw - odometry.yaw),
             pose_true=true,
             pose_odometry=odometry,
-            largest_tilt=self.largest_tilt,
+            largest_tilt=math.acos(max(self.upright, -1.0)),
             infeasible=self.infeasible,
             unreachable=tuple(robot.wheels[i].name for i in self.unreachable),
             tipped=self.tipped,

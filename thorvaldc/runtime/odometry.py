@@ -103,10 +103,10 @@ def _between(before: JointStates, after: JointStates, dt: float) -> JointStates:
     is as if it served one, which is what covariances take it for.
     """
     if before.positions is not None and after.positions is not None:
-        speeds = tuple((b - a) / dt for a, b in zip(before.positions, after.positions, strict=True))
+        speeds = [(b - a) / dt for a, b in zip(before.positions, after.positions, strict=True)]
     else:
         speeds = _means(before.speeds, after.speeds)
-    rates = tuple((b - a) / dt for a, b in zip(before.angles, after.angles, strict=True))
+    rates = [(b - a) / dt for a, b in zip(before.angles, after.angles, strict=True)]
     yaw_rate = after.yaw_rate
     if yaw_rate is not None and before.yaw_rate is not None:
         yaw_rate = (before.yaw_rate + yaw_rate) / 2.0
@@ -114,5 +114,5 @@ def _between(before: JointStates, after: JointStates, dt: float) -> JointStates:
     return JointStates(after.time, speeds, angles, rates, None, yaw_rate)
 
 
-def _means(before: Sequence[float], after: Sequence[float]) -> tuple[float, ...]:
-    return tuple((a + b) / 2.0 for a, b in zip(before, after, strict=True))
+def _means(before: Sequence[float], after: Sequence[float]) -> list[float]:
+    return [(a + b) / 2.0 for a, b in zip(before, after, strict=True)]

@@ -123,12 +123,12 @@ def propagate(
     as if Q were (1 + r) / (1 - r) of itself, with r = exp(-dt / correlation)
     what is left of one a step later.  Over shorter times this says too much.
     """
-    x, y, angle = exp(twist, dt)
+    dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
+    sa, va = _sin_over(angle), _versin_over(angle)
+    x, y = sa * dx - va * dy, va * dx + sa * dy  # the step, as by `exp`
     c, s = math.cos(angle), math.sin(angle)
     # A small turn before the step moves its end, at t, by w x t: seen from there R^T (w x t).
     moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
-    dx, dy = twist.vx * dt, twist.vy * dt
-    sa, va = _sin_over(angle), _versin_over(angle)
     if abs(angle) < 1e-3:
         p, q = angle / 6.0, 0.5
     else:
