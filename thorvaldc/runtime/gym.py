@@ -288,7 +288,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             "time": self._steps * self.period,
             "true_pose": np.array(sample.pose_true),
             "true_twist": np.array(sample.true),
-            "tilt": acting.largest_tilt,
+            "tilt": math.acos(max(-1.0, min(1.0, acting.upright))),
             "collisions": self._contacts.collisions[self.name],
         }
         return {**info, "cause": cause} if cause else info
