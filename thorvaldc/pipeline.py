@@ -9,6 +9,7 @@ import posixpath
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from thorvaldc import backends
 from thorvaldc.diagnostics import Label, Report, Span
@@ -26,6 +27,9 @@ from thorvaldc.passes.scope import Scope
 from thorvaldc.schema.checker import check, sound
 from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
+
+if TYPE_CHECKING:
+    from thorvaldc.passes.variations import Change, Variations
 
 MODEL_FILE = "model.json"
 DEFAULT_TARGETS = ("urdf", "mjcf", "ros2", "can")
@@ -58,15 +62,20 @@ class Compilation:
 
 
 def compile_file(
-    path: Path | str, *, library: Sequence[Path] = (), robot: Path | str | None = None
+    path: Path | str,
+    *,
+    library: Sequence[Path] = (),
+    robot: Path | str | None = None,
+    changes: Sequence[Change] = (),
 ) -> Compilation:
     """Compile a robot, a fleet or a scenario file.  ``library`` are further module folders.
 
-    ``robot`` is a robot or fleet file in place of a scenario's own robots.  Every fault
-    that the file holds is in the report; nothing is raised for bad input.
+    ``robot`` is a robot or fleet file in place of a scenario's own robots, ``changes`` are
+    other values in a scenario's document.  Every fault that the file holds is in the
+    report; nothing is raised for bad input.
     """
     path = Path(path)
-    return _compile(path, path.name or str(path), path.parent, library, robot)
+    return _compile(path, path.name or str(path), path.parent, library, robot, changes)
 
 
 def _compile(
@@ -75,6 +84,7 @@ def _compile(
     folder: Path,
     library: Sequence[Path],
     robot: Path | str | None = None,
+    changes: Sequence[Change] = (),
 ) -> Compilation:
     """Compile a file that spans are to call ``name``, which is relative to ``folder``."""
     shape, report = Report(), Report()
@@ -87,6 +97,10 @@ def _compile(
         document = None
     if document is not None:
         scenario = _is_scenario(document)
+        if scenario and changes:
+            from thorvaldc.passes.variations import changed  # which few runs need
+
+            document = changed(document, changes, shape)
         fleet = not scenario and _is_fleet(document)
         check(document, "scenario" if scenario else "fleet" if fleet else "robot", shape)
         modules = document.get("modules")
@@ -177,6 +191,36 @@ def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | N
     for found in (shape, _without_places_of(shape, said)):
         report.extend(found)
     return None if shape.has_errors or said.has_errors else script
+
+
+def plan_variations(
+    path: Path | str,
+    settings: Sequence[str] = (),
+    draws: int | None = None,
+    seed: int | None = None,
+    *,
+    own: bool = True,
+    report: Report,
+) -> Variations:
+    """What varies in the runs of a scenario: what its document says, and ``settings``.
+
+    Without ``own`` the settings alone.  See ``passes.variations.read_variations``.
+    """
+    from thorvaldc.passes.variations import Variations, read_variations  # which few runs need
+
+    shape, said = Report(), Report()
+    document = read_file(Path(path), str(path), shape)
+    if document is None:
+        report.extend(shape)
+        return Variations(())
+    check(document, "scenario", shape)
+    document = sound(document, shape)
+    if not own and isinstance(document.value, dict):
+        rest = {key: node for key, node in document.value.items() if key != "variations"}
+        document = document._replace(value=rest)
+    found = read_variations(document, settings, draws, seed, said)
+    report.extend(said)
+    return found
 
 
 def emit(

@@ -119,6 +119,33 @@ def sim(
         str,
         typer.Option("--junit", metavar="OUT.xml", help="Write a scenario's report as JUnit XML."),
     ] = "",
+    set: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUES",
+            help="Other values in a scenario: world.friction=0.3,0.6 for a run with each,"
+            " =0.3..0.9 to draw from.",
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    variations: Annotated[
+        bool, typer.Option("--variations", help="Run the variations that a scenario names.")
+    ] = False,
+    draws: Annotated[
+        str, typer.Option("--draws", metavar="N", help="How often to draw from ranges.")
+    ] = "",
+    seed: Annotated[
+        str, typer.Option("--seed", metavar="N", help="Number that ranges are drawn by.")
+    ] = "",
+    jobs: Annotated[
+        str,
+        typer.Option("--jobs", "-j", metavar="N", help="Processes for variations (default: all)."),
+    ] = "",
+    output: Annotated[
+        str,
+        typer.Option("--output", "-o", metavar="OUT.csv", help="Table of variations (.csv, .json)."),
+    ] = "",
     duration: Annotated[
         str,
         typer.Option("--duration", metavar="TIME", help="Simulated time: 5, or '5 s'."),
@@ -164,7 +191,7 @@ def sim(
     library: Library = [],  # noqa: B006
 ) -> int:
     """Drive a robot in simulation, or run a scenario, without a display."""
-    from thorvaldc.cli.simulating import simulate
+    from thorvaldc.cli.simulating import Varying, simulate
 
     return simulate(
         file,
@@ -181,6 +208,7 @@ def sim(
         scenario,
         record,
         junit,
+        Varying(set, variations, draws, seed, jobs, output),
     )
 
 

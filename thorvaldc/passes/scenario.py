@@ -53,6 +53,10 @@ def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
     fleet = replace(
         fleet, name=name, description=description, world=read_world(document, numbers, report)
     )
+    if document.get("variations") is not None:
+        from thorvaldc.passes.variations import read_variations  # which few documents have
+
+        read_variations(document, (), None, None, report)
     reader = _Reader(fleet, numbers, report)
     record = document.get("record")
     return Scenario(
