@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from thorvaldc.passes.variations import Change, Variations
 
 MODEL_FILE = "model.json"
+SETTING = "--set "
+"""Begins the name of a value on the command line, in place of a file's."""
 DEFAULT_TARGETS = ("urdf", "mjcf", "ros2", "can")
 
 
@@ -100,7 +102,7 @@ def _compile(
         if scenario and changes:
             from thorvaldc.passes.variations import changed  # which few runs need
 
-            document = changed(document, changes, shape)
+            document = _without_variations(changed(document, changes, shape))
         fleet = not scenario and _is_fleet(document)
         check(document, "scenario" if scenario else "fleet" if fleet else "robot", shape)
         modules = document.get("modules")
@@ -201,10 +203,11 @@ def plan_variations(
     *,
     own: bool = True,
     report: Report,
-) -> Variations:
+) -> Variations | None:
     """What varies in the runs of a scenario: what its document says, and ``settings``.
 
-    Without ``own`` the settings alone.  See ``passes.variations.read_variations``.
+    Without ``own`` the settings alone; ``None`` where the file is no scenario.  See
+    ``passes.variations.read_variations``.
     """
     from thorvaldc.passes.variations import Variations, read_variations  # which few runs need
 
@@ -213,11 +216,12 @@ def plan_variations(
     if document is None:
         report.extend(shape)
         return Variations(())
+    if not _is_scenario(document):
+        return None
     check(document, "scenario", shape)
     document = sound(document, shape)
-    if not own and isinstance(document.value, dict):
-        rest = {key: node for key, node in document.value.items() if key != "variations"}
-        document = document._replace(value=rest)
+    if not own:
+        document = _without_variations(document)
     found = read_variations(document, settings, draws, seed, said)
     report.extend(said)
     return found
@@ -456,6 +460,13 @@ def _is_other(document: Node, report: Report) -> bool:
     return False
 
 
+def _without_variations(document: Node) -> Node:
+    if not isinstance(document.value, dict):
+        return document
+    rest = {key: node for key, node in document.value.items() if key != "variations"}
+    return document._replace(value=rest)
+
+
 def _is_fleet(document: Node | None) -> bool:
     return document is not None and document.get("robots") is not None
 
@@ -499,7 +510,7 @@ def _with_paths(report: Report, folder: Path, files: dict[str, Path]) -> Report:
     """The report with paths as the user would write them in place of names relative to the file."""
 
     def moved(span: Span) -> Span:
-        if span.file.startswith(OWN):
+        if span.file.startswith((OWN, SETTING)):
             return span
         # Without detours: annotations of changes go by the path in the repository.
         shown = os.path.normpath(files.get(span.file) or folder / span.file)

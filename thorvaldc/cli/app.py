@@ -144,7 +144,9 @@ def sim(
     ] = "",
     output: Annotated[
         str,
-        typer.Option("--output", "-o", metavar="OUT.csv", help="Table of variations (.csv, .json)."),
+        typer.Option(
+            "--output", "-o", metavar="OUT.csv", help="What came of variations: .csv, .json."
+        ),
     ] = "",
     duration: Annotated[
         str,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gc
 import json as json_format
-import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ import typer
 from thorvaldc.cli.compiling import library_folders
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, count, finite, message
+from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
     from thorvaldc.batch import Run
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 SHOWN = 10
 """So many runs are named that are not as expected."""
-BAR = 30  # characters
 # What the table on the terminal shows of the metrics, and how.
 _METRICS = (
     ("path", "true", "{:.3f} m", 1.0),
@@ -57,6 +56,8 @@ def plan(
         own=own,
         report=report,
     )
+    if found is None:
+        raise typer.BadParameter(f"{scenario} is no scenario", param_hint="'FILE'")
     if report.has_errors:
         faults = Faults("text", sys.stderr)
         faults.add(report, {scenario: Path(scenario)})
@@ -87,7 +88,7 @@ def only_run(variations: Variations) -> tuple[Change, ...] | None:
 def run_batch(
     scenario: str,
     variations: Variations,
-    robot: str,
+    robot: str | None,
     library: Sequence[str],
     jobs: str,
     output: str,
@@ -104,7 +105,7 @@ def run_batch(
     kind = Path(output).suffix.lower()
     if output and kind not in (".csv", ".json"):
         raise typer.BadParameter(f"{output!r} does not end in .csv or .json", param_hint="'-o'")
-    batch = Batch(scenario, variations, robot=robot or None, library=library_folders(library))
+    batch = Batch(scenario, variations, robot=robot, library=library_folders(library))
     wrong = batch.check()
     if wrong is not None:
         faults = Faults("text", sys.stderr)
@@ -112,12 +113,12 @@ def run_batch(
         return faults.finish()
     stream = _opened(output) if output else None
     runs: list[Run] = []
-    bar = _Bar(len(batch))
+    bar = Progress(len(batch), "runs")
     try:
-        bar.show(runs)
+        bar.show(0)
         for run in batch.runs(wanted):
             runs.append(run)
-            bar.show(runs)
+            bar.show(len(runs))
             if stream is not None:
                 # As they come, so that nothing is lost with the process; in order at the end.
                 _append(stream, kind, run, first=len(runs) == 1)
@@ -224,7 +225,9 @@ def _short(value: Any) -> str:
 def table(runs: Sequence[Run]) -> str:
     """The runs as aligned text: what varied, what was measured, and whether it is as expected."""
     several = any(run.result is not None and len(run.result["metrics"]) > 1 for run in runs)
-    lines = [["run", *runs[0].values, *(["robot"] * several), *(m[1] for m in _METRICS), "", "hash"]]
+    lines = [
+        ["run", *runs[0].values, *(["robot"] * several), *(m[1] for m in _METRICS), "", "hash"]
+    ]
     for run in runs:
         values = [_short(value) for value in run.values.values()]
         for robot, metrics in _robots(run):
@@ -252,23 +255,3 @@ def _failures(runs: Sequence[Run]) -> Iterator[str]:
         yield from (f"run {run.number}: {fault}" for fault in run.faults)
     if len(wrong) > SHOWN:
         yield f"and {count(len(wrong) - SHOWN, 'run')} more"
-
-
-class _Bar:
-    """How many runs are done, on a terminal; nothing elsewhere."""
-
-    def __init__(self, total: int) -> None:
-        self.total = total
-        self.active = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-
-    def show(self, runs: Sequence[Run]) -> None:
-        if self.active:
-            done = "#" * (len(runs) * BAR // self.total)
-            failed = sum(not run.passed for run in runs)
-            end = f", {failed} not as expected" if failed else ""
-            line = f"\r[{done:<{BAR}}] {len(runs)} of {self.total} runs{end}"
-            print(line, end="", file=sys.stderr, flush=True)
-
-    def clear(self) -> None:
-        if self.active:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

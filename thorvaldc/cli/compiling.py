@@ -15,6 +15,7 @@ from thorvaldc.cli.faults import Faults, check_format, count
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
+    from thorvaldc.passes.variations import Change
     from thorvaldc.pipeline import Compilation
 
 
@@ -89,11 +90,13 @@ def check_modules(folders: Sequence[str], format: str, strict: bool) -> int:
     return faults.finish(strict)
 
 
-def compile_one(file: str, library: Sequence[str], robot: str | None = None) -> Compilation:
-    """Compile, a scenario by ``robot``; what is to be said of it goes to stderr."""
+def compile_one(
+    file: str, library: Sequence[str], robot: str | None = None, changes: Sequence[Change] = ()
+) -> Compilation:
+    """Compile, a scenario by ``robot`` and with ``changes``; what is said of it goes to stderr."""
     from thorvaldc.pipeline import compile_file
 
-    done = compile_file(file, library=library_folders(library), robot=robot)
+    done = compile_file(file, library=library_folders(library), robot=robot, changes=changes)
     faults = Faults("text", sys.stderr)
     faults.add(done.report, done.sources)
     faults.finish()

@@ -6,7 +6,8 @@ import contextlib
 import gc
 import json as json_format
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import typer
@@ -19,9 +20,36 @@ from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
+    from thorvaldc.passes.variations import Change
     from thorvaldc.runtime.meter import Watch
 
 SECONDS = 5.0  # of a twist, where the user does not say
+
+
+@dataclass(frozen=True, slots=True)
+class Varying:
+    """What ``sim`` was told of variations, as text."""
+
+    settings: Sequence[str]
+    own: bool
+    draws: str
+    seed: str
+    jobs: str
+    output: str
+
+    def asked(self) -> bool:
+        """Whether there are any; raises ``typer.BadParameter`` for what is only for them."""
+        if self.settings or self.own:
+            return True
+        given = {"--draws": self.draws, "--seed": self.seed, "--jobs": self.jobs}
+        _refuse({**given, "--output": self.output}, "this is for --set and --variations")
+        return False
+
+
+def _refuse(given: Mapping[str, str | bool], why: str) -> None:
+    for option, value in given.items():
+        if value:
+            raise typer.BadParameter(why, param_hint=f"'{option}'")
 
 
 def simulate(
@@ -39,6 +67,7 @@ def simulate(
     scenario: str = "",
     record: str = "",
     junit: str = "",
+    varying: Varying | None = None,
 ) -> int:
     """One twist for a time, or without a twist the manoeuvre that suits the robot.
 
@@ -46,20 +75,32 @@ def simulate(
     named beside.  The joint states go to ``log`` where it is named.
     """
     seconds = _seconds(duration) if duration else 0.0
+    given: dict[str, str | bool]
+    changes: Sequence[Change] = ()
+    robot = file if scenario else None
+    if varying is not None and varying.asked():
+        from thorvaldc.cli.batching import only_run, plan, run_batch
+
+        name = scenario or file
+        found = plan(name, varying.settings, varying.draws, varying.seed, own=varying.own)
+        if found is None:
+            return INPUT
+        single = only_run(found)
+        if single is None:
+            given = {"--duration": duration, "--twist": twist, "--parameters": parameters}
+            given |= {"--record": record, "--junit": junit, "--log": log, "--plot": plot}
+            given |= {"--video": video, "--ideal": ideal, "--open-loop": open_loop}
+            _refuse(given, f"this is for one run, and there are {found.size}")
+            return run_batch(name, found, robot, library, varying.jobs, varying.output, json)
+        changes = single
     pictures = RunPictures(plot, video, ideal=ideal)
-    done = compile_one(scenario, library, file) if scenario else compile_one(file, library)
+    done = compile_one(scenario or file, library, robot, changes)
     if done.model is None:
         return INPUT
     if done.scenario is not None:
-        given: dict[str, str | bool] = {
-            "--duration": duration,
-            "--twist": twist,
-            "--parameters": parameters,
-        }
+        given = {"--duration": duration, "--twist": twist, "--parameters": parameters}
         given |= {"--ideal": ideal, "--open-loop": open_loop}
-        for option, value in given.items():
-            if value:
-                raise typer.BadParameter("a scenario says it itself", param_hint=f"'{option}'")
+        _refuse(given, "a scenario says it itself")
         from thorvaldc.cli.scenarios import run_scenario
 
         return run_scenario(done, done.scenario, pictures, record, junit, log, json)
