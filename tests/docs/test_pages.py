@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -70,17 +71,30 @@ def test_the_architecture_page_has_the_layers_that_are_checked() -> None:
         assert (ROOT / "thorvaldc" / name).is_dir() or (ROOT / f"thorvaldc/{name}.py").is_file()
 
 
+def script(page: str, begins: str) -> str:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    found = re.search(rf"```python\n({begins}.*?)```", text, re.S)
+    assert found is not None
+    return found[1]
+
+
+def test_the_rollouts_of_the_page_run() -> None:
+    space: dict[str, Any] = {}
+    exec(script("docs/batches.md", "import numpy").replace("examples/", f"{ROOT}/examples/"), space)
+    assert space["found"].poses.shape == (64, 20, 3)
+    assert (space["found"].poses[:, -1, 0] > 0.5).all()
+    space["rollouts"].close()
+
+
 def test_the_environment_of_the_page_runs() -> None:
     """In a process of its own, where the entry point may not be installed."""
-    page = (ROOT / "docs/batches.md").read_text(encoding="utf-8")
-    example = re.search(r"```python\n(import gymnasium.*?)```", page, re.S)
-    assert example is not None
+    example = script("docs/batches.md", "import gymnasium")
     if not os.environ.get("CI"):
         pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
     first = "from thorvaldc import environments\nenvironments.register()\n"
     last = "print(info['true_pose'], sorted(info))\n"
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", first + example[1] + last],
+        [sys.executable, "-W", "error", "-c", first + example + last],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
         capture_output=True,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -72,8 +73,12 @@ def test_runs_are_equal_to_the_last_bit(tmp_path: Path) -> None:
     first, second = drive.play(Report()).hash, drive.play(Report()).hash
     assert first == second
     command = [sys.executable, "-m", "thorvaldc", "sim", str(tmp_path / "scenario.yaml")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert f"result {first[:16]}" in done.stdout
+    for seed in ("1", "77"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+        )
+        assert f"result {first[:16]}" in done.stdout
     assert play(tmp_path, text.replace("seed: 2", "seed: 5"))[0].hash != first
 
 

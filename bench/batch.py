@@ -1,0 +1,127 @@
+"""Many runs: one result whatever runs it, and how fast processes and rollouts are."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from bench.figure import EXAMPLE, ROOT, Figure, python
+from thorvaldc.batch import Batch, plan_variations, processors
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime.rollouts import Rollouts
+from thorvaldc.runtime.scenario import ScenarioSimulation
+
+SCENARIO = ROOT / "examples" / "scenarios" / "field_edge.yaml"
+RUNS, SECONDS = 16, 20
+MANY = f"""thorvaldc: 1
+scenario: many
+robots: {{cart: {{robot: {EXAMPLE}}}}}
+duration: {SECONDS} s
+script: [{{at: 0, vx: 0.8 m/s, wz: 0.2 rad/s}}]
+variations: {{vary: {{world.friction: {{min: 0.5, max: 1.0}}}}, draws: {RUNS}}}
+"""
+
+
+def figures() -> Iterator[Figure]:
+    yield _repeats()
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "many.yaml")
+        path.write_text(MANY, encoding="utf-8")
+        yield from _processes(path)
+    yield from _rollouts()
+
+
+def _repeats() -> Figure:
+    """How many different hashes two runs and two other processes give."""
+    done = compile_file(SCENARIO)
+    if done.scenario is None:
+        raise SystemExit(f"{SCENARIO} does not compile")
+    simulation = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"]))
+    found = [simulation.play(Report()).hash for _ in range(2)]
+    for seed in ("1", "2"):
+        said = subprocess.run(
+            python("-m", "thorvaldc", "sim", str(SCENARIO), "--json"),
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+        )
+        found.append(json.loads(said.stdout)["hash"])
+    return Figure(
+        "results of one scenario",
+        len(set(found)),
+        "",
+        1,
+        "lower",
+        "different hashes of every number of every tick: two runs in this process, one each in"
+        f" two others with other PYTHONHASHSEEDs, of {SCENARIO.stem}",
+    )
+
+
+def _processes(path: Path) -> Iterator[Figure]:
+    variations = plan_variations(path, report=Report())
+    if variations is None:
+        raise SystemExit(f"{path} is no scenario")
+    hashes, rates = set(), []
+    for jobs in dict.fromkeys((1, processors())):
+        started = time.perf_counter()
+        runs = sorted(Batch(path, variations).runs(jobs), key=lambda run: run.number)
+        rates.append(RUNS * SECONDS / (time.perf_counter() - started))
+        hashes.add(tuple(run.result["hash"] if run.result else "" for run in runs))
+    yield Figure(
+        "results of one batch",
+        len(hashes),
+        "",
+        1,
+        "lower",
+        f"different lists of hashes of {RUNS} runs in one process and over all processors",
+    )
+    yield Figure(
+        "batch over processes",
+        rates[-1],
+        "s/s",
+        None,
+        "higher",
+        f"simulated time over time, {RUNS} runs of {SECONDS} s of 4WD4WS with driver and"
+        f" odometry, {processors()} processes; one: {rates[0]:.4g}",
+    )
+
+
+def _rollouts() -> Iterator[Figure]:
+    robot = compile_file(EXAMPLE).model
+    if not isinstance(robot, Robot):
+        raise SystemExit(f"{EXAMPLE} does not compile")
+    files = emit(robot, ["mjcf"])
+    chance = np.random.default_rng(1)
+    ticks, period = 50, 0.1
+    speeds = chance.normal(0.0, 2.0, (64, 1, len(robot.wheels))) * np.ones((1, ticks, 1))
+    rates = []
+    for threads in dict.fromkeys((1, processors())):
+        rollouts = Rollouts(robot, files, threads)
+        steps = len(speeds) * ticks * round(period / rollouts.scene.timestep)
+        rollouts.run(speeds[:2], period=period)
+        taken = []
+        for _ in range(3):
+            started = time.perf_counter()
+            rollouts.run(speeds, period=period)
+            taken.append(time.perf_counter() - started)
+        rates.append(steps / min(taken) / 1000)
+        rollouts.close()
+    yield Figure(
+        "open-loop rollouts",
+        rates[-1],
+        "k steps/s",
+        None,
+        "higher",
+        f"64 runs of 5 s of 4WD4WS at once, {processors()} threads, that is"
+        f" {rates[-1] * 5:.0f} times real time without driver; one thread: {rates[0]:.4g}",
+    )
