@@ -10,7 +10,7 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
   the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
   ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml),
-  ``port`` (opening ``bus`` for its first bus), ``scenario``,
+  ``port`` (opening ``bus`` for its first bus), ``drive`` (by its buses), ``scenario``,
   ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
   joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
   ``distance``);
@@ -104,6 +104,17 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             done.report.put(fault.diagnostic)
     if how == "bus" and isinstance(done.model, Robot):
         run_on_a_bus(done.model, done.report)
+    if how == "drive" and isinstance(done.model, Robot):
+        from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+        from thorvaldc.runtime.can_base.base import CanBase
+        from thorvaldc.runtime.faults import RuntimeFault
+
+        simulated = SimulatedRobot(done.model)
+        ports = {bus.name: simulated.client(bus.name) for bus in done.model.buses}
+        try:
+            CanBase(done.model, ports, threaded=False).close()
+        except RuntimeFault as fault:
+            done.report.put(fault.diagnostic)
     if how == "port" and isinstance(done.model, Robot):
         from thorvaldc.runtime.bus.port import open_port
         from thorvaldc.runtime.faults import RuntimeFault

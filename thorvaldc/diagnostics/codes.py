@@ -398,6 +398,8 @@ _TABLE: tuple[Code, ...] = (
     Code("TV851", "bus-fault-node", "error", "a fault is that of a device that is not there"),
     Code("TV852", "bus-fault-unsuited", "error", "a device cannot have such a fault"),
     Code("TV875", "bus-interface", "error", "the interface to a bus cannot be used", outside=True),
+    Code("TV876", "bus-driver-unknown", "error", "no driver knows how to talk to a controller"),
+    Code("TV877", "bus-motor-unconnected", "error", "a motor of the base is on no controller"),
     Code("TV890", "twist-priority-duplicate", "error", "two sources of twists have one priority"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),

@@ -46,9 +46,14 @@ class BaseHandle(abc.ABC):
     moves on to it.
     """
 
+    @property
+    def held(self) -> str:
+        """Why the base follows no commands now (it finds its home, a fault); empty: it does."""
+        return ""
+
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
-        """The joints as they are at ``now``."""
+        """The joints as they are at ``now``; NaN for what is not known."""
 
     @abc.abstractmethod
     def write(self, commands: JointCommands, now: float) -> None:

@@ -27,12 +27,14 @@ class DriveMode(enum.Enum):
     ``IDLE``: no motion asked for.  ``DRIVING``: following a command.
     ``TIMED_OUT``: the last command is too old; ramping to or standing at zero.
     ``FAULT``: the joint states cannot be used; ramping to zero.
+    ``HELD``: the base follows nobody now, and sees to its standing still itself.
     """
 
     IDLE = "idle"
     DRIVING = "driving"
     TIMED_OUT = "timed out"
     FAULT = "fault"
+    HELD = "held"
 
 
 @dataclass(slots=True)
@@ -44,7 +46,7 @@ class DriverState:
     limits and ramps, ``command`` what was made of that.  ``odometry`` is the
     mean twist since the tick before; ``pose`` its integral and
     ``pose_covariance`` that of a small motion in ``base_link``.  ``fault`` says what
-    is wrong, if anything is.
+    is wrong, if anything is, and ``held`` why the base follows nobody.
     """
 
     time: float
@@ -58,6 +60,7 @@ class DriverState:
     pose: Pose2
     pose_covariance: Cov3
     fault: str = ""
+    held: str = ""
 
 
 class BaseDriver:
@@ -117,6 +120,11 @@ class BaseDriver:
         self._asked = twist
         self._asked_at = now
         return True
+
+    def asked(self, now: float) -> Twist:
+        """The twist of the command in force at ``now``; zero where it is too old."""
+        old = now - self._asked_at > self.settings.command_timeout + _SLACK
+        return ZERO_TWIST if old else self._asked
 
     @property
     def settings(self) -> DriverSettings:
@@ -192,15 +200,19 @@ class BaseDriver:
             fault = str(bad)
             odometry.miss(now)
         self._change_over()
-        mode, asked = self._mode(now, fault)
+        held = self.base.held
+        mode, asked = self._mode(now, fault, held)
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
+        if held:
+            # It stands, or stops by itself: afterwards the ramp starts from rest.
+            self._ramped = ZERO_TWIST
         if fault:
             # What the wheels do is unknown: ramp down by the commands alone.
             self._ramped = self._ramp(ZERO_TWIST, period)
             command = self.calculator.command(self._ramped, None, period)
         else:
-            if starts:
+            if starts or held:
                 self.calculator.reset(joints)
             allowed = self.calculator.allowed(asked)
             infeasible = Twist(asked.vx - allowed.vx, asked.vy - allowed.vy, asked.wz - allowed.wz)
@@ -219,12 +231,15 @@ class BaseDriver:
             odometry.pose,
             odometry.covariance,
             fault,
+            held,
         )
         return self.state
 
     # -- parts of a tick ----------------------------------------------------------
 
-    def _mode(self, now: float, fault: str) -> tuple[DriveMode, Twist]:
+    def _mode(self, now: float, fault: str, held: str) -> tuple[DriveMode, Twist]:
+        if held:
+            return DriveMode.HELD, ZERO_TWIST
         if fault:
             return DriveMode.FAULT, ZERO_TWIST
         if now - self._asked_at > self.settings.command_timeout + _SLACK:

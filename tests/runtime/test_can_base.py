@@ -1,0 +1,85 @@
+"""The base on its simulated buses: it starts, drives and stops."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import pytest
+
+from tests.runtime.bus.robots import cia402_robot
+from tests.runtime.can_base_rig import Rig
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file
+from thorvaldc.runtime.bus.canopen import NmtState
+from thorvaldc.runtime.bus.cia402 import Cia402Drive
+from thorvaldc.runtime.bus.cia402_states import DriveState
+from thorvaldc.runtime.bus.roboteq import RoboteqController
+from thorvaldc.runtime.can_base.supervisor import State
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@functools.cache
+def example(name: str) -> Robot:
+    done = compile_file(EXAMPLES / name / "robot.yaml")
+    assert isinstance(done.model, Robot)
+    return done.model
+
+
+def four_wheels() -> Robot:
+    return example("4wd4ws_wide")
+
+
+ROBOTS = {
+    "roboteq": four_wheels,
+    "cia402": cia402_robot,
+    "two propulsions": lambda: example("2wd0ws_greenhouse"),
+    "nine wheels": lambda: example("9wd9ws"),
+}
+
+
+@pytest.mark.parametrize("make", ROBOTS.values(), ids=list(ROBOTS))
+def test_a_robot_starts_drives_stops_and_is_let_go(make: functools.partial[Robot]) -> None:
+    rig = Rig(make())
+    rig.ready()
+    names = [change.state for change in rig.runner.changes]
+    assert names == [State.INIT, State.PREOP, State.CONFIG, State.HOMING, State.READY]
+    assert rig.speed() == 0.0
+    start = rig.now
+    rig.drive(Twist(0.4, 0.0, 0.0), 4.0)
+    joints = rig.runner.driver.state.joints
+    assert joints is not None
+    pose = rig.runner.driver.state.pose
+    assert rig.speed() == pytest.approx(0.4, rel=0.02)
+    assert 1.2 < pose.x < 1.7
+    assert abs(pose.y) < 0.01
+    rig.twist = ZERO_TWIST
+    assert rig.until(lambda: rig.state is State.READY) < 2.0
+    assert rig.base.incomplete == 0
+    assert rig.runner.timing.overruns == 0
+    rig.runner.shutdown()
+    assert rig.speed() == 0.0
+    for device in rig.simulated.devices.values():
+        if isinstance(device, RoboteqController | Cia402Drive):
+            assert device.state is NmtState.PRE_OPERATIONAL
+    assert rig.now > start
+
+
+def test_the_drives_are_off_at_the_end() -> None:
+    rig = Rig(cia402_robot())
+    rig.drive()
+    rig.runner.shutdown()
+    for device in rig.simulated.devices.values():
+        if isinstance(device, Cia402Drive):
+            assert all(a.states.state is DriveState.SWITCH_ON_DISABLED for a in device.axes)
+
+
+def test_the_same_run_twice_is_the_same() -> None:
+    runs = []
+    for _ in range(2):
+        rig = Rig(four_wheels(), seed=7)
+        rig.drive(Twist(0.3, 0.2, 0.1), 1.0)
+        runs.append((rig.frames, rig.runner.driver.state.pose))
+    assert runs[0] == runs[1]
