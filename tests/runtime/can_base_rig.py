@@ -13,7 +13,6 @@ from thorvaldc.runtime.can_base.base import CanBase
 from thorvaldc.runtime.can_base.supervisor import State
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-
 FORWARD = Twist(0.5, 0.0, 0.0)
 
 

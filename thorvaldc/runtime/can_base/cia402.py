@@ -37,7 +37,6 @@ class _Motor:
         self.grace = 0
         self.started = 0
         self.homing_failed = False
-        self.handed: float | None = None
         self.pulse = False
 
     @property
@@ -107,13 +106,11 @@ class _Motor:
             if self.mode_shown == HOMING_MODE:
                 word |= START_HOMING
                 self.started += 1
-        elif mode == PROFILE_POSITION:
-            # A new set-point is taken at the rising edge of its bit.
-            self.pulse = not self.pulse and self.axis.target != self.handed
-            word |= IMMEDIATELY
-            if self.pulse:
-                word |= NEW_SET_POINT
-                self.handed = self.axis.target
+        elif mode == PROFILE_POSITION and self.mode_shown == mode:
+            # A set-point is taken at the rising edge of its bit; the same one again does no
+            # harm, and makes good for a frame that was lost.
+            self.pulse = not self.pulse
+            word |= IMMEDIATELY | (NEW_SET_POINT if self.pulse else 0)
         return word, mode
 
 
@@ -213,7 +210,7 @@ class Cia402Controller(MotorController):
         super().restarted()
         for motor in self._motors:
             motor.status, motor.mode_shown, motor.started = None, 0, 0
-            motor.homing_failed, motor.handed = False, None
+            motor.homing_failed = False
 
     def allow_reset(self) -> None:
         self.error_code = 0
@@ -230,7 +227,7 @@ class Cia402Controller(MotorController):
             follows = intent is Intent.FOLLOW and motor.enabled
             if axis.steering and not follows and math.isfinite(axis.position):
                 # Nothing old waits for it when it is enabled.
-                axis.target, motor.handed = axis.position, None
+                axis.target = axis.position
             target = axis.target if axis.steering or follows else 0.0
             values = [
                 _value(signal.name, axis.channel, word, mode, target)

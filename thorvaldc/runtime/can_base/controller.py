@@ -21,6 +21,8 @@ T = TypeVar("T")
 MASTER = "master"
 STANDING = 0.02
 """rad/s of a wheel below which it stands."""
+STRAIGHT = 0.05
+"""rad of a steering from its target within which it has come to it."""
 
 
 class Intent(enum.Enum):
@@ -186,6 +188,16 @@ class MotorController(abc.ABC):
     def settings(self) -> tuple[str, ...]:
         """The names that ``setting`` takes."""
         return ()
+
+    def straighten(self) -> None:
+        """Want the steering straight ahead, and the wheels at rest."""
+        for axis in self.axes:
+            axis.target = 0.0
+
+    @property
+    def arrived(self) -> bool:
+        """Whether every steering is where it shall be."""
+        return all(abs(a.position - a.target) < STRAIGHT for a in self.axes if a.steering)
 
     def zero_here(self) -> Message | None:
         """The frame that makes the steering's present angle 0 from the next homing on.

@@ -21,9 +21,9 @@ from thorvaldc.runtime.can_base.link import (
 
 class State(enum.Enum):
     """``INIT`` listens, ``PREOP`` gathers the nodes, ``CONFIG`` compares them with the
-    robot's file, ``HOMING`` finds the steerings' zero and powers the motors, ``READY``
-    stands, ``ACTIVE`` drives, ``STOPPING`` ramps to rest.  ``FAULT`` and ``ESTOP`` stop all at
-    once and stay until they are reset.
+    robot's file, ``HOMING`` powers the motors, finds the steerings' zero and turns them
+    straight ahead, ``READY`` stands, ``ACTIVE`` drives, ``STOPPING`` ramps to rest.  ``FAULT``
+    and ``ESTOP`` stop all at once and stay until they are reset.
     """
 
     INIT = "init"
@@ -80,6 +80,7 @@ class Supervisor:
         self._speaks = False
         self._started = False
         self._enabling: float | None = None
+        self._finds_home = False
         self._restart: list[tuple[BusLink, MotorController]] = []
         self._wants_stop = ""
 
@@ -189,7 +190,7 @@ class Supervisor:
 
     def _go(self, state: State, now: float, reason: str = "") -> None:
         self.state, self.since, self.reason = state, now, reason
-        self._enabling = None
+        self._enabling, self._finds_home = None, False
         if state in (State.INIT, State.PREOP):
             self._started = False
             for link in self.links:
@@ -318,6 +319,7 @@ class Supervisor:
     def _homing(self, now: float) -> None:
         unhomed = [c.node.name for c in self.controllers if not c.homed]
         if unhomed:
+            self._finds_home = True
             if self._late(now, self.times.home):
                 why = f"the steering does not find its home: {', '.join(unhomed)}"
                 self._go(State.FAULT, now, why)
@@ -326,10 +328,14 @@ class Supervisor:
             self._enabling = now
             for controller in self.controllers:
                 controller.hold()
-        follows = all(c.follows and c.standing for c in self.controllers)
-        if follows:
+                if self._finds_home:
+                    controller.straighten()
+        enabled = all(c.follows and c.standing for c in self.controllers)
+        if enabled and all(c.arrived for c in self.controllers):
             self._go(State.READY, now)
+        elif enabled and not self._late(now, self.times.home):
+            self._enabling = now
         elif now - self._enabling > self.times.enable:
             names = ", ".join(c.node.name for c in self.controllers if not c.follows)
-            why = f"is not enabled: {names}" if names else "the wheels do not stand"
+            why = f"is not enabled: {names}" if names else "the wheels do not come to rest"
             self._go(State.FAULT, now, why)
