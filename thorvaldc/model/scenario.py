@@ -43,12 +43,20 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of each reading: rad/s, rad and rad; drawn by ``seed``."""
+    """Errors of the sensors, drawn by ``seed``: standard deviations of each reading.
+
+    ``wheel_speed`` in rad/s, ``wheel_position`` and ``steering_angle`` in rad.  ``gyro``
+    (rad/s) is that of the yaw rate, which nobody tells for ``None``, ``gyro_bias`` (rad/s)
+    its constant error.  ``encoder_counts``: positions in whole counts of the encoders.
+    """
 
     seed: int = 0
     wheel_speed: float = 0.0
     wheel_position: float = 0.0
     steering_angle: float = 0.0
+    gyro: float | None = None
+    gyro_bias: float = 0.0
+    encoder_counts: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -183,12 +183,23 @@ class _Reader:
     def noise(self, node: Node | None) -> Noise:
         if node is None:
             return Noise()
-        seed = node.get("seed")
+        seed, counts = node.get("seed"), node.get("encoder_counts")
+        gyro = node.get("gyro") or node.get("gyro_bias")
+        if gyro is not None and not any(map(_has_imu, self.robots.values())):
+            self.report.add(
+                "scenario-imu-missing",
+                "no robot of the scenario has an IMU, and so none tells its yaw rate",
+                gyro.where,
+                hint="mount a `sensor/imu` on one of them",
+            )
         return Noise(
             seed.value if seed is not None and isinstance(seed.value, int) else 0,
             self.numbers(node, "wheel_speed", "angular_velocity", least=0.0),
             self.numbers(node, "wheel_position", "angle", least=0.0),
             self.numbers(node, "steering_angle", "angle", least=0.0),
+            self.numbers(node, "gyro", "angular_velocity", least=0.0) if gyro is not None else None,
+            self.numbers(node, "gyro_bias", "angular_velocity"),
+            counts is not None and counts.value is True,
         )
 
     def expectations(self, node: Node | None) -> Iterator[Expectation]:
@@ -208,6 +219,10 @@ class _Reader:
                     bounds.where,
                 )
             yield Expectation(metric, least, most, bounds.where)
+
+
+def _has_imu(robot: Robot) -> bool:
+    return any(sensor.type == "imu" for sensor in robot.sensors)
 
 
 def _items(node: Node | None) -> tuple[Node, ...]:

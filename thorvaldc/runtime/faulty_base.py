@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import random
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +25,7 @@ class _Told:
         self.positions = list(actual.positions or ())
         self.angles = list(actual.angles)
         self.rates = list(actual.angle_rates)
+        self.yaw_rate: float | None = None
 
 
 class FaultyBase(MujocoBase):
@@ -44,6 +46,8 @@ class FaultyBase(MujocoBase):
         super().__init__(robot, scene)
         self._faults = faults
         self._noise = noise if noise is not None and _any(noise) else None
+        self._has_gyro = any(sensor.type == "imu" for sensor in robot.sensors)
+        self._encoders = _encoders(robot) if noise is not None and noise.encoder_counts else ()
         self._wheel = {wheel.name: i for i, wheel in enumerate(robot.wheels)}
         # Each robot of a scenario has errors of its own, the same in every process.
         seed = f"{noise.seed if noise is not None else 0} {robot.namespace}"
@@ -69,7 +73,9 @@ class FaultyBase(MujocoBase):
                 told.positions[i] /= ratio
                 told.angles[i] -= self._offsets[i]
         self._disturb(told, now)
-        return JointStates(actual.time, told.speeds, told.angles, told.rates, told.positions)
+        return JointStates(
+            actual.time, told.speeds, told.angles, told.rates, told.positions, told.yaw_rate
+        )
 
     def motors(self) -> list[int]:
         """The scene's numbers of the robot's actuators."""
@@ -99,6 +105,12 @@ class FaultyBase(MujocoBase):
                 told.speeds[i] += chance.gauss(0.0, noise.wheel_speed)
                 told.positions[i] += chance.gauss(0.0, noise.wheel_position)
                 told.angles[i] += chance.gauss(0.0, noise.steering_angle)
+            if noise.gyro is not None and self._has_gyro:
+                rate = float(self.scene.data.qvel[self._base_velocity + 5])
+                told.yaw_rate = rate + noise.gyro_bias + chance.gauss(0.0, noise.gyro)
+            for i, steers, count, offset in self._encoders:
+                values = told.angles if steers else told.positions
+                values[i] = math.floor((values[i] - offset) / count) * count + offset
         for number, fault in enumerate(self._faults):
             if fault.type != "encoder_frozen":
                 continue
@@ -171,4 +183,20 @@ class FaultyBase(MujocoBase):
 
 
 def _any(noise: Noise) -> bool:
-    return max(noise.wheel_speed, noise.wheel_position, noise.steering_angle) > 0.0
+    errors = max(noise.wheel_speed, noise.wheel_position, noise.steering_angle) > 0.0
+    return errors or noise.gyro is not None or noise.encoder_counts
+
+
+def _encoders(robot: Robot) -> tuple[tuple[int, bool, float, float], ...]:
+    """Of each motor of a wheel: the wheel, whether it steers, rad a count, and its offset (rad).
+
+    An encoder has four counts a pulse, before the gear.
+    """
+    found = []
+    for i, wheel in enumerate(robot.wheels):
+        for joint, steers in ((wheel.spin_joint, False), (wheel.steering_joint, True)):
+            motor = robot.actuator_of(joint) if joint is not None else None
+            if motor is not None:
+                count = math.tau / (4.0 * motor.encoder_ppr * motor.gear_ratio)
+                found.append((i, steers, count, motor.encoder_offset))
+    return tuple(found)

@@ -96,6 +96,8 @@ def _numbers(sample: Sample, commands: JointCommands | None) -> Iterator[float]:
     if joints is not None:
         for values in (joints.speeds, joints.angles, joints.angle_rates, joints.positions or ()):
             yield from values
+        if joints.yaw_rate is not None:
+            yield joints.yaw_rate
     if commands is not None:
         yield from commands.speeds
         yield from commands.angles
