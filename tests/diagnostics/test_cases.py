@@ -13,7 +13,7 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
   ``port`` (opening ``bus`` for its first bus), ``drive`` (by its buses), ``scenario``,
   ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
   joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
-  ``distance``);
+  ``distance``), or ``replay`` (of record.csv, by the command with ``options``);
 - keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
 """
 
@@ -34,7 +34,7 @@ HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
-    *("twist", "seconds", "parameters", "record", "distance", "read_only", "bus"),
+    *("twist", "seconds", "parameters", "record", "distance", "read_only", "bus", "options"),
 }
 OWN = "neighbour_"
 
@@ -123,6 +123,12 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             open_port(case["bus"], done.model.buses[0]).close()
         except RuntimeFault as fault:
             done.report.put(fault.diagnostic)
+    if how == "replay" and isinstance(done.model, Robot):
+        from thorvaldc.cli.picturing import RunPictures
+        from thorvaldc.cli.replaying import read_enough
+
+        pictures = RunPictures(*case.get("options", [""]))
+        read_enough("record.csv", [(done.model.name, done.model)], pictures, done.report)
     if how in ("log", "calibrate") and isinstance(done.model, Robot):
         calibrate(done.model, case, done.report)
     return list(done.report)

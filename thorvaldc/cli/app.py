@@ -115,6 +115,12 @@ def sim(
             " files.",
         ),
     ] = "",
+    replay: Annotated[
+        str,
+        typer.Option(
+            "--replay", metavar="RECORD", help="Play a record back (as of --record), no physics."
+        ),
+    ] = "",
     junit: Annotated[
         str,
         typer.Option("--junit", metavar="OUT.xml", help="Write a scenario's report as JUnit XML."),
@@ -210,6 +216,7 @@ def sim(
         scenario,
         record,
         junit,
+        replay,
         Varying(set, variations, draws, seed, jobs, output),
     )
 

@@ -14,12 +14,13 @@ import typer
 from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, message
+from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.runtime.meter import Meter, Sample
     from thorvaldc.runtime.pictures.video import Film
-    from thorvaldc.runtime.simulation import Simulation
+    from thorvaldc.runtime.replay import Replay
 
 T = TypeVar("T")
 
@@ -147,15 +148,29 @@ class RunPictures:
         if self._film is not None and meter.scene is not None:
             self._film.watch(meter.scene)
 
+    def replay(self, samples: Mapping[str, Sequence[Sample]], show: Replay | None) -> None:
+        """Take samples that were recorded in place of a run; ``show`` places them in a scene."""
+        self._samples = {name: list(of) for name, of in samples.items()}
+        if self._film is not None and show is not None:
+            for _ in show.times(self._film.rate):
+                self._film.keep(show.scene)
+
     def write(
-        self, model: Robot | Fleet, simulation: Simulation, files: Mapping[str, bytes] | None
+        self,
+        model: Robot | Fleet,
+        robots: Sequence[tuple[str, Robot]],
+        files: Mapping[str, bytes] | None,
     ) -> None:
         with outside_errors():
             if self.plot:
                 from thorvaldc.runtime.pictures.plot import plot
 
-                plot(dict(simulation.robots), self._samples, self.plot, model.name)
+                plot(dict(robots), self._samples, self.plot, model.name)
                 message(self.plot)
             if self._film is not None and files is not None:
-                self._film.write(files, Path(self.video))
+                progress = Progress(len(self._film), "pictures", self.video)
+                try:
+                    self._film.write(files, Path(self.video), drawn=progress.show)
+                finally:
+                    progress.clear()
                 message(self.video)

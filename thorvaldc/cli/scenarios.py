@@ -68,7 +68,7 @@ def run_scenario(
         Path(junit).write_bytes(junit_report(result, said))
     if record:
         message(recorded(record, robots))
-    pictures.write(scenario.fleet, simulation, files)
+    pictures.write(scenario.fleet, robots, files)
     return faults.finish()
 
 

@@ -67,12 +67,14 @@ def simulate(
     scenario: str = "",
     record: str = "",
     junit: str = "",
+    replay: str = "",
     varying: Varying | None = None,
 ) -> int:
     """One twist for a time, or without a twist the manoeuvre that suits the robot.
 
     A scenario is run where ``file`` is one, or by the robot of ``file`` where it is
-    named beside.  The joint states go to ``log`` where it is named.
+    named beside.  The joint states go to ``log`` where it is named.  With ``replay`` nothing is
+    simulated: it is a record, which goes through the same outputs.
     """
     seconds = _seconds(duration) if duration else 0.0
     given: dict[str, str | bool]
@@ -90,6 +92,7 @@ def simulate(
             given = {"--duration": duration, "--twist": twist, "--parameters": parameters}
             given |= {"--record": record, "--junit": junit, "--log": log, "--plot": plot}
             given |= {"--video": video, "--ideal": ideal, "--open-loop": open_loop}
+            given |= {"--replay": replay}
             _refuse(given, f"this is for one run, and there are {found.size}")
             return run_batch(name, found, robot, library, varying.jobs, varying.output, json)
         changes = single
@@ -97,6 +100,13 @@ def simulate(
     done = compile_one(scenario or file, library, robot, changes)
     if done.model is None:
         return INPUT
+    if replay:
+        given = {"--duration": duration, "--twist": twist, "--log": log, "--junit": junit}
+        given |= {"--parameters": parameters, "--ideal": ideal, "--open-loop": open_loop}
+        _refuse(given, "a record is played as it is")
+        from thorvaldc.cli.replaying import replay as play_back
+
+        return play_back(done, replay, pictures, record, json)
     if done.scenario is not None:
         given = {"--duration": duration, "--twist": twist, "--parameters": parameters}
         given |= {"--ideal": ideal, "--open-loop": open_loop}
@@ -150,7 +160,7 @@ def simulate(
     faults.add(done.located(report), done.sources)
     if record:
         message(recorded(record, simulation.robots))
-    pictures.write(done.model, simulation, files)
+    pictures.write(done.model, simulation.robots, files)
     return faults.finish()
 
 

@@ -21,6 +21,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
+from thorvaldc.runtime.table import cell_span, load_text, number
 
 if TYPE_CHECKING:
     from thorvaldc.runtime.meter import Meter
@@ -126,7 +127,7 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
 
     All that is wrong with it goes to ``report``, with the line and column.
     """
-    text = _load(path, display, report)
+    text = load_text(path, display, report)
     if text is None:
         return None
     lines = text.split("\n")
@@ -152,28 +153,11 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     return JointLog(times, positions, velocities, commands, angles)
 
 
-def _load(path: Path, display: str, report: Report) -> str | None:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        report.add("file-not-found", f"`{display}` does not exist", Span(display))
-    except IsADirectoryError:
-        report.add(
-            "file-is-a-directory", f"`{display}` is a folder; a file is wanted", Span(display)
-        )
-    except UnicodeDecodeError:
-        report.add("file-unreadable", f"`{display}` is not UTF-8 text", Span(display))
-    except (OSError, ValueError) as fault:
-        reason = (fault.strerror if isinstance(fault, OSError) else None) or str(fault)
-        report.add("file-unreadable", f"`{display}` cannot be read: {reason}", Span(display))
-    return None
-
-
 def _header(line: str, display: str, report: Report) -> list[str] | None:
     names = [name.strip() for name in line.split(",")]
     wrong = False
     for i, name in enumerate(names):
-        span = _cell(display, 1, line, i)
+        span = cell_span(display, 1, line, i)
         joint, _, quantity = name.rpartition(".")
         if name in names[:i]:
             report.add("joint-log-header", f"two columns are called `{name}`", span)
@@ -206,7 +190,7 @@ def _joints_fit(header: Sequence[str], display: str, robot: Robot, report: Repor
         report.add(
             "joint-log-joint",
             f"none of the log's {len(logged)} joints is a joint of {robot.name}",
-            _cell(display, 1, line, 1),
+            cell_span(display, 1, line, 1),
             hint=f"is it the log of another robot? {robot.name} has {', '.join(needed[:3])} ..",
         )
         return False
@@ -217,7 +201,7 @@ def _joints_fit(header: Sequence[str], display: str, robot: Robot, report: Repor
             report.add(
                 "joint-log-joint",
                 f"{robot.name} has no joint `{joint}`",
-                _cell(display, 1, line, first),
+                cell_span(display, 1, line, first),
                 hint=did_you_mean(joint, needed, "is it the log of another robot?"),
             )
             fits = False
@@ -243,7 +227,7 @@ def _values(
     faults = 0
     before = -math.inf
     clock = list(header).index(TIME)
-    for number, raw in enumerate(lines[1:], start=2):
+    for count, raw in enumerate(lines[1:], start=2):
         line = raw.rstrip("\r")
         if not line.strip():
             continue
@@ -252,24 +236,24 @@ def _values(
             report.add(
                 "joint-log-value",
                 f"the line has {len(cells)} values; the header has {len(header)} columns",
-                Span(display, number, 1, number, len(line) + 1),
+                Span(display, count, 1, count, len(line) + 1),
             )
             faults += 1
         else:
-            row = [_number(cell) for cell in cells]
+            row = [number(cell) for cell in cells]
             bad = next((i for i, value in enumerate(row) if not math.isfinite(value)), None)
             if bad is not None:
                 report.add(
                     "joint-log-value",
                     f"`{cells[bad].strip()}` in column {header[bad]} is not a finite number",
-                    _cell(display, number, line, bad),
+                    cell_span(display, count, line, bad),
                 )
                 faults += 1
             elif not row[clock] > before:
                 report.add(
                     "joint-log-time",
                     f"the time goes from {before:.10g} s to {row[clock]:.10g} s",
-                    _cell(display, number, line, clock),
+                    cell_span(display, count, line, clock),
                     hint="a log is of one run, in order of time; split runs into files",
                 )
                 faults += 1
@@ -283,14 +267,6 @@ def _values(
     return {name: [row[i] for row in rows] for i, name in enumerate(header)}
 
 
-def _number(cell: str) -> float:
-    try:
-        # Python would take 1_000 as well.
-        return math.nan if "_" in cell else float(cell)
-    except ValueError:
-        return math.nan
-
-
 def _tell_gaps(times: Sequence[float], display: str, report: Report) -> None:
     gaps = [(a, b) for a, b in pairwise(times) if b - a > LONGEST_INTERVAL]
     if gaps:
@@ -302,11 +278,3 @@ def _tell_gaps(times: Sequence[float], display: str, report: Report) -> None:
             Span(display, 1, 1, 1, 1),
             hint="what the robot did in between is left out",
         )
-
-
-def _cell(display: str, line: int, text: str, index: int) -> Span:
-    """The span of a cell of a line."""
-    cells = text.split(",")
-    start = sum(len(cell) + 1 for cell in cells[:index]) + 1
-    end = start + len(cells[index]) if index < len(cells) else start
-    return Span(display, line, start, line, end)

@@ -35,8 +35,8 @@ from thorvaldc.runtime.sim_base import SimBase
 class SimulationResult:
     """A run: what was asked for and simulated, in s, and each robot's part.
 
-    ``physics`` is ``mujoco`` or ``ideal``; ``real_time_factor`` simulated time
-    over the time it took.
+    ``physics`` is ``mujoco``, ``ideal`` or of one played back ``record``;
+    ``real_time_factor`` simulated time over the time it took.
     """
 
     physics: str
@@ -308,7 +308,7 @@ def run_demo(build: Path, report: Report) -> list[DemoRow]:
 
 
 def demo_table(rows: Sequence[DemoRow]) -> str:
-    """The rows as aligned text with a heading; lengths in m, mass in kg."""
+    """The rows as aligned text with a heading; lengths in m, mass in kg; `-` for nan."""
     head = (
         "robot",
         "mass",
@@ -327,11 +327,11 @@ def demo_table(rows: Sequence[DemoRow]) -> str:
                 run.name,
                 f"{run.mass:.1f} kg",
                 f"{run.wheels}: {run.driven}/{run.steered}",
-                f"{run.path_commanded:.3f} m",
-                f"{run.path_true:.3f} m",
-                f"{run.path_odometry:.3f} m",
-                f"{run.end_error * 1000:.1f} mm",
-                f"{row.real_time_factor:.0f}x",
+                _cell(f"{run.path_commanded:.3f} m"),
+                _cell(f"{run.path_true:.3f} m"),
+                _cell(f"{run.path_odometry:.3f} m"),
+                _cell(f"{run.end_error * 1000:.1f} mm"),
+                _cell(f"{row.real_time_factor:.0f}x"),
             )
         )
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
@@ -342,3 +342,7 @@ def demo_table(rows: Sequence[DemoRow]) -> str:
         ).rstrip()
         for line in lines
     )
+
+
+def _cell(text: str) -> str:
+    return "-" if text.startswith("nan") else text

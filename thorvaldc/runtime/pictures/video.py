@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +50,15 @@ class Film:
     def watch(self, scene: MujocoScene) -> None:
         """Keep where everything is, if it is time for a picture.  Call it at each tick."""
         if scene.time >= len(self._positions) / self.rate - 1e-9:
-            self._positions.append(scene.data.qpos.copy())
+            self.keep(scene)
+
+    def keep(self, scene: MujocoScene) -> None:
+        """Keep where everything is, for the next picture."""
+        self._positions.append(scene.data.qpos.copy())
+
+    def __len__(self) -> int:
+        """How many pictures there will be."""
+        return len(self._positions)
 
     def write(
         self,
@@ -58,15 +66,16 @@ class Film:
         path: Path,
         size: tuple[int, int] | None = None,
         view: View | None = None,
+        drawn: Callable[[float], None] | None = None,
     ) -> None:
         """Draw the scene of ``files`` (the ``mjcf`` outputs) at those positions, to MP4 or GIF.
 
-        The camera follows the robots.  A file that is there is replaced when the new one is
-        whole.  Raises ``PictureError`` and ``OSError``.
+        The camera follows the robots; ``drawn`` is told how many pictures are.  A file that is
+        there is replaced when the new one is whole.  Raises ``PictureError`` and ``OSError``.
         """
         kind = path.suffix.lower().lstrip(".")
         size = size or SIZES[kind]
-        pictures = self._pictures(files, size, view or View())
+        pictures = self._pictures(files, size, view or View(), drawn)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         os.close(handle)
         try:
@@ -82,7 +91,11 @@ class Film:
             raise
 
     def _pictures(
-        self, files: Mapping[str, bytes], size: tuple[int, int], view: View
+        self,
+        files: Mapping[str, bytes],
+        size: tuple[int, int],
+        view: View,
+        drawn: Callable[[float], None] | None,
     ) -> Iterator[Any]:
         """Arrays (height, width, 3) of bytes."""
         import numpy as np
@@ -102,11 +115,15 @@ class Film:
         # Near enough for the moment at which the robots are furthest apart, and steady.
         distance = max(camera.distance for camera in cameras)
         with renderer(scene, size, np.array(limits)) as drawing:
-            for position, camera in zip(self._positions, cameras, strict=True):
+            for number, (position, camera) in enumerate(
+                zip(self._positions, cameras, strict=True), start=1
+            ):
                 self._place(scene, position)
                 camera.distance = distance
                 drawing.update_scene(scene.data, camera)
                 yield drawing.render()
+                if drawn is not None:
+                    drawn(number)
 
     def _place(self, scene: MujocoScene, position: Any) -> None:
         scene.data.qpos[:] = position

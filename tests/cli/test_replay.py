@@ -1,0 +1,166 @@
+"""``sim --replay``: what was recorded goes through the outputs of a run."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.conftest import Command
+from thorvaldc.diagnostics import Report
+from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime.mujoco_base import MujocoScene
+from thorvaldc.runtime.recorded import read_record
+from thorvaldc.runtime.replay import Replay
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+FLEET = str(EXAMPLES / "fleet_of_four/fleet.yaml")
+SLIM = str(EXAMPLES / "4wd4ws_slim/robot.yaml")
+SCENARIO = f"""thorvaldc: 1
+scenario: bumps
+robots: {{cart: {{robot: {SLIM}, xyz: [1, 2, 0], yaw: 2}}}}
+duration: 3 s
+world: {{ground: {{type: rough, amplitude: 40 mm, seed: 3, size: [20, 20]}}}}
+script: [{{at: 0, vx: 0.8 m/s, wz: 0.4 rad/s}}]
+"""
+
+
+@pytest.fixture
+def recorded(thorvaldc: Command, tmp_path: Path) -> dict[str, Any]:
+    """A run of s.yaml with its records a.mcap and a.csv; its result."""
+    Path("s.yaml").write_text(SCENARIO)
+    run = thorvaldc("sim", "s.yaml", "--record", "a.csv", "--json")
+    assert thorvaldc("sim", "s.yaml", "--record", "a.mcap").status == run.status == 0
+    result: dict[str, Any] = json.loads(run.out)
+    return result
+
+
+@pytest.mark.parametrize("record", ["a.mcap", "a.csv"])
+def test_a_record_tells_what_the_run_did(
+    thorvaldc: Command, recorded: dict[str, Any], record: str
+) -> None:
+    done = thorvaldc("sim", "s.yaml", "--replay", record, "--json")
+    assert done.status == 0, done.err
+    played = json.loads(done.out)
+    assert (played["physics"], played["simulated"]) == ("record", 3.0)
+    (before,), (after,) = recorded["run"]["robots"], played["robots"]
+    for key in ("path_true", "path_odometry", "end_error", "yaw_error", "largest_tilt"):
+        assert after[key] == pytest.approx(before[key], rel=1e-4, abs=1e-7), key
+    for pose in ("pose_true", "pose_odometry"):
+        assert after[pose] == pytest.approx(before[pose], abs=1e-6)
+
+
+def test_records_are_turned_into_one_another_without_loss(
+    thorvaldc: Command, recorded: dict[str, Any]
+) -> None:
+    assert thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--record", "b.csv").status == 0
+    assert Path("b.csv").read_bytes() == Path("a.csv").read_bytes()
+
+
+@pytest.mark.parametrize("record", ["a.mcap", "a.csv"])
+def test_robots_stand_where_they_stood(
+    thorvaldc: Command, recorded: dict[str, Any], record: str
+) -> None:
+    """Every wheel is on the bumpy ground again, as deep as it was while it drove."""
+    done = compile_file("s.yaml")
+    assert done.scenario is not None
+    fleet = done.scenario.fleet
+    robots = [(p.name, p.robot) for p in fleet.placements]
+    report = Report()
+    runs = read_record(Path(record), robots, report)
+    assert runs is not None, [d.message for d in report]
+    scene = MujocoScene(emit(fleet, ["mjcf"], report))
+    seen = []
+    replay = Replay(scene, robots, runs)
+    for time in replay.times(2.0):
+        sample = max((s for s in runs["cart"].samples if s.time <= time), key=lambda s: s.time)
+        position = scene.data.qpos[:7].tolist()
+        assert position[:3] == pytest.approx([*sample.pose_true[:2], sample.posture[0]])
+        touching = {int(c.geom[1]) for c in scene.data.contact[: scene.data.ncon]}
+        seen.append(len(touching))
+    assert len(seen) == 7
+    assert min(seen) >= 3
+    heights = [sample.posture[0] for sample in runs["cart"].samples]
+    assert max(heights) - min(heights) > 0.005
+    joint = scene.index("joint", "cart/fl_steering_joint", robots[0][1])
+    joints = runs["cart"].samples[-1].joints
+    assert joints is not None
+    assert scene.data.qpos[scene.model.jnt_qposadr[joint]] == pytest.approx(joints.angles[0])
+    assert abs(joints.angles[0]) > 0.1
+
+
+def test_plots_and_films_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any]) -> None:
+    thorvaldc("sim", "s.yaml", "--plot", "run.svg")
+    done = thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--plot", "p.svg", "--video", "v.gif")
+    assert done.status == 0, done.err
+    assert done.err.split() == ["p.svg", "v.gif"]
+    # The same lines but for the last digits of headings, which went through quaternions.
+    played, run = Path("p.svg").read_text().split(), Path("run.svg").read_text().split()
+    assert len(played) == len(run)
+    assert sum(a != b for a, b in zip(played, run, strict=True)) < len(run) / 100
+    from PIL import Image
+
+    with Image.open("v.gif") as film:
+        assert getattr(film, "n_frames", 1) == math.floor(3 * 12.5) + 1
+
+
+def test_fleets_are_played_from_a_folder_and_a_file(thorvaldc: Command, tmp_path: Path) -> None:
+    short = ["--twist", "0.5,0,0", "--duration", "1"]
+    tables = []
+    for record in ("all", "all.mcap"):
+        assert thorvaldc("sim", FLEET, *short, "--record", record).status == 0
+        done = thorvaldc("sim", FLEET, "--replay", record)
+        assert done.status == 0, done.err
+        tables.append(done.out)
+    assert tables[0] == tables[1]
+    Path("all/six.csv").unlink()
+    done = thorvaldc("sim", FLEET, "--replay", "all")
+    assert done.status == 1
+    assert "`all` has no robot six" in done.err
+
+
+def test_of_what_was_not_recorded_there_is_a_dash(thorvaldc: Command, tmp_path: Path) -> None:
+    Path("s.yaml").write_text(SCENARIO + "record: {what: [odometry]}\n")
+    for record in ("a.csv", "a.mcap"):
+        assert thorvaldc("sim", "s.yaml", "--record", record).status == 0
+        done = thorvaldc("sim", "s.yaml", "--replay", record)
+        assert done.status == 0, done.err
+        assert done.out.splitlines()[1].split()[-6:-4] == ["-", "-"]
+        assert done.out.splitlines()[1].split()[-2:] == ["-", "-"]
+
+
+def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path) -> None:
+    assert thorvaldc("sim", SLIM, "--twist", "0.5,0,0", "--record", "a.mcap").status == 0
+    whole = Path("a.mcap").read_bytes()
+    broken = bytearray(whole)
+    broken[len(whole) // 2 : len(whole) // 2 + 64] = bytes(64)
+    for name, content, said in (
+        ("cut", whole[: len(whole) // 2], "mcap recover"),
+        ("broken", bytes(broken), "mcap recover"),
+        ("empty", b"", "seems to be empty"),
+        ("other", b"no bag at all", "cannot be read as a bag"),
+    ):
+        path = Path(f"{name}.mcap")
+        path.write_bytes(content)
+        done = thorvaldc("sim", SLIM, "--replay", str(path))
+        assert (done.status, done.out) == (1, ""), name
+        assert "error[TV821]" in done.err
+        assert said in done.err
+    done = thorvaldc("sim", SLIM, "--replay", "none.mcap")
+    assert done.status == 1
+    assert "does not exist" in done.err
+    other = str(EXAMPLES / "6wd6ws/robot.yaml")
+    done = thorvaldc("sim", other, "--replay", "a.mcap")
+    assert done.status == 1
+    assert "error[TV822]" in done.err
+    assert "is it the record of another robot?" in done.err
+
+
+def test_a_record_has_its_own_length_and_motion(thorvaldc: Command, tmp_path: Path) -> None:
+    for option in ("--twist", "--duration", "--log", "--parameters", "--junit"):
+        done = thorvaldc("sim", SLIM, "--replay", "a.mcap", option, "1")
+        assert done.status == 2
+        assert option in done.err
