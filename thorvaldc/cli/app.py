@@ -354,6 +354,68 @@ def view(
     return view_file(file, output, html, library)
 
 
+@app.command(cls=LightCommand)
+@guarded
+def teleop(
+    file: Annotated[
+        str, typer.Argument(metavar="[FILE]", help="A robot.yaml.", show_default=False)
+    ] = "",
+    on: Annotated[
+        str,
+        typer.Option(
+            "--on",
+            metavar="WHAT",
+            help="sim: MuJoCo; ideal: ideal joints.",
+        ),
+    ] = "sim",
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to", metavar="NAME", help="Drive a robot whose driver is run by that name."
+        ),
+    ] = "",
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name",
+            metavar="NAME",
+            help="Name of this driver's control channel.",
+            show_default="the robot's",
+        ),
+    ] = "",
+    source: Annotated[
+        str,
+        typer.Option("--source", metavar="SOURCE", help="The source of twists that this is."),
+    ] = "teleop_joy",
+    speed: Annotated[
+        str, typer.Option("--speed", metavar="PERCENT", help="Of the top speed, to start with.")
+    ] = "50%",
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Drive a robot by hand, from the keyboard of a terminal."""
+    from thorvaldc.cli.teleoperating import teleoperate
+
+    return teleoperate(file, on, to, name, source, speed, library)
+
+
+@app.command(cls=LightCommand)
+@guarded
+def call(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the driver that is run.")],
+    service: Annotated[
+        str, typer.Argument(metavar="[SERVICE]", help="Without one, they are listed.")
+    ] = "",
+    arguments: Annotated[
+        list[str], typer.Argument(metavar="[ARGUMENT=VALUE]...", help="Values as in JSON, or text.")
+    ] = [],  # noqa: B006
+    json: Json = False,
+) -> int:
+    """Call a service of a running driver: its state, a stop, parameters, an output."""
+    from thorvaldc.cli.teleoperating import call_service
+
+    return call_service(name, service, arguments, json)
+
+
 @app.command("import", cls=LightCommand)
 @guarded
 def import_(

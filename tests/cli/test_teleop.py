@@ -1,0 +1,215 @@
+"""``teleop`` on a terminal of its own, and ``call`` beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.conftest import GOOD, Command
+
+PATIENCE = 20.0
+
+
+class Teleop:
+    """The command with a person at its terminal."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.ours, self.theirs = pty.openpty()
+        self.before = termios.tcgetattr(self.theirs)
+        self.shown = ""
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "thorvaldc", "teleop", *arguments],
+            cwd=folder,
+            stdin=self.theirs,
+            stdout=self.theirs,
+            stderr=self.theirs,
+            start_new_session=True,
+            # As a shell does: Ctrl-C and a hang-up reach the process by its terminal.
+            preexec_fn=lambda: os.close(os.open(os.ttyname(0), os.O_RDWR)),
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm"},
+        )
+
+    def read(self, seconds: float = 0.05) -> None:
+        while select.select([self.ours], [], [], seconds)[0]:
+            try:
+                data = os.read(self.ours, 65536)
+            except OSError:
+                return
+            if not data:
+                return
+            self.shown += data.decode("utf-8", "replace")
+
+    def until(self, text: str) -> None:
+        """Wait until it is shown after what was waited for before."""
+        limit = time.monotonic() + PATIENCE
+        while text not in self.shown:
+            assert time.monotonic() < limit, self.shown[-800:]
+            assert self.process.poll() is None, self.shown[-800:]
+            self.read()
+        self.shown = self.shown.partition(text)[2]
+
+    def type(self, text: str) -> None:
+        os.write(self.ours, text.encode())
+
+    def end(self) -> int:
+        """Its status; the terminal is as it was."""
+        limit = time.monotonic() + PATIENCE
+        while self.process.poll() is None:
+            assert time.monotonic() < limit, "it does not end"
+            self.read()
+        self.read()
+        assert termios.tcgetattr(self.theirs) == self.before
+        assert "\x1b[?25h" in self.shown
+        return self.process.returncode
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for fd in (self.ours, self.theirs):
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+    (tmp_path / "good.yaml").write_text(GOOD)
+    with tempfile.TemporaryDirectory(prefix="tv") as sockets:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", sockets)
+        yield tmp_path
+
+
+@pytest.fixture
+def teleop(folder: Path) -> Iterator[Teleop]:
+    running = Teleop(folder, "good.yaml", "--on", "ideal")
+    running.until("drives: nobody")
+    yield running
+    running.close()
+
+
+def state(thorvaldc: Command, name: str = "good") -> dict[str, Any]:
+    done = thorvaldc("call", name, "state", "--json")
+    assert done.status == 0, done.err
+    found = json.loads(done.out)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_keys_drive_and_a_service_is_called_beside(
+    teleop: Teleop, thorvaldc: Command, folder: Path
+) -> None:
+    teleop.type("9")
+    for _ in range(25):
+        teleop.type("i")
+        time.sleep(0.04)
+    teleop.until("drives: teleop_joy")
+    assert state(thorvaldc)["pose"]["x"] > 0.3
+    assert thorvaldc("call", "good", "safety-stop").status == 0
+    teleop.until("locked: safety_stop")
+    assert state(thorvaldc)["locks"] == ["safety_stop"]
+    assert thorvaldc("call", "good", "reset_odometry").status == 0
+    refused = thorvaldc("call", "good", "twist", "source=auto_nav", "vx=fast")
+    assert (refused.status, refused.err) == (
+        1,
+        "error: `vx` is 'fast'; a number is wanted\n",
+    )
+    listed = thorvaldc("call", "good").out
+    assert "twist source=... [vx=...] [vy=...] [wz=...]\n" in listed
+    assert "pose: x " in thorvaldc("call", "good", "state").out
+    taken = thorvaldc("teleop", "good.yaml")
+    assert taken.status == 3  # and it has no terminal here
+    teleop.type("q")
+    assert teleop.end() == 0
+    assert thorvaldc("call", "good", "state").status == 3
+
+
+@pytest.mark.parametrize("way", ["ctrl-c", "terminate", "hang-up"])
+def test_the_terminal_is_put_back(teleop: Teleop, way: str) -> None:
+    teleop.type("i")
+    teleop.until("drives: teleop_joy")
+    if way == "ctrl-c":
+        teleop.type("\x03")
+    else:
+        teleop.process.send_signal(signal.SIGTERM if way == "terminate" else signal.SIGHUP)
+    assert teleop.end() == 0
+    assert "Traceback" not in teleop.shown
+
+
+def test_one_drives_what_another_runs(teleop: Teleop, folder: Path, thorvaldc: Command) -> None:
+    other = Teleop(folder, "--to", "good", "--source", "auto_nav", "--speed", "100")
+    try:
+        other.until("drives: nobody")
+        other.type("j")
+        other.until("drives: auto_nav")
+        teleop.until("drives: auto_nav")
+        assert state(thorvaldc)["asked"]["wz"] > 0.5
+        teleop.type("q")
+        teleop.end()
+        limit = time.monotonic() + PATIENCE
+        while other.process.poll() is None and time.monotonic() < limit:
+            other.read()
+        assert other.end() == 3
+        assert "error: the driver `good` has ended" in other.shown
+    finally:
+        other.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        ((), 2, "name a robot's FILE"),
+        (("good.yaml", "--to", "x"), 2, "name a robot's FILE"),
+        (("good.yaml", "--speed", "fast"), 2, "'fast' is no share of the top speed"),
+        (("good.yaml", "--speed", "120"), 2, "from 5 to 100 %"),
+        (("good.yaml",), 3, "the keyboard needs a terminal"),
+    ],
+)
+def test_what_is_said_of_a_wrong_call(
+    thorvaldc: Command, arguments: tuple[str, ...], status: int, said: str
+) -> None:
+    done = thorvaldc("teleop", *arguments)
+    assert done.status == status
+    assert said in " ".join(done.err.replace("│", " ").split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (("--on", "sky"), 2, "'sky' is none of sim, ideal"),
+        (("--source", "me"), 2, "it has teleop_joy, auto_nav"),
+    ],
+)
+def test_what_is_said_on_a_terminal(
+    folder: Path, arguments: tuple[str, ...], status: int, said: str
+) -> None:
+    running = Teleop(folder, "good.yaml", *arguments)
+    try:
+        running.process.wait(PATIENCE)
+        running.read()
+        assert running.process.returncode == status
+        assert said in " ".join(running.shown.replace("│", " ").split())
+        assert termios.tcgetattr(running.theirs) == running.before
+    finally:
+        running.close()
+
+
+def test_call_where_nothing_is_run(folder: Path, thorvaldc: Command) -> None:
+    done = thorvaldc("call", "nobody", "state")
+    assert done.status == 3
+    assert done.err.startswith("error: no driver is run at ")
+    assert done.err.count("\n") == 1
+    assert thorvaldc("call", "nobody", "state", "novalue").status == 2

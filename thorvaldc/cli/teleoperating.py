@@ -1,0 +1,234 @@
+"""``teleop`` and ``call``: a robot driven by hand, and the services of a running driver."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json as json_format
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from thorvaldc.cli.compiling import compile_one
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.faults import Faults, finite, message
+
+if TYPE_CHECKING:
+    from thorvaldc.model import Robot
+    from thorvaldc.runtime.teleop.vehicle import Vehicle
+
+SIMULATIONS = ("sim", "ideal")
+
+
+def teleoperate(
+    file: str,
+    on: str,
+    to: str,
+    name: str,
+    source: str,
+    speed: str,
+    library: Sequence[str],
+) -> int:
+    """Until the operator quits, or the process is interrupted, terminated or hung up."""
+    if bool(file) == bool(to):
+        raise typer.BadParameter("name a robot's FILE, or a driver that is run by --to NAME")
+    share = _share(speed)
+    if not sys.stdin.isatty():
+        raise OutsideError("the keyboard needs a terminal, and standard input is none")
+    gc.enable()
+    with _ending() as ended:
+        try:
+            vehicle = _remote(to) if to else _local(file, on, name, library)
+        except _NotCompiled:
+            return INPUT
+        try:
+            _check_source(source, vehicle.description)
+            _drive(vehicle, source, share, ended)
+        except ConnectionError as fault:
+            raise OutsideError(str(fault)) from None
+        finally:
+            vehicle.close()
+    return DONE
+
+
+class _NotCompiled(Exception):
+    """The faults have been told."""
+
+
+def _local(file: str, on: str, name: str, library: Sequence[str]) -> Vehicle:
+    from thorvaldc.model import Robot
+
+    done = compile_one(file, library)
+    if done.model is None:
+        raise _NotCompiled
+    if not isinstance(done.model, Robot):
+        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.runtime.faults import RuntimeFault
+
+    try:
+        if on in SIMULATIONS:
+            return _simulated(done.model, on, name or done.model.name)
+        raise typer.BadParameter(f"{on!r} is none of {', '.join(SIMULATIONS)}", param_hint="'--on'")
+    except RuntimeFault as fault:
+        report = Report()
+        report.put(fault.diagnostic)
+        faults = Faults("text", sys.stderr)
+        faults.add(done.located(report), done.sources)
+        raise typer.Exit(faults.finish()) from None
+
+
+def _simulated(robot: Robot, on: str, name: str) -> Vehicle:
+    from thorvaldc.pipeline import emit
+    from thorvaldc.runtime.base import BaseHandle
+    from thorvaldc.runtime.driver import BaseDriver
+    from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+    from thorvaldc.runtime.sim_base import SimBase
+    from thorvaldc.runtime.teleop.vehicle import SimulatedVehicle
+
+    base: BaseHandle = SimBase(robot)
+    if on == "sim":
+        base = MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"])))
+    try:
+        return SimulatedVehicle(BaseDriver(robot, base), name)
+    except OSError as fault:
+        raise OutsideError(f"{fault}; --name gives this one another name") from None
+
+
+def _remote(name: str) -> Vehicle:
+    from thorvaldc.runtime.control.client import ControlClient
+    from thorvaldc.runtime.teleop.vehicle import RemoteVehicle
+
+    return RemoteVehicle(ControlClient(name))
+
+
+def _drive(vehicle: Vehicle, source: str, share: float, ended: Callable[[], bool]) -> None:
+    from thorvaldc.runtime.teleop.keyboard import HELP, Keyboard
+    from thorvaldc.runtime.teleop.operate import operate
+    from thorvaldc.runtime.teleop.operator import Limits
+    from thorvaldc.runtime.teleop.terminal import Terminal
+
+    described = vehicle.description
+    print(f"{described['robot']}, as {source}\n{HELP}\n", flush=True)
+    with Terminal(sys.stdin, sys.stdout) as terminal:
+        operator = Keyboard(Limits.of(described), terminal.read, share)
+        operate(vehicle, operator, source, terminal.show, ended)
+
+
+def _check_source(source: str, description: dict[str, Any]) -> None:
+    known = description["sources"]
+    if source not in known:
+        raise typer.BadParameter(
+            f"the robot has no source {source!r}; it has {', '.join(known)}",
+            param_hint="'--source'",
+        )
+
+
+def _share(text: str) -> float:
+    from thorvaldc.runtime.teleop.operator import SMALLEST_SHARE
+
+    try:
+        number = float(text.rstrip("% ")) / 100
+    except ValueError:
+        number = 0.0
+    if not SMALLEST_SHARE <= number <= 1.0:
+        raise typer.BadParameter(
+            f"{text!r} is no share of the top speed from {SMALLEST_SHARE * 100:.0f} to 100 %",
+            param_hint="'--speed'",
+        )
+    return number
+
+
+@contextlib.contextmanager
+def _ending() -> Iterator[Callable[[], bool]]:
+    """Whether an orderly end was asked for; a second Ctrl-C does not wait for it."""
+    asked: list[int] = []
+    before = {}
+
+    def handle(number: int, frame: object) -> None:
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        before[number] = signal.signal(number, handle)
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# -- call ---------------------------------------------------------------------------------------
+
+
+def call_service(name: str, service: str, given: Sequence[str], json: bool) -> int:
+    """One call of a running driver; without a service, a list of those there are."""
+    from thorvaldc.runtime.control.client import ControlClient
+    from thorvaldc.runtime.control.services import ServiceError
+
+    arguments = dict(_argument(text) for text in given)
+    client = ControlClient(name)
+    try:
+        found = client.call(service or "services", **arguments)
+    except ServiceError as fault:
+        message(f"error: {fault}")
+        return INPUT
+    except ConnectionError as fault:
+        raise OutsideError(str(fault)) from None
+    finally:
+        client.close()
+    if json:
+        print(json_format.dumps(finite(found), indent=1, ensure_ascii=False))
+    elif service:
+        _show(found)
+    else:
+        _show_services(found)
+    return DONE
+
+
+def _argument(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise typer.BadParameter(f"{text!r} is not NAME=VALUE", param_hint="ARGUMENTS")
+    try:
+        return name, json_format.loads(value)
+    except ValueError:
+        return name, value
+
+
+def _show(found: Any, indent: str = "") -> None:
+    if not isinstance(found, dict):
+        if found is not None:
+            print(f"{indent}{_text(found)}")
+        return
+    for key, value in found.items():
+        if isinstance(value, dict) and any(isinstance(v, dict) for v in value.values()):
+            print(f"{indent}{key}:")
+            _show(value, indent + "  ")
+        elif isinstance(value, dict):
+            listed = "  ".join(f"{k} {_text(v)}" for k, v in value.items())
+            print(f"{indent}{key}: {listed}")
+        else:
+            print(f"{indent}{key}: {_text(value)}")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value + 0.0:.4g}"
+    if isinstance(value, list):
+        return ", ".join(_text(entry) for entry in value) or "-"
+    return str(value) if value not in ("", None) else "-"
+
+
+def _show_services(found: list[dict[str, Any]]) -> None:
+    for service in found:
+        arguments = " ".join(
+            f"{a['name']}=..." if a["required"] else f"[{a['name']}=...]"
+            for a in service["arguments"]
+        )
+        print(f"{service['name']} {arguments}".rstrip())
+        print(f"    {service['summary']}")
