@@ -269,3 +269,34 @@ def test_a_fleets_hash_follows_its_robots(workshop: Workshop) -> None:
     before = fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256
     file.write_text(file.read_text(encoding="utf-8") + "# more\n", encoding="utf-8")
     assert fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256 != before
+
+
+def test_a_grid_places_equal_robots_row_by_row(workshop: Workshop) -> None:
+    workshop.robot_file(CART, "", "robots/one.yaml")
+    done = fleet(
+        workshop,
+        "  a:\n    robot: robots/one.yaml\n    xyz: [1 m, 2 m, 0]\n    yaw: 90 deg\n"
+        "    grid: {rows: 2, columns: 3, spacing: 1500 mm}\n"
+        "  b: {robot: robots/one.yaml, xyz: [-5 m, 0, 0], grid: {spacing: 1 m}}\n",
+    )
+    assert isinstance(done.model, Fleet), [d.message for d in done.report]
+    *grid, alone = done.model.placements
+    assert [p.name for p in grid] == [f"a_{k}" for k in range(1, 7)]
+    assert [p.robot.namespace for p in grid] == [p.name for p in grid]
+    assert [p.pose.xyz[:2] for p in grid] == [(x, y) for x in (1.0, 2.5) for y in (2.0, 3.5, 5.0)]
+    assert [p.pose.rpy()[2] for p in grid] == pytest.approx([math.pi / 2] * 6)
+    assert (alone.name, alone.pose.xyz[0]) == ("b_1", -5.0)
+
+
+def test_a_grid_too_narrow_is_said_once(workshop: Workshop) -> None:
+    workshop.robot_file(CART, "", "robots/one.yaml")
+    done = fleet(
+        workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, columns: 3, spacing: 1 mm}}\n"
+    )
+    said = [d.message for d in done.report if d.code.name == "fleet-overlap"]
+    assert said == ["`a_2` stands where `a_1` stands"]
+    done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, spacing: -1 m}}\n")
+    assert [d.code.name for d in done.report.errors] == ["out-of-range"]
+    assert "fleet-overlap" not in [d.code.name for d in done.report]
+    done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 1000, spacing: 1 m}}\n")
+    assert [d.code.name for d in done.report] == ["out-of-range"]

@@ -19,8 +19,9 @@ from thorvaldc.model.bus_faults import BusFaults
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.bus_lock import Lock, has_pins, lock_path, lock_text, read_lock
-from thorvaldc.passes.checks import Design, check_apart, check_robot
+from thorvaldc.passes.checks import Design, check_robot
 from thorvaldc.passes.elaborate import elaborate
+from thorvaldc.passes.fleet import Placements, robots_of
 from thorvaldc.passes.library_check import check_module
 from thorvaldc.passes.resolve import Resolver
 from thorvaldc.passes.scope import Scope
@@ -341,7 +342,7 @@ def _fleet(
 ) -> Fleet:
     """The fleet; ``compiled`` gathers what became of each robot file that it names."""
     scope = Scope(None, {}, Library(), report, None)
-    placements: list[Placement] = []
+    placements = Placements(report)
     robots = document.get("robots")
     for name, node in (robots.value if robots and isinstance(robots.value, dict) else {}).items():
         file_node = node.get("robot")
@@ -364,12 +365,9 @@ def _fleet(
             compiled[named] = _compile(file, named, path.parent, library)
         robot = compiled[named].model
         if isinstance(robot, Robot):
-            placed = Placement(name, _pose(node, report), replace(robot, namespace=name))
-            check_apart(placed, node.where, placements, report)
-            placements.append(placed)
-    return Fleet(
-        scope.text(document.get("name")), scope.text(document.get("description")), tuple(placements)
-    )
+            placements.add(name, node, robot)
+    title, text = (scope.text(document.get(key)) for key in ("name", "description"))
+    return Fleet(title, text, tuple(placements.placed))
 
 
 def _scenario(
@@ -391,7 +389,8 @@ def _scenario(
         file, shown, span = path.parent / str(named.value), str(named.value), named.span
     elif own is not None:
         placed = _fleet(document, path, library, report, compiled)
-        whole = isinstance(own.value, dict) and len(placed.placements) == len(own.value)
+        entries = own.value.values() if isinstance(own.value, dict) else ()
+        whole = len(placed.placements) == sum(map(robots_of, entries))
         # Without one of them, all that is said of it would be at fault too.
         return read_scenario(document, placed, report) if whole else None
     else:
@@ -411,24 +410,19 @@ def _scenario(
     done = compiled[shown] = _compile(file, shown, path.parent, library)
     fleet = done.model
     if isinstance(fleet, Robot):
-        fleet = Fleet(fleet.name, "", (_stand_in(fleet, own, report),))
+        fleet = Fleet(fleet.name, "", _stand_in(fleet, own, report))
     return read_scenario(document, fleet, report) if fleet is not None else None
 
 
-def _stand_in(robot: Robot, robots: Node | None, report: Report) -> Placement:
-    """The robot under the name and in the place of the one that the scenario has."""
+def _stand_in(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:
+    """The robot under the name and in the place of the one entry that the scenario has."""
     entries = robots.value if robots is not None else None
     if not isinstance(entries, dict) or len(entries) != 1:
-        return Placement(robot.name, Pose(), replace(robot, namespace=robot.name))
-    ((name, node),) = entries.items()
-    return Placement(name, _pose(node, report), replace(robot, namespace=name))
-
-
-def _pose(node: Node, report: Report) -> Pose:
-    scope = Scope(None, {}, Library(), report, None)
-    yaw = math.remainder(scope.quantity(node.get("yaw"), "angle"), 2 * math.pi)
-    xyz = scope.vector(node.get("xyz"), "length")
-    return Pose.from_xyz_rpy(xyz, (0.0, 0.0, yaw)).clean()
+        return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
+    placements = Placements(report)
+    for name, node in entries.items():
+        placements.add(name, node, robot)
+    return tuple(placements.placed)
 
 
 def _is_scenario(document: Node | None) -> bool:

@@ -159,6 +159,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV325", "fleet-in-fleet", "error", "a fleet names another fleet as a robot"),
     Code("TV326", "too-many-parts", "error", "a module or a robot has more parts than are read"),
     Code("TV327", "parameter-set-radii", "error", "a parameter set names radii no wheel has"),
+    Code("TV328", "fleet-name-twice", "error", "two robots of a fleet have one name"),
     Code("TV340", "calibration-missing", "error", "a robot names a calibration that is not there"),
     Code("TV341", "calibration-wheel", "error", "a calibration is of a wheel the robot lacks"),
     Code("TV342", "calibration-robot", "warning", "a calibration is of a robot of another name"),

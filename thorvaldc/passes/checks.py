@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.robot import Placement, Robot, Wheel
+from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.passes.base import GRAVITY, Tree, contact_point
 
 WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
@@ -388,25 +388,3 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
                 design.slope_place or robot.origin,
                 hint=hint,
             )
-
-
-def check_apart(placed: Placement, span: Span, others: Sequence[Placement], report: Report) -> None:
-    """Whether a robot of a fleet has its wheels where another robot has its own."""
-    own = _wheel_places(placed)
-    for other in others:
-        if any(math.dist(a[:2], b[:2]) < a[2] + b[2] for a in own for b in _wheel_places(other)):
-            report.add(
-                "fleet-overlap",
-                f"`{placed.name}` stands where `{other.name}` stands",
-                span,
-                hint="give each robot its own `xyz`",
-            )
-
-
-def _wheel_places(placed: Placement) -> list[tuple[float, float, float]]:
-    """Each wheel's contact in the world and half its width (m), the least that it takes up."""
-    places = []
-    for wheel in placed.robot.wheels:
-        x, y, _ = placed.pose.apply((*contact_point(wheel), 0.0))
-        places.append((x, y, wheel.width / 2))
-    return places

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import heapq
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -120,15 +121,19 @@ class Simulation:
             Meter(name, robot, self._base(name, robot), _manoeuvre(motion, name), self.parameters)
             for name, robot in self.robots
         ]
+        # When whose next tick is due: a heap, in the order of robots where times are equal.
+        due = [(meter.next, number) for number, meter in enumerate(meters)]
         started = time.perf_counter()
         simulated = 0.0
         stopped = False
-        while meters and not stopped:
-            meter = min(meters, key=lambda m: m.next)
-            if meter.next > duration + 1e-9:
+        while due and not stopped:
+            now, number = due[0]
+            if now > duration + 1e-9:
                 break
-            simulated = meter.next
+            simulated = now
+            meter = meters[number]
             meter.tick()
+            heapq.heapreplace(due, (meter.next, number))
             if watch is not None:
                 watch(meter)
             stopped = meter.tipped or (self.scene is not None and self.scene.diverged)

@@ -8,6 +8,7 @@ there and in the same order: the results are equal to the last bit.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -225,10 +226,14 @@ def unrolled(
     for i in n:
         tests[wheels[i].place] = f"d{i}"
     text.append(_RESULT.format(tests=", ".join(tests)))
-    made: Estimate = compiled(
-        "".join(text), "estimate", new=tuple.__new__, Twist=Twist, Result=result
-    )
+    made: Estimate = _estimate("".join(text), result)
     return made
+
+
+@functools.lru_cache(maxsize=64)
+def _estimate(text: str, result: type) -> Any:
+    """Robots of one kind share it: a hundred copies would not stay in a processor's cache."""
+    return compiled(text, "estimate", new=tuple.__new__, Twist=Twist, Result=result)
 
 
 def compiled(text: str, name: str, **names: Any) -> Any:

@@ -1,0 +1,126 @@
+"""Robots of one kind in one scene: how compiling, stepping and driving grow with their number."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from bench.figure import Figure, least_times
+from bench.robots import example
+from thorvaldc.model import Fleet
+from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.runtime.manoeuvre import Segment
+from thorvaldc.runtime.meter import Meter
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.simulation import Simulation
+
+GRIDS = {1: (1, 1), 10: (2, 5), 25: (5, 5), 50: (5, 10), 100: (10, 10)}
+"""Rows and columns by the number of robots."""
+SECONDS = 1.0
+PLAN = (Segment(0.0, Twist(0.8, 0.1, 0.1)), Segment(0.5, Twist(0.8, -0.2, -0.2)))
+ROUNDS = 5
+
+
+def figures() -> Iterator[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {number: _document(Path(folder), number) for number in GRIDS}
+        compiles = [_compiling(path) for path in paths.values()]
+        yield _growth(
+            "compiling a fleet of 100",
+            dict(zip(GRIDS, least_times(compiles, 3), strict=True)),
+            1e3,
+            "ms",
+            "compile and emit of all four targets",
+        )
+        loops = [_Loops(path) for path in paths.values()]
+    works = [work for loop in loops for work in (loop.whole, loop.bare)]
+    times = least_times(works, ROUNDS)
+    whole = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[::2], strict=True)}
+    bare = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[1::2], strict=True)}
+    steps = loops[0].steps
+    yield _growth(
+        "a step of 100 robots",
+        {n: t / steps for n, t in bare.items()},
+        1e6,
+        "us",
+        "mj_step alone, 4WD4WS that drive",
+    )
+    yield _growth(
+        "a tick of 100 robots",
+        whole,
+        1e6,
+        "us",
+        f"{steps} steps of physics, and each robot's driver and odometry, 50 Hz;"
+        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step",
+    )
+
+
+def _document(folder: Path, number: int) -> Path:
+    rows, columns = GRIDS[number]
+    path = folder / f"{number}.yaml"
+    path.write_text(
+        "thorvaldc: 1\nname: many\nrobots:\n"
+        f"  r: {{robot: {example('4wd4ws_wide')},"
+        f" grid: {{rows: {rows}, columns: {columns}, spacing: 3 m}}}}\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+def _compiling(path: Path) -> Callable[[], object]:
+    return lambda: emit(_fleet(path), DEFAULT_TARGETS)
+
+
+def _fleet(path: Path) -> Fleet:
+    model = compile_file(path).model
+    if not isinstance(model, Fleet):
+        raise SystemExit(f"{path} does not compile")
+    return model
+
+
+class _Loops:
+    """A run of a fleet, and the same physics without the drivers."""
+
+    def __init__(self, path: Path) -> None:
+        fleet = _fleet(path)
+        self.simulation = Simulation(fleet, emit(fleet, ["mjcf"]))
+        if self.simulation.scene is None:
+            raise SystemExit("there is no scene")
+        self.scene = self.simulation.scene
+        controls: list[np.ndarray] = []
+        last = fleet.placements[-1].name
+
+        def keep(meter: Meter) -> None:
+            if meter.name == last:
+                controls.append(self.scene.data.ctrl.copy())
+
+        self.simulation.run(SECONDS, PLAN, watch=keep)
+        self.controls = controls[:-1]
+        self.ticks = len(self.controls)
+        self.steps = round(SECONDS / self.ticks / self.scene.timestep)
+
+    def whole(self) -> None:
+        self.simulation.run(SECONDS, PLAN)
+
+    def bare(self) -> None:
+        self.scene.reset()
+        model, data = self.scene.model, self.scene.data
+        for control in self.controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data, self.steps)
+
+
+def _growth(name: str, times: dict[int, float], scale: float, unit: str, what: str) -> Figure:
+    each = ", ".join(f"{n}: {t / n * scale:.3g}" for n, t in times.items())
+    return Figure(
+        name,
+        times[100] / times[10] / 10,
+        "",
+        1.15,
+        "lower",
+        f"over ten times that of 10; {what}; {unit} a robot in scenes of {each}; least of several",
+    )
