@@ -299,4 +299,4 @@ def test_a_grid_too_narrow_is_said_once(workshop: Workshop) -> None:
     assert [d.code.name for d in done.report.errors] == ["out-of-range"]
     assert "fleet-overlap" not in [d.code.name for d in done.report]
     done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 1000, spacing: 1 m}}\n")
-    assert [d.code.name for d in done.report] == ["out-of-range"]
+    assert [d.code.name for d in done.report.errors] == ["out-of-range"]
