@@ -62,6 +62,19 @@ def test_no_bound_where_the_bus_is_full() -> None:
     assert found[1:] == [None, None]
 
 
+def test_a_cycle_that_reaches_into_the_next() -> None:
+    """A report of 100 us up to 0.95 ms late, cycles of 1 ms: the next command comes 50 us later."""
+    report = Stream(1, 100, 1 * MS, 0.95 * MS, stage=2)
+    command, other = Stream(2, 100, 1 * MS, stage=0), Stream(3, 100, 50 * MS)
+    found = response_times([report, command, other], 1_000_000)
+    # one that blocks, the late report, itself; the report of the same cycle comes after it
+    assert found[1] == pytest.approx((0.3 - 0.05) * MS)
+    # what belongs to no cycle may find both reports and the command before it
+    assert found[2] == pytest.approx(0.40 * MS)
+    apart = [s._replace(stage=None) for s in (report, command, other)]
+    assert response_times(apart, 1_000_000)[1] == pytest.approx(0.4 * MS)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_bounds_hold_in_a_small_simulation(seed: int) -> None:
     """Frames with random offsets on an ideal bus: never later than the bound, and once nearly."""
@@ -128,11 +141,12 @@ def test_sync_follows_the_commands_and_synchronous_frames_follow_sync() -> None:
     report = frame(0x181, period=0.02, synchronous=True)
     times = frame_response_times(bus(SYNC, *commands, report))
     late = [times[f.name] for f in commands]
-    # before the last command come a report (of the last cycle, late), SYNC and two commands
-    assert late[-1] == pytest.approx(4 * LENGTH + SYNC_LENGTH, abs=1e-9)
+    # before the last command come two others; SYNC and the report are of the last cycle, and over
+    assert late[-1] == pytest.approx(3 * LENGTH, abs=1e-9)
+    # a report that is late by a cycle is thought to be able to hold SYNC up
     assert times[SYNC.name] == pytest.approx(max(t for t in late if t) + LENGTH + SYNC_LENGTH)
-    assert times[report.name] == pytest.approx(times[SYNC.name] + 2 * LENGTH + SYNC_LENGTH)
-    # what does not wait for SYNC is not late
+    assert times[report.name] == pytest.approx(times[SYNC.name] + 2 * LENGTH)
+    # what does not wait for SYNC is not late, and can come at any time
     alone = frame_response_times(
         bus(SYNC, *commands, dataclasses.replace(report, synchronous=False))
     )

@@ -3,7 +3,8 @@
 After Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN)
 schedulability analysis: Refuted, revisited and revised", Real-Time Systems 35
 (2007), section 3: every instance in the busy period of a frame's priority is
-looked at.  All arithmetic is on whole picoseconds, rounded to the safe side.
+looked at; and what is sent in one control cycle is taken as a chain (``_beginnings``).
+All arithmetic is on whole picoseconds, rounded to the safe side.
 
 What is taken for granted of a bus (``frame_streams``):
 
@@ -20,7 +21,7 @@ What is taken for granted of a bus (``frame_streams``):
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from thorvaldc.model.bus import Bus, Frame
@@ -38,6 +39,10 @@ class Stream(NamedTuple):
     A frame may be due up to ``jitter`` s late.  The lower identifier wins the bus.
     Of the streams of a ``group`` only one has a frame in a period; they have
     period and jitter in common.
+
+    Streams with a ``stage`` belong to one cycle, which is the period of them all: each
+    has a frame in it, due at its beginning but for the jitter, and never sent before
+    those of a lower stage in that cycle.
     """
 
     identifier: int
@@ -45,6 +50,7 @@ class Stream(NamedTuple):
     period: float
     jitter: float = 0.0
     group: str = ""
+    stage: int | None = None
 
 
 def frame_bits(length: int) -> int:
@@ -71,49 +77,94 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
         blocked[i] = longest
         longest = max(longest, streams[i].bits * bit)
     # More urgent frames matter only by period and jitter: one sum for each pair,
-    # and one entry for each group.
+    # and one entry for each group; those of the cycle by jitter and stage.
     above: dict[tuple[int, int, str], int] = {}
+    cycle: dict[tuple[int, int, int], int] = {}
     found: list[float | None] = [None] * len(streams)
     for i in order:
         stream = streams[i]
         length, period = stream.bits * bit, max(1, int(stream.period * _SECOND))
         jitter = math.ceil(stream.jitter * _SECOND)
-        others = [(t, j, c) for (t, j, _), c in above.items()]
-        if length / period + sum(c / t for t, _, c in others) < 1.0:
-            time = _longest(length, period, jitter, blocked[i], others, bit)
-            found[i] = time / _SECOND if time is not None else None
+        others = [(t, j, c, _ANY) for (t, j, _), c in above.items()]
+        share = sum([c / t for t, _, c, _ in others]) + sum(
+            [c / t for (t, _, _), c in cycle.items()]
+        )
+        if length / period + share < 1.0:
+            times = [
+                _longest(length, period, lead, blocked[i], others + also, bit)
+                for lead, also in _beginnings(period, jitter, stream.stage, cycle)
+            ]
+            if None not in times:
+                found[i] = max(t for t in times if t is not None) / _SECOND
+        if stream.stage is not None:
+            staged = (period, jitter, stream.stage)
+            cycle[staged] = cycle.get(staged, 0) + length
+            continue
         key = (period, jitter, stream.group)
         above[key] = max(above.get(key, 0), length) if stream.group else above.get(key, 0) + length
     return found
 
 
+_Other = tuple[int, int, int, int]
+"""(period, lead, length, most): the n-th frame, from 0, comes at ``n * period - lead`` or, where
+that is past, at once; those before the own k-th are at most ``most + k``.  All but the last in ps.
+"""
+_ANY = 1 << 60
+
+
+def _beginnings(
+    period: int, jitter: int, stage: int | None, cycle: Mapping[tuple[int, int, int], int]
+) -> Iterator[tuple[int, list[_Other]]]:
+    """The own lead, and the cycle's more urgent frames, for each possible worst case.
+
+    A busy period may begin anywhere in the cycle.  The worst is where a frame of the cycle
+    begins it, and is as late as it can be (Palencia and Gonzalez Harbour, "Schedulability
+    analysis for tasks with static and dynamic offsets", RTSS 1998).
+    """
+    if not cycle:
+        yield jitter, []
+        return
+    begins = {late: None for _, late, _ in cycle}
+    if stage is not None:
+        begins[jitter] = None
+    for begin in begins:
+        # Of each, the first that can be there: of the earliest cycle where it may be that late.
+        first = -((jitter - begin) // period)
+        others: list[_Other] = []
+        for (length_of_cycle, late, its_stage), length in cycle.items():
+            number = -((late - begin) // length_of_cycle)
+            later = stage is not None and its_stage > stage
+            most = max(first - number, 0) if later else _ANY
+            others.append((length_of_cycle, begin - number * length_of_cycle, length, most))
+        yield (jitter if stage is None else begin - first * period), others
+
+
 def _longest(
-    length: int,
-    period: int,
-    jitter: int,
-    blocked: int,
-    above: Sequence[tuple[int, int, int]],
-    bit: int,
+    length: int, period: int, lead: int, blocked: int, above: Sequence[_Other], bit: int
 ) -> int | None:
-    """The longest response time in ps; ``above`` are (period, jitter, length) of others."""
+    """The longest response time in ps; ``above`` are the more urgent frames."""
     worst = wait = instance = 0
     while wait < _LONGEST:
-        wait = _settled(blocked + instance * length, wait, above, bit)  # then it gets the bus
-        worst = max(worst, jitter + wait - instance * period + length)
+        # Then it gets the bus.
+        wait = _settled(blocked + instance * length, wait, above, instance, bit)
+        if wait + lead < 0:
+            return worst  # the busy period is over before it is due
+        worst = max(worst, lead + wait - instance * period + length)
         instance += 1
         # More urgent frames that come while it is sent lengthen the busy period.
-        end = _settled(blocked + instance * length, wait + length, above, 0)
-        if end + jitter <= instance * period:
+        end = _settled(blocked + instance * length, wait + length, above, instance, 0)
+        if end + lead <= instance * period:
             return worst
     return None
 
 
-def _settled(own: int, time: int, above: Sequence[tuple[int, int, int]], bit: int) -> int:
+def _settled(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
     """The least time from ``time`` on at which all that came before, and ``own``, is sent."""
     while True:
         needed = own
-        for period, jitter, length in above:
-            needed += -(-(time + jitter + bit) // period) * length
+        for period, lead, length, most in above:
+            count = -(-(time + lead + bit) // period)
+            needed += length * (count if count <= most + instance else most + instance)
         if needed <= time or time > _LONGEST:
             return time
         time = needed
@@ -143,16 +194,19 @@ def bus_load(bus: Bus) -> float:
     return (bits + sum(groups.values()) / bus.sync_period) / bus.bitrate
 
 
-def frame_response_times(bus: Bus) -> dict[str, float | None]:
+def frame_response_times(
+    bus: Bus, bits: Mapping[str, int] | None = None
+) -> dict[str, float | None]:
     """Response times in s of the bus's frames by name, as ``response_times`` has them.
 
     Those of commands, of SYNC, of what is sent at the SYNC, and of an SDO with its
-    answer count from the beginning of the control cycle.
+    answer count from the beginning of the control cycle.  ``bits`` by the frame's name,
+    where more is known of its stuffing than the worst.
     """
     names = [frame.name for frame in bus.frames]
     jitter = {frame.name: bus.sync_period for frame in bus.frames if _group(frame) == _ANSWER}
     for _ in range(_ROUNDS):
-        found = response_times(frame_streams(bus, jitter), bus.bitrate)
+        found = response_times(frame_streams(bus, jitter, bits or {}), bus.bitrate)
         times = dict(zip(names, found, strict=True))
         late = _lateness(bus, times)
         if late is None:
@@ -163,15 +217,16 @@ def frame_response_times(bus: Bus) -> dict[str, float | None]:
     return dict.fromkeys(names)
 
 
-def frame_streams(bus: Bus, jitter: Mapping[str, float]) -> list[Stream]:
-    """The bus's frames as streams, in their order; ``jitter`` in s by the frame's name."""
+def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]) -> list[Stream]:
+    """The bus's frames as streams, in their order; ``jitter`` (s) and ``bits`` by their names."""
     return [
         Stream(
             frame.cob_id,
-            frame_bits(frame.length),
+            bits.get(frame.name) or frame_bits(frame.length),
             frame.period or frame.minimum_interval or bus.sync_period,
             jitter.get(frame.name, 0.0),
             _group(frame),
+            _stage(frame, bus),
         )
         for frame in bus.frames
     ]
@@ -184,6 +239,15 @@ def _group(frame: Frame) -> str:
     if frame.producer == MASTER:
         return _REQUEST
     return {"sdo": _ANSWER, "emcy": _EMERGENCY}.get(frame.kind, "")
+
+
+def _stage(frame: Frame, bus: Bus) -> int | None:
+    """Of what each cycle has: commands, then SYNC, then what is sent at the SYNC."""
+    if frame.period != bus.sync_period:
+        return None
+    if frame.producer == MASTER:
+        return {"pdo": 0, "sync": 1}.get(frame.kind)
+    return 2 if frame.synchronous else None
 
 
 def _lateness(bus: Bus, times: Mapping[str, float | None]) -> dict[str, float] | None:
