@@ -115,6 +115,8 @@ def _compile(
                 done.model = _fleet(sound_part, path, library, report, robots)
             else:
                 done.scenario = _scenario(sound_part, path, library, report, robots, robot)
+                if done.scenario is not None:
+                    done.scenario = _with_log(sound_part, done.scenario, path, files, report)
                 done.model = done.scenario.fleet if done.scenario is not None else None
             for one in robots.values():
                 done.report.extend(one.report)
@@ -412,6 +414,31 @@ def _scenario(
     if isinstance(fleet, Robot):
         fleet = Fleet(fleet.name, "", _stand_in(fleet, own, report))
     return read_scenario(document, fleet, report) if fleet is not None else None
+
+
+def _with_log(
+    document: Node, scenario: Scenario, path: Path, files: dict[str, Path], report: Report
+) -> Scenario:
+    """The scenario with the velocities of the log that its script names, if it does."""
+    script = document.get("script")
+    log = script.get("log") if script is not None else None
+    if script is None or log is None:
+        return scenario
+    from thorvaldc.runtime.twist_log import read_twists  # which few files need
+
+    shown = posixpath.normpath(posixpath.join(posixpath.dirname(log.span.file), str(log.value)))
+    robot, topic = script.get("robot"), script.get("topic")
+    wanted = [
+        (placed.name, placed.robot)
+        for placed in scenario.fleet.placements
+        if robot is None or placed.name == robot.value
+    ]
+    read: dict[str, Path] = {}
+    named = str(topic.value) if topic is not None else ""
+    plans = read_twists(path.parent / str(log.value), shown, log.span, wanted, named, read, report)
+    files.update(read)
+    commands = ((name, plans.get(name, own)) for name, own in scenario.commands)
+    return replace(scenario, commands=tuple(commands))
 
 
 def _stand_in(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:

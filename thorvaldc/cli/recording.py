@@ -94,7 +94,7 @@ def each(watches: Sequence[Watch]) -> Watch:
 @contextmanager
 def writing(path: str) -> Iterator[None]:
     """What cannot be written, as a fault of the world."""
-    from thorvaldc.runtime.record import RecordError
+    from thorvaldc.runtime.bag import RecordError
 
     try:
         yield

@@ -384,6 +384,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV823", "record-value", "error", "a value of a record is no number, or its time is odd"),
     Code("TV824", "record-truncated", "warning", "a record breaks off"),
     Code("TV825", "record-incomplete", "error", "a record lacks what is to be made of it"),
+    Code("TV826", "script-log", "error", "a log holds no velocities for a script"),
     Code("TV830", "joint-log-header", "error", "a file's first line is none of a joint log"),
     Code("TV831", "joint-log-joint", "error", "a joint log has other joints than the robot"),
     Code("TV832", "joint-log-value", "error", "a value of a joint log is not a finite number"),

@@ -87,6 +87,8 @@ class _Reader:
 
     def commands(self, script: Node | None) -> tuple[tuple[str, tuple[Command, ...]], ...]:
         plans: dict[str, list[Command]] = {name: [] for name in self.robots}
+        if script is not None and (named := script.get("robot")) is not None:
+            self._robots(named)  # of a log, whose velocities the pipeline reads
         before = 0.0
         for node in _items(script):
             time = self.numbers(node, "at", "time", before, least=before, most=LONGEST)

@@ -8,10 +8,35 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.runtime.mcap_record import check_rosbags
 
+ODOM, TRUTH = "odom", "ground_truth/odom"
+ASKED, AIMED = "cmd_vel", "cmd_vel_limited"
+JOINTS, COMMANDS = "joint_states", "joint_commands"
+TYPES = {
+    ODOM: "nav_msgs/msg/Odometry",
+    TRUTH: "nav_msgs/msg/Odometry",
+    ASKED: "geometry_msgs/msg/TwistStamped",
+    AIMED: "geometry_msgs/msg/TwistStamped",
+    JOINTS: "sensor_msgs/msg/JointState",
+    COMMANDS: "sensor_msgs/msg/JointState",
+}
+"""The topics of a robot in our records, without its name space, and their types."""
 SUFFIXES = (".mcap", ".db3")
 """Of files; a folder is a bag if it has ``metadata.yaml``."""
+
+
+class RecordError(Exception):
+    """What a record needs is not there; the message is one line for the user."""
+
+
+def check_rosbags() -> None:
+    """Raises ``RecordError`` where rosbags is missing."""
+    try:
+        import rosbags.rosbag2  # noqa: F401
+    except ImportError:
+        raise RecordError(
+            "MCAP files need rosbags, which is not installed: pip install 'thorvaldc[record]'"
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)

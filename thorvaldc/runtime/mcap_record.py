@@ -29,24 +29,23 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
+from thorvaldc.runtime.bag import (
+    AIMED,
+    ASKED,
+    COMMANDS,
+    JOINTS,
+    ODOM,
+    TRUTH,
+    TYPES,
+    check_rosbags,
+)
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.meter import Sample
-from thorvaldc.runtime.record import Pace, RecordError, naming
+from thorvaldc.runtime.record import Pace, naming
 
 if TYPE_CHECKING:
     from thorvaldc.runtime.ros_messages import RosMessages
 
-ODOM, TRUTH = "odom", "ground_truth/odom"
-ASKED, AIMED = "cmd_vel", "cmd_vel_limited"
-JOINTS, COMMANDS = "joint_states", "joint_commands"
-TYPES = {
-    ODOM: "nav_msgs/msg/Odometry",
-    TRUTH: "nav_msgs/msg/Odometry",
-    ASKED: "geometry_msgs/msg/TwistStamped",
-    AIMED: "geometry_msgs/msg/TwistStamped",
-    JOINTS: "sensor_msgs/msg/JointState",
-    COMMANDS: "sensor_msgs/msg/JointState",
-}
 _TF = "tf2_msgs/msg/TFMessage"
 _GROUPS = {
     "odometry": (ODOM,),
@@ -60,16 +59,6 @@ _NAME = "record"
 """What a bag is called within: the bytes shall not depend on where the file lies."""
 _BATCH = 500
 """Messages that are handed to the file at once."""
-
-
-def check_rosbags() -> None:
-    """Raises ``RecordError`` where rosbags is missing."""
-    try:
-        import rosbags.rosbag2  # noqa: F401
-    except ImportError:
-        raise RecordError(
-            "MCAP files need rosbags, which is not installed: pip install 'thorvaldc[record]'"
-        ) from None
 
 
 class McapRecorder:

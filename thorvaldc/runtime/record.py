@@ -16,10 +16,6 @@ from thorvaldc.runtime.base import JointCommands
 from thorvaldc.runtime.meter import Meter, Sample, Watch
 
 
-class RecordError(Exception):
-    """What a record needs is not there; the message is one line for the user."""
-
-
 class Recorder(Protocol):
     """What takes the samples of a run, each robot's in order of time.
 

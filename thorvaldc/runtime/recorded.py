@@ -13,9 +13,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
-from thorvaldc.runtime.bag import Bag, is_bag, read_bag
-from thorvaldc.runtime.base import JointCommands, JointStates
-from thorvaldc.runtime.mcap_record import (
+from thorvaldc.runtime.bag import (
     AIMED,
     ASKED,
     COMMANDS,
@@ -23,8 +21,12 @@ from thorvaldc.runtime.mcap_record import (
     ODOM,
     TRUTH,
     TYPES,
-    joints_of,
+    Bag,
+    is_bag,
+    read_bag,
 )
+from thorvaldc.runtime.base import JointCommands, JointStates
+from thorvaldc.runtime.mcap_record import joints_of
 from thorvaldc.runtime.meter import Sample
 from thorvaldc.runtime.record import columns
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
