@@ -10,7 +10,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
   the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
   ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml),
-  ``port`` (opening ``bus`` for its first bus), ``drive`` (by its buses), ``scenario``,
+  ``port`` (opening ``bus`` for its first bus), ``drive`` (by its buses with
+  ``devices`` of another file, and faults.yaml), ``scenario``,
   ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
   joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
   ``distance``), or ``replay`` (of record.csv, by the command with ``options``);
@@ -34,7 +35,8 @@ HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
-    *("twist", "seconds", "parameters", "record", "distance", "read_only", "bus", "options"),
+    *("twist", "seconds", "parameters", "record", "distance", "read_only"),
+    *("bus", "devices", "options"),
 }
 OWN = "neighbour_"
 
@@ -105,16 +107,7 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     if how == "bus" and isinstance(done.model, Robot):
         run_on_a_bus(done.model, done.report)
     if how == "drive" and isinstance(done.model, Robot):
-        from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-        from thorvaldc.runtime.can_base.base import CanBase
-        from thorvaldc.runtime.faults import RuntimeFault
-
-        simulated = SimulatedRobot(done.model)
-        ports = {bus.name: simulated.client(bus.name) for bus in done.model.buses}
-        try:
-            CanBase(done.model, ports, threaded=False).close()
-        except RuntimeFault as fault:
-            done.report.put(fault.diagnostic)
+        drive_by_its_buses(done.model, case.get("devices"), done.report)
     if how == "port" and isinstance(done.model, Robot):
         from thorvaldc.runtime.bus.port import open_port
         from thorvaldc.runtime.faults import RuntimeFault
@@ -150,6 +143,33 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
         Faults(simulated, script)
         simulated.power_on()
         simulated.run(0.3)
+
+
+def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
+    """Start it and stand for a second, on the devices of the robot's file or of another."""
+    from thorvaldc.cli.running import Session
+    from thorvaldc.pipeline import compile_file, read_faults
+    from thorvaldc.runtime.bus.faults import Faults
+    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.runtime.faults import RuntimeFault
+
+    other = compile_file(devices).model if devices is not None else robot
+    assert isinstance(other, Robot)
+    simulated = SimulatedRobot(other)
+    if Path("faults.yaml").exists():
+        script = read_faults("faults.yaml", robot, report)
+        assert script is not None
+        Faults(simulated, script)
+    simulated.power_on()
+    ports = {bus.name: simulated.client(bus.name) for bus in robot.buses}
+    try:
+        session = Session(robot, ports, simulated, "", None, 5.0, fast=True)
+    except RuntimeFault as fault:
+        report.put(fault.diagnostic)
+        return
+    ended = session.play(False)
+    if ended is not None:
+        report.put(ended)
 
 
 def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:

@@ -11,6 +11,7 @@ from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
 from thorvaldc.runtime.can_base.base import CanBase
 from thorvaldc.runtime.can_base.supervisor import State
+from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 FORWARD = Twist(0.5, 0.0, 0.0)
@@ -34,10 +35,14 @@ class Rig:
         self.port = next(iter(self.ports.values()))
         self.runner = BaseRunner(robot, self.base, self.port)
         self.twist: Twist | None = ZERO_TWIST
-        self.runner.source = lambda now: self.twist
+        self.runner.feed = self._command
         self.frames: list[tuple[int, CanFrame]] = []
         wire = self.simulated.wire()
         wire.observers.append(lambda time, frame, _: self.frames.append((time, frame)))
+
+    def _command(self, driver: BaseDriver, now: float) -> None:
+        if self.twist is not None:
+            driver.command(self.twist, now)
 
     @property
     def now(self) -> float:

@@ -310,6 +310,62 @@ def bus(
 
 @app.command(cls=LightCommand)
 @guarded
+def run(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A robot.yaml, or the model.json of a build.")
+    ],
+    bus: Annotated[
+        str,
+        typer.Option(
+            "--bus",
+            metavar="BUS",
+            help="virtual, sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of"
+            " python-can.",
+        ),
+    ],
+    duration: Annotated[
+        str,
+        typer.Option(
+            "--duration", metavar="TIME", help="To run for, from when the robot is ready: 20 s."
+        ),
+    ] = "",
+    twist: Annotated[
+        str,
+        typer.Option("--twist", metavar="VX,VY,WZ", help="Drive this, in m/s, m/s and rad/s."),
+    ] = "",
+    parameters: Annotated[
+        str,
+        typer.Option("--parameters", metavar="NAME", help="A parameter set of the robot's file."),
+    ] = "",
+    physics: Annotated[
+        str,
+        typer.Option(
+            "--physics", metavar="ideal|mujoco", help="What moves the motors of a virtual robot."
+        ),
+    ] = "ideal",
+    faults: Annotated[
+        str,
+        typer.Option("--faults", metavar="FILE", help="What is to go wrong with a virtual robot."),
+    ] = "",
+    seed: Annotated[
+        str, typer.Option("--seed", metavar="N", help="Of a virtual robot's chances.")
+    ] = "",
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Let a virtual robot's time run as fast as it can.")
+    ] = False,
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Drive a robot over its CAN bus, a real or a simulated one."""
+    from thorvaldc.cli.running import run as run_driver
+
+    return run_driver(
+        file, bus, duration, twist, parameters, physics, faults, seed, fast, json, library
+    )
+
+
+@app.command(cls=LightCommand)
+@guarded
 def render(
     file: File,
     output: Annotated[

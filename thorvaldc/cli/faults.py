@@ -53,7 +53,9 @@ class Faults:
             text = render_text(
                 report, sources, color=has_color(self.stream), width=width_of(self.stream)
             )
-            print(text, file=self.stream)
+            # The blank line at the end is for the count, which there is none of then.
+            outside = all(fault.code.outside for fault in report)
+            print(text.rstrip("\n") if outside else text, file=self.stream)
 
     def result(self, line: str) -> None:
         """A line of the command's result; left out of the output for machines."""
@@ -63,18 +65,19 @@ class Faults:
     def finish(self, strict: bool = False, builds: list[dict[str, Any]] | None = None) -> int:
         """Show what is left, and return the exit status."""
         errors, warnings = len(self._all.errors), len(self._all.warnings)
-        if self.format == "text":
+        outside = [fault for fault in self._all.errors if fault.code.outside]
+        if self.format == "text" and len(outside) < len(self._all):
             found = [count(errors, "error")] * (errors > 0)
             found += [count(warnings, "warning")] * (warnings > 0)
             if found:
                 print(f"{' and '.join(found)} in {count(self._files, 'file')}", file=self.stream)
-        else:
+        elif self.format != "text":
             from thorvaldc.diagnostics.render import render
 
             text = render(self._all, self.format, self._sources, builds=builds)
             if text:
                 print(text)
-        if errors and all(fault.code.outside for fault in self._all.errors):
+        if errors and len(outside) == errors:
             return OUTSIDE
         return INPUT if errors or (strict and warnings) else DONE
 

@@ -408,6 +408,9 @@ _TABLE: tuple[Code, ...] = (
     Code("TV875", "bus-interface", "error", "the interface to a bus cannot be used", outside=True),
     Code("TV876", "bus-driver-unknown", "error", "no driver knows how to talk to a controller"),
     Code("TV877", "bus-motor-unconnected", "error", "a motor of the base is on no controller"),
+    Code("TV878", "bus-start", "error", "the robot on a bus cannot be started", outside=True),
+    Code("TV879", "bus-mismatch", "error", "what is on a bus is not what the robot's file says"),
+    Code("TV880", "bus-stopped", "error", "a fault has stopped the robot", outside=True),
     Code("TV890", "twist-priority-duplicate", "error", "two sources of twists have one priority"),
     # -- 9xx: files and import -----------------------------------------------
     Code("TV901", "file-not-found", "error", "a file does not exist"),

@@ -19,10 +19,13 @@ from thorvaldc.runtime.can_base.link import BusLink
 from thorvaldc.runtime.can_base.relay import Relayed
 from thorvaldc.runtime.can_base.supervisor import State
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
-from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Twist
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST
 
-Source = Callable[[float], Twist | None]
-"""Asked in each cycle with the time (s): the twist commanded, ``None`` for no new command."""
+Feed = Callable[[BaseDriver, float], object]
+"""Called first in each cycle with the driver and the time (s): it commands, or does not.
+
+A multiplexer's ``feed`` is one.
+"""
 Watch = Callable[["BaseRunner", DriverState], None]
 T = TypeVar("T")
 
@@ -82,7 +85,9 @@ class BaseRunner:
         self.period = base.period
         self.timing = Timing()
         self.changes: list[Change] = []
-        self.source: Source | None = None
+        self.feed: Feed | None = None
+        self.pace: Callable[[float], None] | None = None
+        """Called with the time of each cycle before it begins: virtual time waits here."""
         self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = (
             queue.SimpleQueue()
         )
@@ -106,10 +111,8 @@ class BaseRunner:
     def cycle(self, now: float) -> DriverState:
         """One turn: services, the command, health, driver, frames, and what state that makes."""
         self._serve()
-        if self.source is not None:
-            twist = self.source(now)
-            if twist is not None:
-                self.driver.command(twist, now)
+        if self.feed is not None:
+            self.feed(self.driver, now)
         asked = self.driver.asked(now) != ZERO_TWIST
         self.base.arm(asked)
         state = self.driver.tick(now)
@@ -137,6 +140,8 @@ class BaseRunner:
         deadline = self._deadline if self._deadline is not None else clock.now
         while not (stop is not None and stop()):
             clock.sleep_until(deadline)
+            if self.pace is not None:
+                self.pace(deadline)
             now = clock.now
             if now >= until - 1e-9:
                 break
@@ -166,7 +171,7 @@ class BaseRunner:
 
         supervisor = self.base.supervisor
         supervisor.end()
-        self.source = None
+        self.feed = None
         try:
             limit = self.clock.now + supervisor.times.stop
             self._deadline = None

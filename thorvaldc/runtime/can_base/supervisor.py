@@ -62,7 +62,8 @@ class Supervisor:
     """What all controllers are to do, from how each of them is.
 
     ``reason`` says why it is in ``FAULT`` or ``ESTOP``; ``was_ready``: it has once got as far
-    as ``READY``.  ``changed`` is called with the time (s), the new state and the reason.
+    as ``READY``; ``mismatch``: what is on the bus is not what the robot's file says.
+    ``changed`` is called with the time (s), the new state and the reason.
     """
 
     def __init__(self, links: Sequence[BusLink], times: Times | None = None) -> None:
@@ -74,6 +75,7 @@ class Supervisor:
         self.stop_engaged = False
         self.ending = False
         self.was_ready = False
+        self.mismatch = False
         self.changed: Callable[[float, State, str], None] | None = None
         self._commanded = -math.inf
         self._repeat_at = -math.inf
@@ -192,7 +194,7 @@ class Supervisor:
         self.state, self.since, self.reason = state, now, reason
         self._enabling, self._finds_home = None, False
         if state in (State.INIT, State.PREOP):
-            self._started = False
+            self._started = self.mismatch = False
             for link in self.links:
                 link.unwatch()
         if state is State.PREOP:
@@ -281,6 +283,7 @@ class Supervisor:
         for link in self.links:
             for name, check in link.checks.items():
                 if check.problem:
+                    self.mismatch = True
                     self._go(State.FAULT, now, f"{name}: {check.problem}")
                     return
         if not all(check.done for link in self.links for check in link.checks.values()):
@@ -299,6 +302,7 @@ class Supervisor:
                 name = controller.node.name
                 who = controller.identity()
                 if who:
+                    self.mismatch = True
                     self._go(State.FAULT, now, f"{name}: {who}")
                     return
                 up = link.in_state(controller, OPERATIONAL, self._commanded)

@@ -1,0 +1,246 @@
+"""`thorvaldc run`: the driver on a virtual robot, over a socket, over a serial line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.conftest import GOOD, Command
+from tests.cli.test_bus import end, running
+from tests.runtime.bus.slcan_adapter import SlcanAdapter
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file
+from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+
+ROOT = Path(__file__).parents[2]
+VIRTUAL = ("run", "good.yaml", "--bus", "virtual")
+
+
+def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "XDG_RUNTIME_DIR": str(folder),
+        "XDG_STATE_HOME": str(folder / "state"),
+    }
+    return subprocess.Popen(
+        [sys.executable, "-m", "thorvaldc", "run", *arguments],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def states(summary: dict[str, Any]) -> list[str]:
+    return [change["state"] for change in summary["changes"]]
+
+
+# -- a virtual robot ------------------------------------------------------------------------------
+
+
+def test_a_virtual_robot_drives_for_a_time(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc(
+        *VIRTUAL, "--fast", "--duration", "3 s", "--twist", "0.5,0,0", "--json"
+    )
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert 1.3 < found["pose"]["x"] < 1.6
+    started = ["init", "preop", "config", "homing", "ready", "active"]
+    assert states(found)[: len(started)] == started
+    assert found["state"] == "ready"
+    assert found["buses"]["main"]["not_sent"] == 0
+    assert found["timing"]["overruns"] == 0
+
+
+def test_with_physics_it_drives_as_far(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc(
+        *VIRTUAL, "--fast", "--duration", "3 s", "--twist", "0.5,0,0", "--physics", "mujoco"
+    )
+    assert status == 0
+    assert "ready" in out
+    assert "at 1.4" in out
+
+
+def test_what_happens_is_told_on_stderr(thorvaldc: Command) -> None:
+    status, out, err = thorvaldc(*VIRTUAL, "--fast", "--duration", "1 s")
+    assert status == 0
+    assert len(out.splitlines()) == 1
+    said = [line.split() for line in err.splitlines()]
+    assert [line[2] for line in said] == ["init", "preop", "config", "homing", "ready"]
+
+
+def test_the_model_of_a_build_is_enough(thorvaldc: Command) -> None:
+    assert thorvaldc("build", "good.yaml", "-o", "out", "--target", "mjcf").status == 0
+    Path("good.yaml").unlink()
+    for more in ((), ("--physics", "mujoco")):
+        model = ("run", "out/model.json", "--bus", "virtual", "--fast", "--duration", "1 s")
+        assert thorvaldc(*model, *more).status == 0
+    assert thorvaldc("run", "out/manifest.json", "--bus", "virtual").status == 2
+    Path("out/model.json").write_text("{}")
+    status, _, err = thorvaldc("run", "out/model.json", "--bus", "virtual")
+    assert status == 1
+    assert "TV809" in err
+
+
+FAULTS = """\
+thorvaldc: 1
+faults:
+  - {fault: power_cut, node: fl_controller, at: 4 s}
+"""
+
+
+def test_a_fault_ends_a_run_that_nobody_watches(thorvaldc: Command) -> None:
+    Path("faults.yaml").write_text(FAULTS)
+    status, out, err = thorvaldc(
+        *VIRTUAL, "--fast", "--duration", "20 s", "--twist", "0.5,0,0", "--faults", "faults.yaml"
+    )
+    assert status == 3
+    assert out.startswith("fault")
+    assert "error[TV880] bus-stopped: fl_controller: no tpdo1 for" in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["good.yaml"], "--bus"),
+        (["good.yaml", "--bus", "virtual", "--physics", "magic"], "neither ideal nor mujoco"),
+        (["good.yaml", "--bus", "virtual", "--fast"], "needs a --duration"),
+        (["good.yaml", "--bus", "virtual", "--duration", "1 m"], "'1 m'"),
+        (["good.yaml", "--bus", "virtual", "--seed", "x"], "no whole number"),
+        (["good.yaml", "--bus", "sim:x", "--seed", "1"], "for a simulated robot"),
+        (["good.yaml", "--bus", "sim:x", "--physics", "mujoco"], "for a simulated robot"),
+    ],
+)
+def test_usage(arguments: list[str], says: str, thorvaldc: Command) -> None:
+    status, out, err = thorvaldc("run", *arguments)
+    assert (status, out) == (2, "")
+    assert says in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "code"),
+    [
+        (["bad.yaml", "--bus", "virtual"], 1, "TV201"),
+        (["good.yaml", "--bus", "virtual", "--twist", "1,2"], 1, "TV806"),
+        (["good.yaml", "--bus", "virtual", "--parameters", "rail"], 1, "TV810"),
+        (["good.yaml", "--bus", "socketkan:can0"], 3, "TV875"),
+        (["good.yaml", "--bus", "slcan:/nowhere/port"], 3, "TV875"),
+        (["good.yaml", "--bus", "sim:nobody"], 3, "TV875"),
+        (["good.yaml", "--bus", "socketcan:can77"], 3, "TV875"),
+    ],
+)
+def test_what_cannot_be_run(
+    arguments: list[str], status: int, code: str, thorvaldc: Command
+) -> None:
+    found = thorvaldc("run", *arguments)
+    assert found.status == status
+    assert found.out == ""
+    assert f"error[{code}]" in found.err
+    if status == 3:
+        assert len(found.err.splitlines()) == 2  # and a hint
+
+
+def test_a_bus_without_power_and_nobody_there(thorvaldc: Command) -> None:
+    """On a bus of python-can's with nobody on it the driver gives up within seconds."""
+    status, out, err = thorvaldc("run", "good.yaml", "--bus", "virtual:empty", "--duration", "1 s")
+    assert status == 3
+    assert out.startswith("fault")
+    assert "error[TV878] bus-start: no controller answers" in err
+
+
+# -- by the clock, and by signals -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+def test_a_signal_stops_the_robot_and_lets_it_go(number: int, tmp_path: Path) -> None:
+    (tmp_path / "good.yaml").write_text(GOOD)
+    process = started(tmp_path, "good.yaml", "--bus", "virtual", "--twist", "0.5,0,0")
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "active" in line:
+            break
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    assert out.startswith(("stopping", "ready")), out
+    assert "Traceback" not in err
+
+
+def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
+    (tmp_path / "good.yaml").write_text(GOOD)
+    with running(tmp_path, "good.yaml") as (bus, said):
+        process = started(
+            tmp_path,
+            *("good.yaml", "--bus", f"sim:{said['channel']}", "--twist", "0.4,0,0"),
+            *("--duration", "2 s", "--json"),
+        )
+        out, err = process.communicate(timeout=60)
+        assert process.returncode == 0, err
+        found = json.loads(out)
+        assert found["pose"]["x"] > 0.3
+        assert "hardware" not in err
+        end(bus)
+
+
+def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
+    """slcan on a pair of pseudo-terminals: the same frames, and the wheels turn."""
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD)
+    robot = compile_file(path).model
+    assert isinstance(robot, Robot)
+    simulated = SimulatedRobot(robot)
+    simulated.power_on()
+    adapter = SlcanAdapter(simulated)
+    seen: dict[int, bytes] = {}
+    simulated.wire().observers.append(lambda _, frame, __: seen.update({frame.id: frame.data}))
+    process = started(
+        tmp_path,
+        *("good.yaml", "--bus", f"slcan:{adapter.path}", "--twist", "0.4,0,0"),
+        *("--duration", "3 s", "--json"),
+    )
+    fastest = 0.0
+
+    def over() -> bool:
+        nonlocal fastest
+        for wheel in robot.wheels:
+            actuator = robot.actuator_of(wheel.spin_joint)
+            assert actuator is not None
+            motor = simulated.motors[actuator.name]
+            fastest = max(fastest, motor.read(simulated.timeline.seconds).velocity)
+        return process.poll() is not None
+
+    adapter.serve(over, 60.0)
+    out, err = process.communicate(timeout=10)
+    adapter.close()
+    assert process.returncode == 0, err
+    found = json.loads(out)
+    assert "never tried on physical hardware" in err
+    assert adapter.commands[:3] == ["C", "S6", "O"]
+    assert fastest == pytest.approx(0.4 / 0.2, rel=0.02)
+    assert 0.6 < found["pose"]["x"] < 1.3
+    planned = {f.cob_id for f in robot.buses[0].frames if f.period is not None}
+    assert planned <= set(seen)
+    # It left the drives as it found them: nobody commanded, nobody operational.
+    assert all(seen[0x700 + node.id] == b"\x7f" for node in robot.buses[0].nodes)
+
+
+def test_the_note_on_hardware_comes_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from thorvaldc.cli.running import say_untried
+
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    say_untried()
+    assert "never tried on physical hardware" in capsys.readouterr().err
+    say_untried()
+    assert capsys.readouterr().err == ""
