@@ -18,6 +18,7 @@ from thorvaldc.runtime.can_base.devices import BatteryState, IoBoardDriver
 from thorvaldc.runtime.can_base.link import BusLink
 from thorvaldc.runtime.can_base.relay import Relayed
 from thorvaldc.runtime.can_base.supervisor import State
+from thorvaldc.runtime.control.services import ServiceError
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST
 
@@ -30,7 +31,7 @@ Watch = Callable[["BaseRunner", DriverState], None]
 T = TypeVar("T")
 
 
-class Refused(Exception):
+class Refused(ServiceError):
     """A service was not done; the message says why, and nothing was changed."""
 
 
