@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from thorvaldc.backends.mjcf_world import heights
+from thorvaldc.backends.mjcf_terrain import heights
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Ground, Pose
 from thorvaldc.pipeline import compile_file, emit

@@ -402,6 +402,7 @@ _TABLE: tuple[Code, ...] = (
     Code("TV846", "variation-path", "error", "what shall vary is not in the scenario"),
     Code("TV847", "variation-value", "error", "values to vary by cannot be understood"),
     Code("TV848", "scenario-imu-missing", "warning", "a gyro has errors, and no robot has one"),
+    Code("TV849", "zone-under-robot", "error", "a robot starts within ground that rises"),
     Code("TV850", "bus-missing", "error", "a robot without a bus is to be run on one"),
     Code("TV851", "bus-fault-node", "error", "a fault is that of a device that is not there"),
     Code("TV852", "bus-fault-unsuited", "error", "a device cannot have such a fault"),

@@ -33,6 +33,7 @@ from thorvaldc.model.robot import (
     Visual,
     Wheel,
     World,
+    Zone,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
@@ -72,4 +73,5 @@ __all__ = [
     "Visual",
     "Wheel",
     "World",
+    "Zone",
 ]

@@ -49,6 +49,7 @@ __all__ = [
     "Visual",
     "Wheel",
     "World",
+    "Zone",
 ]
 
 
@@ -418,6 +419,36 @@ class Ground(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Zone(Element):
+    """A rectangle of the ground, ``size`` (m) along x and y about the middle of ``pose``.
+
+    ``friction`` and ``rolling_resistance`` are those of wheels in it (``None``: their own).
+    It is raised by ``height`` (m) within sides that rise at ``slope`` (rad), and has bumps of
+    +-``amplitude`` (m) about their mean, no shorter than ``wavelength`` (m), drawn by ``seed``.
+    """
+
+    pose: Pose
+    size: tuple[float, float]
+    friction: float | None = None
+    rolling_resistance: float | None = None
+    height: float = 0.0
+    slope: float = 0.0
+    amplitude: float = 0.0
+    wavelength: float = 1.0
+    seed: int = 0
+
+    @property
+    def level(self) -> bool:
+        """Whether it is as level as the ground."""
+        return not (self.height or self.amplitude)
+
+    def holds(self, x: float, y: float, margin: float = 0.0) -> bool:
+        """Whether a place on the ground (m) is in it, or nearer to it than ``margin`` (m)."""
+        local = self.pose.inverse().apply((x, y, self.pose.xyz[2]))
+        return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Block(Element):
     """A thing that does not move.  ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop``, ``post``.
 
@@ -436,6 +467,7 @@ class World(Element):
 
     ground: Ground
     blocks: tuple[Block, ...] = ()
+    zones: tuple[Zone, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ from thorvaldc.library import Library
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Fault, Noise, Scenario
 from thorvaldc.passes.scope import Scope
-from thorvaldc.passes.world import Numbers, friction, read_world, with_friction
+from thorvaldc.passes.world import Numbers, check_starts, friction, read_world, with_friction
 from thorvaldc.source.node import Node
 
 LONGEST = 86400.0
@@ -53,6 +53,7 @@ def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
     fleet = replace(
         fleet, name=name, description=description, world=read_world(document, numbers, report)
     )
+    check_starts(fleet, document, report)
     if document.get("variations") is not None:
         from thorvaldc.passes.variations import read_variations  # which few documents have
 

@@ -8,7 +8,7 @@ import random
 from collections.abc import Sequence
 from typing import Any
 
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, Zone
 from thorvaldc.model.scenario import Fault, Noise
 from thorvaldc.runtime.base import JointStates
 from thorvaldc.runtime.hidden import HiddenErrors
@@ -42,6 +42,7 @@ class FaultyBase(MujocoBase):
         scene: MujocoScene,
         faults: Sequence[Fault] = (),
         noise: Noise | None = None,
+        zones: Sequence[Zone] = (),
     ) -> None:
         super().__init__(robot, scene)
         self._faults = faults
@@ -52,6 +53,7 @@ class FaultyBase(MujocoBase):
         # Each robot of a scenario has errors of its own, the same in every process.
         seed = f"{noise.seed if noise is not None else 0} {robot.namespace}"
         self._chance = random.Random(hashlib.sha256(seed.encode()).digest())
+        self._ground = _Ground(self, zones, [f for f in faults if f.type == "ice"])
         self._undo: dict[int, list[tuple[Any, Any, Any]]] = {}
         self._frozen: dict[int, float] = {}
         self._none = (self._ratios, self._offsets)
@@ -60,6 +62,7 @@ class FaultyBase(MujocoBase):
     def read(self, now: float) -> JointStates:
         for number, fault in enumerate(self._faults):
             self._switch(number, fault, fault.start <= now < fault.end)
+        self._ground.switch(now)
         self._ratios, self._offsets = self._none
         actual = self.actual = super().read(now)
         errors = self._errors(now)
@@ -82,6 +85,7 @@ class FaultyBase(MujocoBase):
         return [number for _, number in (*self._drive_motors, *self._steering_motors)]
 
     def close(self) -> None:
+        self._ground.leave()
         for number in list(self._undo):
             self._restore(number)
 
@@ -131,12 +135,6 @@ class FaultyBase(MujocoBase):
             i = self._wheel[fault.wheel]
             if fault.type == "motor_lost":
                 self._lose(number, i, fault.motor)
-            elif fault.type == "ice":
-                for geom in self._geoms(i):
-                    friction = self.scene.model.geom_friction
-                    ratio = fault.value / float(friction[geom, 0]) if friction[geom, 0] else 0.0
-                    for part in (0, 1):  # sliding; spinning, which grows with it
-                        self._set(number, friction, (geom, part), friction[geom, part] * ratio)
         elif not active and number in self._undo:
             self._restore(number)
             if fault.type == "motor_lost" and fault.motor == "drive":
@@ -167,20 +165,6 @@ class FaultyBase(MujocoBase):
             if i == wheel and int(model.actuator_actadr[actuator]) >= 0:
                 data.act[int(model.actuator_actadr[actuator])] = data.qpos[position[i]]
 
-    def _geoms(self, wheel: int) -> list[int]:
-        """The scene's numbers of the geoms with which a wheel touches the ground."""
-        robot, model = self.robot, self.scene.model
-        prefix = f"{robot.namespace}/" if robot.namespace else ""
-        # What its joint turns: the wheel's own link may be welded to that.
-        joint = self.scene.index("joint", prefix + robot.wheels[wheel].spin_joint, robot)
-        body = int(model.jnt_bodyid[joint])
-        first = int(model.body_geomadr[body])
-        return [
-            geom
-            for geom in range(first, first + int(model.body_geomnum[body]))
-            if int(model.geom_contype[geom]) or int(model.geom_conaffinity[geom])
-        ]
-
 
 def _any(noise: Noise) -> bool:
     errors = max(noise.wheel_speed, noise.wheel_position, noise.steering_angle) > 0.0
@@ -200,3 +184,75 @@ def _encoders(robot: Robot) -> tuple[tuple[int, bool, float, float], ...]:
                 count = math.tau / (4.0 * motor.encoder_ppr * motor.gear_ratio)
                 found.append((i, steers, count, motor.encoder_offset))
     return tuple(found)
+
+
+class _Ground:
+    """Friction and rolling resistance under each wheel: of zones, and of wheels on ice."""
+
+    def __init__(self, base: FaultyBase, zones: Sequence[Zone], ice: Sequence[Fault]) -> None:
+        self._zones = [z for z in zones if not (z.friction is z.rolling_resistance is None)]
+        self._ice = ice
+        self._wheels: list[_Footing] = []
+        if self._zones or ice:
+            self._wheels = [_Footing(base, i) for i in range(len(base.robot.wheels))]
+
+    def switch(self, now: float) -> None:
+        for wheel in self._wheels:
+            friction = resistance = None
+            if self._zones:
+                x, y = wheel.place()
+                for zone in self._zones:
+                    if zone.holds(x, y):
+                        friction, resistance = zone.friction, zone.rolling_resistance
+            for fault in self._ice:
+                if fault.wheel == wheel.name and fault.start <= now < fault.end:
+                    friction = fault.value
+            wheel.put(friction, resistance)
+
+    def leave(self) -> None:
+        for wheel in self._wheels:
+            wheel.put(None, None)
+
+
+class _Footing:
+    """What a wheel has to do with the ground in the scene's model."""
+
+    def __init__(self, base: FaultyBase, number: int) -> None:
+        robot, scene = base.robot, base.scene
+        wheel = robot.wheels[number]
+        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        joint = scene.index("joint", prefix + wheel.spin_joint, robot)
+        model = scene.model
+        # What its joint turns: the wheel's own link may be welded to that.
+        self._body = int(model.jnt_bodyid[joint])
+        self._dof = int(model.jnt_dofadr[joint])
+        first = int(model.body_geomadr[self._body])
+        self._geoms = [
+            geom
+            for geom in range(first, first + int(model.body_geomnum[self._body]))
+            if int(model.geom_contype[geom]) or int(model.geom_conaffinity[geom])
+        ]
+        self.name = wheel.name
+        self._data, self._model = scene.data, model
+        self._own = [model.geom_friction[geom].copy() for geom in self._geoms]
+        self._loss = float(model.dof_frictionloss[self._dof])
+        self._load_radius = wheel.load * wheel.radius
+        self._resistance = wheel.rolling_resistance
+        self._now: tuple[float | None, float | None] = (None, None)
+
+    def place(self) -> tuple[float, float]:
+        """Where it was at the last step, m."""
+        x, y, _ = self._data.xpos[self._body].tolist()
+        return x, y
+
+    def put(self, friction: float | None, resistance: float | None) -> None:
+        """Coefficients under it; ``None``: its own."""
+        if (friction, resistance) == self._now:
+            return
+        self._now = (friction, resistance)
+        for geom, own in zip(self._geoms, self._own, strict=True):
+            # Of spinning, friction grows with that of sliding.
+            ratio = 1.0 if friction is None else friction / own[0] if own[0] else 0.0
+            self._model.geom_friction[geom, :2] = own[:2] * ratio
+        more = 0.0 if resistance is None else resistance - self._resistance
+        self._model.dof_frictionloss[self._dof] = max(self._loss + more * self._load_radius, 0.0)

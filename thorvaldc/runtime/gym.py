@@ -244,7 +244,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         else:
             faults = [fault for fault in scenario.faults if fault.robot == name]
             noise = replace(scenario.noise, seed=chance)
-            base = FaultyBase(robot, self.scene, faults, noise)
+            zones = scenario.fleet.world.zones if scenario.fleet.world is not None else ()
+            base = FaultyBase(robot, self.scene, faults, noise, zones)
             self._bases.append(base)
             for other, commands in scenario.commands:
                 if other == name:

@@ -131,6 +131,8 @@ class ScenarioSimulation(Simulation):
         """
         super().__init__(scenario.fleet, files)
         self.scenario = scenario
+        world = scenario.fleet.world
+        self._zones = world.zones if world is not None else ()
 
     def play(
         self,
@@ -195,7 +197,7 @@ class ScenarioSimulation(Simulation):
         if self.scene is None:
             return super()._base(name, robot)
         faults = [fault for fault in self.scenario.faults if fault.robot == name]
-        base = FaultyBase(robot, self.scene, faults, self.scenario.noise)
+        base = FaultyBase(robot, self.scene, faults, self.scenario.noise, self._zones)
         self._bases.append(base)
         return base
 

@@ -1,0 +1,110 @@
+"""Heights of ground that is not level, on grids, in MuJoCo's own format."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+
+from thorvaldc.model import Ground, Pose, Zone
+
+CELLS_PER_WAVE = 10
+WAVES = 16
+LEVEL, LEVEL_EDGE = 1.5, 1.0
+"""Robots start in the middle of level ground of this radius (m), which ends over this width."""
+_CELL = 0.1
+"""Largest cell (m) of what is raised."""
+
+
+def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
+    """Heights over the lowest point, over twice the amplitude: 0..1, rows along y.
+
+    Level at half height where robots start, and down to 0 along the edge, where the plane
+    around begins.
+    """
+    xs, ys = (_grid(edge, ground.wavelength / CELLS_PER_WAVE) for edge in ground.size)
+    rows = _waves(xs, ys, ground.wavelength, ground.seed)
+    for row, y in zip(rows, ys, strict=True):
+        near = [start for start in starts if abs(start.xyz[1] - y) < LEVEL + LEVEL_EDGE]
+        for i, x in enumerate(xs):
+            share = 1.0
+            for start in near:
+                away = math.hypot(x - start.xyz[0], y - start.xyz[1])
+                share *= _step((away - LEVEL) / LEVEL_EDGE)
+            inside = min(x - xs[0], xs[-1] - x, y - ys[0], ys[-1] - y)
+            edge = _step(inside / ground.wavelength)
+            row[i] = edge * (0.5 + 0.5 * share * row[i])
+    # MuJoCo stretches what it reads to 0..1: both ends must be there.
+    rows[0][0], rows[0][-1] = 0.0, 1.0
+    return rows
+
+
+def relief(zone: Zone) -> tuple[list[list[float]], float]:
+    """Heights of a zone over the ground, over the largest: 0..1, rows along y; the largest (m).
+
+    Its sides rise from the edge; bumps begin within half a wavelength of it.
+    """
+    cell = min(_CELL, min(zone.size) / 10)
+    if zone.amplitude:
+        cell = min(cell, zone.wavelength / CELLS_PER_WAVE)
+    xs, ys = (_grid(edge, cell) for edge in zone.size)
+    rows = _waves(xs, ys, zone.wavelength, zone.seed) if zone.amplitude else _level(xs, ys)
+    rise = math.tan(zone.slope)
+    for row, y in zip(rows, ys, strict=True):
+        for i, x in enumerate(xs):
+            inside = min(x - xs[0], xs[-1] - x, y - ys[0], ys[-1] - y)
+            edge = _step(2.0 * inside / zone.wavelength)
+            raised = min(zone.height, inside * rise)
+            row[i] = raised + edge * zone.amplitude * (1.0 + row[i])
+    top = max(max(row) for row in rows)
+    return [[h / top for h in row] for row in rows], top
+
+
+def _waves(
+    xs: Sequence[float], ys: Sequence[float], wavelength: float, seed: int
+) -> list[list[float]]:
+    """-1..1: a sum of plane waves of random directions, ``wavelength`` to four times as long, as
+    high as they are long."""
+    chance = random.Random(seed)
+    rows = _level(xs, ys)
+    for _ in range(WAVES):
+        length = wavelength * 4.0 ** chance.random()
+        way, phase = chance.uniform(0.0, math.tau), chance.uniform(0.0, math.tau)
+        kx, ky = (math.tau / length * part for part in (math.cos(way), math.sin(way)))
+        # sin(a + b) by the sines of a and b, which rows and columns share.
+        sines = [length * math.sin(kx * x + phase) for x in xs]
+        cosines = [length * math.cos(kx * x + phase) for x in xs]
+        for row, y in zip(rows, ys, strict=True):
+            s, c = math.sin(ky * y), math.cos(ky * y)
+            row[:] = [h + a * c + b * s for h, a, b in zip(row, sines, cosines, strict=True)]
+    largest = max(max(map(abs, row)) for row in rows) or 1.0
+    for row in rows:
+        row[:] = [h / largest for h in row]
+    return rows
+
+
+def _level(xs: Sequence[float], ys: Sequence[float]) -> list[list[float]]:
+    return [[0.0] * len(xs) for _ in ys]
+
+
+def _grid(edge: float, cell: float) -> list[float]:
+    count = max(2, math.ceil(edge / cell - 1e-9))
+    return [edge * (i / count - 0.5) for i in range(count + 1)]
+
+
+def _step(share: float) -> float:
+    """0 up to 0, 1 from 1 on, smooth between."""
+    share = min(max(share, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def height_file(rows: list[list[float]]) -> bytes:
+    """MuJoCo's own format: numbers of rows and columns, then heights, little endian."""
+    import array
+    import struct
+    import sys
+
+    values = array.array("f", [h for row in rows for h in row])
+    if sys.byteorder == "big":
+        values.byteswap()
+    return struct.pack("<ii", len(rows), len(rows[0])) + values.tobytes()
