@@ -12,6 +12,7 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +25,10 @@ from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.port import PythonCanPort, open_port, open_ports
-from thorvaldc.runtime.bus.wire import ErrorState
+from thorvaldc.runtime.bus.remote import RemoteClient
+from thorvaldc.runtime.bus.server import serving
+from thorvaldc.runtime.bus.timeline import Timeline
+from thorvaldc.runtime.bus.wire import ErrorState, Wire
 from thorvaldc.runtime.faults import RuntimeFault
 
 HEARTBEAT = CanFrame(0x701, b"\x05")
@@ -354,3 +358,18 @@ def test_ports_of_several_buses_are_named(two_buses: Robot) -> None:
 def two_buses() -> Robot:
     buses = tuple(Bus(name, 500_000, 0.02, (), (), SPAN) for name in ("left", "right"))
     return replace(cia402_robot(), buses=buses)
+
+
+def test_a_master_on_a_simulated_bus_sends_in_its_own_order(bus: Bus, tmp_path: Path) -> None:
+    """As interfaces do: SYNC comes after the commands, whatever its identifier."""
+    wire = Wire(Timeline())
+    channel = str(tmp_path / "bus.sock")
+    with (
+        serving(wire.timeline, {channel: wire}),
+        closing(open_port(f"sim:{channel}", bus)) as master,
+        closing(RemoteClient(channel)) as other,
+    ):
+        sent = [CanFrame(k, bytes(8)) for k in (0x201, 0x202, 0x303, 0x304, 0x080)]
+        for frame in sent:
+            assert master.send(frame)
+        assert [got.frame for got in (other.receive(2.0) for _ in sent) if got] == sent

@@ -357,7 +357,8 @@ def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> Por
     if not channel:
         raise _fault(spec, "`sim` needs the name of a bus", "`thorvaldc bus FILE` prints it")
     try:
-        return RemoteClient(channel, "master", bus.bitrate, listen_only=listen_only)
+        # In the order in which frames are sent, as interfaces do: SYNC after the commands.
+        return RemoteClient(channel, "master", bus.bitrate, listen_only=listen_only, fifo=True)
     except OSError as fault:
         hint = f"start it in another terminal: thorvaldc bus FILE --channel {channel}"
         raise _fault(spec, _plain(fault), hint) from None

@@ -1,0 +1,153 @@
+"""Libraries that know nothing of us read the bus's files and the bus: canopen and cantools."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import canopen
+import cantools
+import pytest
+
+from tests.examples import ROBOTS, example_robot
+from tests.runtime.bus.robots import cia402_robot
+from tests.runtime.can_base_rig import Rig
+from thorvaldc.backends.can import Can
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import OBJECT_TYPES, Node
+from thorvaldc.runtime.bus import interface
+from thorvaldc.runtime.bus.server import serving
+from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+from thorvaldc.runtime.can_base.codec import FrameCodec
+from thorvaldc.runtime.se2 import Twist
+
+NAMES = [*ROBOTS, "cia402"]
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def robot(request: pytest.FixtureRequest) -> Robot:
+    return cia402_robot() if request.param == "cia402" else example_robot(request.param)
+
+
+@pytest.fixture(scope="module")
+def files(robot: Robot) -> dict[str, bytes]:
+    return Can().emit(robot)
+
+
+@pytest.fixture(scope="module")
+def database(files: dict[str, bytes]) -> Any:
+    return cantools.database.load_string(files["can/robot.dbc"].decode("cp1252"), "dbc")
+
+
+def dictionary(files: dict[str, bytes], node: Node, folder: Path) -> Any:
+    path = folder / f"{node.name}.dcf"
+    path.write_bytes(files[f"can/dcf/{node.name}.dcf"])
+    return canopen.objectdictionary.import_od(str(path))
+
+
+def nodes(robot: Robot) -> Iterator[Node]:
+    """The CANopen nodes: those with objects."""
+    return (node for bus in robot.buses for node in bus.nodes if node.objects)
+
+
+# -- canopen -------------------------------------------------------------------------------------
+
+
+def test_canopen_imports_each_dcf(robot: Robot, files: dict[str, bytes], tmp_path: Path) -> None:
+    made = sorted(path for path in files if path.startswith("can/dcf/"))
+    assert made == sorted(f"can/dcf/{node.name}.dcf" for node in nodes(robot))
+    for node in nodes(robot):
+        od = dictionary(files, node, tmp_path)
+        assert od.node_id == node.id
+        assert od.bitrate == robot.buses[0].bitrate
+        for entry in node.objects:
+            found = od[entry.index]
+            if not isinstance(found, canopen.objectdictionary.ODVariable):
+                found = found[entry.subindex]
+            if entry.value is not None:
+                assert entry.value in (found.value, found.default), entry.name
+
+
+def test_canopen_reads_from_running_nodes_what_their_dcfs_say(
+    robot: Robot, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    """Its SDO client with its own reading of our DCF, against a simulated node."""
+    interface.register()
+    simulated = SimulatedRobot(robot)
+    simulated.power_on()
+    simulated.run(0.3)  # they are up
+    channel = str(tmp_path / "bus.sock")
+    listed = list(nodes(robot))
+    with serving(simulated.timeline, {channel: simulated.wire()}), canopen.Network() as network:
+        network.connect(interface="thorvaldc_sim", channel=channel)
+        for node in (listed[0], listed[-1]):
+            remote = network.add_node(node.id, dictionary(files, node, tmp_path))
+            remote.sdo.RESPONSE_TIMEOUT = 2.0
+            for entry in node.objects:
+                if entry.value is None:
+                    continue
+                signed = entry.type.startswith("integer")
+                data = remote.sdo.upload(entry.index, entry.subindex)
+                assert len(data) == (OBJECT_TYPES[entry.type][1] + 7) // 8, entry.name
+                assert int.from_bytes(data, "little", signed=signed) == entry.value, entry.name
+
+
+# -- cantools ------------------------------------------------------------------------------------
+
+
+def test_our_codec_and_cantools_agree(robot: Robot, database: Any) -> None:
+    draw = random.Random(1)
+    for frame in (f for bus in robot.buses for f in bus.frames if f.signals):
+        codec = FrameCodec(frame)
+        message = database.get_message_by_frame_id(frame.cob_id)
+        for _ in range(5):
+            data = draw.randbytes(frame.length)
+            chooser = next((s for s in frame.signals if s.multiplexer), None)
+            if chooser is not None:
+                at = chooser.start // 8
+                choice = draw.choice([raw for s in frame.signals for raw in s.selected_by])
+                data = data[:at] + bytes([choice]) + data[at + 1 :]
+            theirs = message.decode(data, decode_choices=False, scaling=True)
+            ours = codec.named(data)
+            assert ours == pytest.approx(theirs, rel=1e-12), frame.name
+            if chooser is None:
+                kept = {s.name: ours[s.name] for s in frame.signals}
+                within = all(
+                    (s.minimum is None or kept[s.name] >= s.minimum)
+                    and (s.maximum is None or kept[s.name] <= s.maximum)
+                    for s in frame.signals
+                )
+                if within:
+                    assert codec.encode_named(kept) == message.encode(kept, strict=False)
+
+
+@pytest.mark.parametrize("name", ["4wd4ws_wide", "cia402"])
+def test_cantools_decodes_what_the_driver_sends_to_what_it_wants(name: str) -> None:
+    """The driver's frames on the wire, by our DBC; and the reports to what the motors do."""
+    rig = Rig(cia402_robot() if name == "cia402" else example_robot(name))
+    read = cantools.database.load_string(
+        Can().emit(rig.robot)["can/robot.dbc"].decode("cp1252"), "dbc"
+    )
+    rig.drive(Twist(0.4, 0.0, 0.2), 4.0)
+    last = {frame.id: frame.data for _, frame in rig.frames}
+    controllers = [c for link in rig.base.links for c in link.controllers]
+    axes = {axis.joint: axis for c in controllers for axis in c.axes}
+    checked = 0
+    for frame in rig.robot.buses[0].frames:
+        if frame.kind != "pdo" or frame.period is None or frame.cob_id not in last:
+            continue
+        values = read.decode_message(frame.cob_id, last[frame.cob_id], decode_choices=False)
+        for signal in frame.signals:
+            if signal.joint is None or "max" in signal.name:
+                continue
+            axis = axes[signal.joint]
+            if signal.unit != ("rad" if axis.steering else "rad/s"):
+                continue
+            motor = rig.simulated.motors[axis.actuator.name].read(rig.now)
+            done = motor.position if axis.steering else motor.velocity
+            wanted = axis.target if frame.producer == "master" else done
+            assert values[signal.name] == pytest.approx(wanted, abs=0.02), signal.name
+            checked += 1
+    assert checked == 2 * len(axes), "a command and a report of each motor"
