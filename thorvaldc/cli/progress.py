@@ -6,6 +6,8 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
+from thorvaldc.cli.faults import width_of
+
 if TYPE_CHECKING:
     from thorvaldc.runtime.meter import Meter
 
@@ -29,8 +31,9 @@ class Progress:
             self._shown = percent
             bar = f"[{'#' * (percent * BAR // 100):<{BAR}}]"
             said = f"{done:.1f}" if self.unit == "s" else f"{done:.0f}"
-            line = f"\r{self.what}{bar} {percent:3d} %  {said} of {self.total:g} {self.unit}"
-            print(line, end="", file=sys.stderr, flush=True)
+            line = f"{self.what}{bar} {percent:3d} %  {said} of {self.total:g} {self.unit}"
+            # A line that goes on in the next one could not be taken away.
+            print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
 
     def watch(self, meter: Meter) -> None:
         """``show`` the time of a run."""

@@ -33,11 +33,14 @@ def open_recorder(
     path = Path(record)
     kind = path.suffix.lower()
     if kind in _OTHERS or (kind == ".csv" and len(robots) > 1):
-        wrong = f"{len(robots)} robots do not go into one CSV file" if kind == ".csv" else "unknown"
+        wrong = f"no record is a {kind} file"
+        if kind == ".csv":
+            wrong = f"{len(robots)} robots do not go into one CSV file"
         raise typer.BadParameter(
-            f"{record}: {wrong}; name a .mcap file, or a folder for CSV files",
-            param_hint="'--record'",
+            f"{wrong}; name a .mcap file, or a folder for CSV files", param_hint="'--record'"
         )
+    if kind not in (".mcap", ".csv") and path.is_file():
+        raise OutsideError(f"cannot write {record}: it is a file; name a folder, or a .mcap file")
     with writing(record):
         if kind == ".mcap":
             from thorvaldc.runtime.mcap_record import McapRecorder
@@ -62,20 +65,24 @@ def open_logs(log: str, robots: Robots, stack: ExitStack) -> Watch:
     """What writes the joint logs: of one robot to the file ``log``, of several to a folder."""
     from thorvaldc.runtime.joint_log import JointLogWriter
     from thorvaldc.runtime.meter import Meter
+    from thorvaldc.runtime.record import naming
 
     folder = Path(log)
     several = len(robots) > 1
-    writers = {}
+    writers, paths = {}, {}
     with writing(log):
         if several:
             folder.mkdir(parents=True, exist_ok=True)
         for name, robot in robots:
             path = folder / f"{name}.csv" if several else folder
-            stream = stack.enter_context(path.open("w", encoding="utf-8", newline="\n"))
-            writers[name] = JointLogWriter(robot, stream)
+            stream = path.open("w", encoding="utf-8", newline="\n")
+            stack.enter_context(naming(path))  # of what is found when it is closed
+            stack.enter_context(stream)
+            writers[name], paths[name] = JointLogWriter(robot, stream), path
 
     def watch(meter: Meter) -> None:
-        writers[meter.name].watch(meter)
+        with naming(paths[meter.name]):
+            writers[meter.name].watch(meter)
 
     return watch
 

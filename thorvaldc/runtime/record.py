@@ -137,7 +137,8 @@ class CsvRecorder:
                     stream.write(",".join(columns(self._robots[name], groups)) + "\n")
                     stream.flush()
         except OSError:
-            self._files.clear()
+            with contextlib.suppress(OSError):
+                self.close()
             raise
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:

@@ -228,7 +228,7 @@ def _tell(
         report.add(
             "simulation-diverged",
             f"the simulation left all bounds after {result.simulated:.2f} s{cause}",
-            meters[0].robot.origin,
+            next((m for m in meters if f"`{m.robot.namespace}/" in cause), meters[0]).robot.origin,
             hint="look for masses or inertias that are very small beside the forces on them",
         )
         return

@@ -1,0 +1,192 @@
+"""Runs that end badly: one line or a report says so, the status too, and records are kept."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Command
+from tests.cli.test_terminal import on_terminal
+from thorvaldc.cli.progress import Progress
+from thorvaldc.runtime.meter import Meter
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SLIM, TALL = EXAMPLES / "4wd4ws_slim/robot.yaml", EXAMPLES / "4wd2ws_tall/robot.yaml"
+SCENARIO = """thorvaldc: 1
+scenario: trial
+robots: {{cart: {{robot: {robot}}}}}
+duration: {duration} s
+world: {{ground: {{type: {ground}}}, friction: {friction}}}
+script: [{{at: 0, vx: 0.8 m/s}}]
+"""
+STIFF = """thorvaldc: 1
+name: stiff
+defaults: {drive: {stiffness: 50 GN/m, damping: 0}}
+modules:
+  frame: {type: frame/tube_rectangular}
+  fl: {type: assembly/suspended_steered_drive, mount: frame.front_left}
+  fr: {type: assembly/suspended_steered_drive, mount: frame.front_right}
+  rl: {type: assembly/suspended_steered_drive, mount: frame.rear_left}
+  rr: {type: assembly/suspended_steered_drive, mount: frame.rear_right}
+"""
+
+
+def scenario(
+    robot: Path | str = SLIM,
+    duration: float = 1,
+    ground: str = "plane",
+    friction: float = 0.8,
+) -> str:
+    text = SCENARIO.format(robot=robot, duration=duration, ground=ground, friction=friction)
+    Path("s.yaml").write_text(text)
+    return "s.yaml"
+
+
+def last_time(record: str) -> float:
+    """The time of the last line of a CSV, which must be whole."""
+    head, *rows = Path(record).read_text().splitlines()
+    assert all(row.count(",") == head.count(",") for row in rows)
+    return float(rows[-1].split(",")[0])
+
+
+def test_faults_of_scenario_and_robot_are_told_at_once(thorvaldc: Command) -> None:
+    done = thorvaldc("sim", scenario("bad.yaml", ground="swamp"), "--record", "r.mcap")
+    assert (done.status, done.out) == (1, "")
+    assert "bad.yaml:" in done.err
+    assert "`type` cannot be `swamp`" in done.err
+    assert "it is one of `plane`, `slope`, `rough`" in done.err
+    assert not Path("r.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--record", "none/r.mcap", "No such file or directory"),
+        ("--record", "folder.mcap", "Is a directory"),
+        ("--record", "s.yaml", "it is a file; name a folder, or a .mcap file"),
+        ("--record", "full", "No space left on device"),
+        ("--record", "full/cart.csv", "No space left on device"),
+        ("--log", "none/l.csv", "No such file or directory"),
+        ("--junit", "none/j.xml", "No such file or directory"),
+        ("--plot", "none/p.png", "No such file or directory"),
+        ("--video", "none/v.gif", "No such file or directory"),
+    ],
+)
+def test_what_cannot_be_written_is_known_before_the_run(
+    thorvaldc: Command, option: str, value: str, said: str
+) -> None:
+    Path("folder.mcap").mkdir()
+    Path("full").mkdir()
+    Path("full/cart.csv").symlink_to("/dev/full")
+    started = time.monotonic()
+    done = thorvaldc("sim", scenario(duration=80000), option, value)
+    assert (done.status, done.out) == (3, "")
+    assert done.err.startswith("error: cannot write ")
+    assert value in done.err
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert time.monotonic() - started < 20
+
+
+@pytest.mark.parametrize("option", ["--record", "--log"])
+@pytest.mark.parametrize("name", ["r.csv", "r.mcap"])
+def test_a_disk_that_gets_full_is_told_by_the_files_name(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch, option: str, name: str
+) -> None:
+    """From the first tick on no file may grow beyond some size; what is there by then stays."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def watch(self: Progress, meter: Meter) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
+
+    monkeypatch.setattr(Progress, "watch", watch)
+    try:
+        done = thorvaldc("sim", scenario(duration=60), option, name)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (done.status, done.out) == (3, "")
+    assert done.err == f"error: {name}: File too large\n"
+    assert 5000 < Path(name).stat().st_size <= 20000
+    assert not list(Path().glob(".*"))
+
+
+def test_who_falls_over_is_told_everywhere_and_recorded(thorvaldc: Command) -> None:
+    path = scenario(TALL, 40, "slope, angle: 58 deg, direction: 90 deg", 4.5)
+    done = thorvaldc("sim", path, "--record", "r.csv", "--junit", "j.xml", "--plot", "p.png")
+    assert done.status == 1
+    assert "cart fell over to its right after 1." in done.err
+    assert "ended after 1." in done.out
+    failure = ET.parse("j.xml").getroot().find(".//failure")
+    assert failure is not None
+    assert "fell over" in str(failure.get("message"))
+    assert 1.0 < last_time("r.csv") < 2.0
+    assert Path("p.png").stat().st_size > 1000
+
+
+def test_who_leaves_all_bounds_is_named_with_time_and_cause(thorvaldc: Command) -> None:
+    Path("stiff.yaml").write_text(STIFF)
+    text = Path(scenario()).read_text()
+    Path("s.yaml").write_text(
+        text.replace("}}\nduration", "}, wild: {robot: stiff.yaml, xyz: [0, 5, 0]}}\nduration")
+    )
+    done = thorvaldc("sim", "s.yaml", "--record", "r.mcap", "--plot", "p.png")
+    assert done.status == 1
+    assert "stiff.yaml:2:7: error[TV805]" in done.err
+    assert "after 0.0" in done.err
+    assert "the joint `wild/" in done.err
+    replayed = thorvaldc("sim", "s.yaml", "--replay", "r.mcap", "--plot", "q.png")
+    assert replayed.status == 0
+    assert "wild" in replayed.out
+
+
+@pytest.mark.parametrize("record", ["r.csv", "r.mcap"])
+def test_ctrl_c_leaves_a_record_that_can_be_read(
+    tmp_path: Path, thorvaldc: Command, record: str
+) -> None:
+    path = scenario(duration=80000)
+    command = [sys.executable, "-m", "thorvaldc", "sim", path, "--record", record]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and _written() < 100_000:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "interrupted\n")
+    assert not list(Path().glob(".*"))
+    done = thorvaldc("sim", path, "--replay", record, "--json")
+    assert done.status == 0, done.err
+    assert done.err == ""
+    if record.endswith(".csv"):
+        assert last_time(record) > 1.0
+
+
+def _written() -> int:
+    return sum(p.stat().st_size for p in Path().rglob("*") if p.name in ("r.csv", "record.mcap"))
+
+
+def test_runs_and_films_show_their_progress_on_a_terminal_only(
+    tmp_path: Path, thorvaldc: Command
+) -> None:
+    scenario()
+    status, shown = on_terminal(tmp_path, "sim", "s.yaml", "--video", "v.gif", COLUMNS="40")
+    assert status == 0
+    assert "[##############################] 100 %" in shown
+    assert "v.gif [#######" in shown
+    bars = [part for part in shown.replace("\x1b[K", "\r").split("\r") if "%" in part]
+    assert len(bars) > 20
+    assert max(map(len, bars)) < 40
+    done = thorvaldc("sim", "good.yaml", "--twist", "1,0,0", "--duration", "1", "--record", "r")
+    assert "%" not in done.err
+    _, shown = on_terminal(tmp_path, "sim", "good.yaml", "--ideal", "--duration", "1")
+    assert "1.0 of 1 s" in shown
