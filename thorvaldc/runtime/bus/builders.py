@@ -204,8 +204,18 @@ def _roboteq(given: Build) -> Device:
         cycle=given.period(0x180 + node.id, given.bus.sync_period),
         status_period=given.period(0x280 + node.id, 0.1),
         identity_period=given.period(0x480 + node.id, 1.0),
+        version=_version(given.property("script_version")),
+        controller_type=int(given.property("script_type") or 0),
         **given.common(),
     )
+
+
+def _version(text: Any) -> tuple[int, int, int]:
+    """That of the script which the robot's file wants; what is no version counts as 1.0.0."""
+    parts = str(text).split(".")
+    if len(parts) == 3 and all(part.isdigit() and int(part) < 256 for part in parts):
+        return int(parts[0]), int(parts[1]), int(parts[2])
+    return 1, 0, 0
 
 
 def _battery(given: Build) -> Device:

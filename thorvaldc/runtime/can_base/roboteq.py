@@ -145,7 +145,7 @@ class RoboteqScript(MotorController):
         wanted = str(properties.get("script_version", found))
         if found != wanted:
             return f"its script has the version {found}, not {wanted}"
-        kind, of_file = int(seen["controller_type"]), properties.get("controller_type")
+        kind, of_file = int(seen["controller_type"]), properties.get("script_type")
         if of_file is not None and kind != of_file:
             return f"its script is of type {kind}, not {of_file}"
         for axis in self.axes:
