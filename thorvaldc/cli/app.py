@@ -446,12 +446,24 @@ def teleop(
     speed: Annotated[
         str, typer.Option("--speed", metavar="PERCENT", help="Of the top speed, to start with.")
     ] = "50%",
+    joystick: Annotated[
+        str,
+        typer.Option(
+            "--joystick", metavar="DEVICE", help="auto, or a path such as /dev/input/event5."
+        ),
+    ] = "",
+    map: Annotated[
+        str,
+        typer.Option(
+            "--map", metavar="ENTRIES", help="The joystick's axes and buttons: enable=BTN_TL,..."
+        ),
+    ] = "",
     library: Library = [],  # noqa: B006
 ) -> int:
-    """Drive a robot by hand, from the keyboard of a terminal."""
+    """Drive a robot by hand, from the keyboard of a terminal or with a joystick."""
     from thorvaldc.cli.teleoperating import teleoperate
 
-    return teleoperate(file, on, to, name, source, speed, library)
+    return teleoperate(file, on, to, name, source, speed, joystick, map, library)
 
 
 @app.command(cls=LightCommand)

@@ -18,6 +18,7 @@ from thorvaldc.cli.faults import Faults, finite, message
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
+    from thorvaldc.runtime.teleop.joystick import Search
     from thorvaldc.runtime.teleop.vehicle import Vehicle
 
 SIMULATIONS = ("sim", "ideal")
@@ -30,13 +31,18 @@ def teleoperate(
     name: str,
     source: str,
     speed: str,
+    joystick: str,
+    mapping: str,
     library: Sequence[str],
 ) -> int:
     """Until the operator quits, or the process is interrupted, terminated or hung up."""
     if bool(file) == bool(to):
         raise typer.BadParameter("name a robot's FILE, or a driver that is run by --to NAME")
     share = _share(speed)
-    if not sys.stdin.isatty():
+    if mapping and not joystick:
+        raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
+    search = _search(joystick, mapping) if joystick else None
+    if search is None and not sys.stdin.isatty():
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
     gc.enable()
     with _ending() as ended:
@@ -46,7 +52,7 @@ def teleoperate(
             return INPUT
         try:
             _check_source(source, vehicle.description)
-            _drive(vehicle, source, share, ended)
+            _drive(vehicle, source, share, search, ended)
         except ConnectionError as fault:
             raise OutsideError(str(fault)) from None
         finally:
@@ -105,17 +111,54 @@ def _remote(name: str) -> Vehicle:
     return RemoteVehicle(ControlClient(name))
 
 
-def _drive(vehicle: Vehicle, source: str, share: float, ended: Callable[[], bool]) -> None:
+def _drive(
+    vehicle: Vehicle, source: str, share: float, search: Search | None, ended: Callable[[], bool]
+) -> None:
+    from thorvaldc.runtime.teleop.joystick import HELP as STICKS
+    from thorvaldc.runtime.teleop.joystick import Joystick, Together
     from thorvaldc.runtime.teleop.keyboard import HELP, Keyboard
     from thorvaldc.runtime.teleop.operate import operate
-    from thorvaldc.runtime.teleop.operator import Limits
+    from thorvaldc.runtime.teleop.operator import Limits, Operator
     from thorvaldc.runtime.teleop.terminal import Terminal
 
     described = vehicle.description
-    print(f"{described['robot']}, as {source}\n{HELP}\n", flush=True)
-    with Terminal(sys.stdin, sys.stdout) as terminal:
-        operator = Keyboard(Limits.of(described), terminal.read, share)
-        operate(vehicle, operator, source, terminal.show, ended)
+    limits = Limits.of(described)
+    keys = sys.stdin if sys.stdin.isatty() else None
+    print(f"{described['robot']}, as {source}")
+    print(
+        *([HELP] * (keys is not None) + [STICKS] * (search is not None)), "", sep="\n", flush=True
+    )
+    with Terminal(keys, sys.stdout) as terminal:
+        operator: Operator = Keyboard(limits, terminal.read, share)
+        if search is not None:
+            operator = Together(operator, Joystick(limits, search, share))
+        try:
+            operate(vehicle, operator, source, terminal.show, ended)
+        finally:
+            operator.close()
+
+
+def _search(joystick: str, mapping: str) -> Search:
+    """How to look for the joystick, which is there now."""
+    from thorvaldc.runtime.faults import ParameterError
+    from thorvaldc.runtime.teleop.joystick import evdev_search
+
+    try:
+        search = evdev_search("" if joystick == "auto" else joystick, mapping)
+    except ImportError:
+        raise OutsideError(
+            "a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'"
+        ) from None
+    except ParameterError as fault:
+        raise typer.BadParameter(str(fault), param_hint="'--map'") from None
+    found = search()
+    if found is None:
+        where = "under /dev/input" if joystick == "auto" else f"at {joystick}"
+        raise OutsideError(
+            f"no joystick is found {where}; is it plugged in, and may you read it (group `input`)?"
+        )
+    found[0].close()
+    return search
 
 
 def _check_source(source: str, description: dict[str, Any]) -> None:

@@ -44,11 +44,21 @@ class Request(NamedTuple):
 
 
 class Operator(Protocol):
-    """``share`` of the top speed; ``message``: a line for the person, empty if none."""
+    """Somebody at a keyboard, with a joystick."""
 
-    share: float
-    message: str
     finished: bool
+    """Whether the person wants to end it."""
+
+    @property
+    def share(self) -> float:
+        """Of the top speed."""
+
+    @share.setter
+    def share(self, share: float) -> None: ...
+
+    @property
+    def message(self) -> str:
+        """A line for the person, empty if none."""
 
     def poll(self, now: float) -> list[Request]:
         """Look what the hand has done until ``now`` (s, monotonic); never waits."""
