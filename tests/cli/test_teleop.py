@@ -13,6 +13,7 @@ import sys
 import tempfile
 import termios
 import time
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -189,7 +190,7 @@ def test_what_is_said_of_a_wrong_call(
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (("--on", "sky"), 2, "'sky' is none of sim, ideal"),
+        (("--on", "sky"), 2, "'sky' is none of sim, ideal, virtual"),
         (("--source", "me"), 2, "it has teleop_joy, auto_nav"),
     ],
 )
@@ -213,3 +214,91 @@ def test_call_where_nothing_is_run(folder: Path, thorvaldc: Command) -> None:
     assert done.err.startswith("error: no driver is run at ")
     assert done.err.count("\n") == 1
     assert thorvaldc("call", "nobody", "state", "novalue").status == 2
+
+
+def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
+    command = [sys.executable, "-m", "thorvaldc", "run", "good.yaml", "--bus", "virtual"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        limit = time.monotonic() + PATIENCE
+        ready = False
+        while not ready and time.monotonic() < limit:
+            time.sleep(0.05)
+            asked = thorvaldc("call", "good", "state", "--json")
+            ready = asked.status == 0 and json.loads(asked.out)["supervisor"] == "ready"
+        assert ready
+        person = Teleop(folder, "--to", "good")
+        try:
+            person.until("ready  drives: nobody")
+            for _ in range(20):
+                person.type("i")
+                time.sleep(0.04)
+            person.until("active  drives: teleop_joy")
+            assert thorvaldc("call", "good", "safety_stop").status == 0
+            person.until("estop")
+            refused = thorvaldc("call", "good", "reset_faults")
+            assert refused.status == 1
+            assert "release it first" in refused.err
+            person.type("q")
+            assert person.end() == 0
+        finally:
+            person.close()
+            process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert b"Traceback" not in said
+    assert thorvaldc("call", "good", "state").status == 3
+
+
+def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
+    running = Teleop(folder, "good.yaml", "--on", "virtual", "--speed", "20")
+    try:
+        running.until("homing")
+        running.until("ready")
+        for _ in range(20):
+            running.type("l")
+            time.sleep(0.04)
+        running.until("active  drives: teleop_joy")
+        running.type("\x03")
+        assert running.end() == 0
+    finally:
+        running.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (("good.yaml", "--map", "enable=BTN_TL"), 2, "is for a --joystick"),
+        (("good.yaml", "--joystick", "/dev/input/none"), 3, "/dev/input/none"),
+    ],
+)
+def test_joysticks_that_are_not_there(
+    monkeypatch: pytest.MonkeyPatch,
+    thorvaldc: Command,
+    arguments: tuple[str, ...],
+    status: int,
+    said: str,
+) -> None:
+    search = types.ModuleType("evdev")
+    search.InputDevice = _no_device  # type: ignore[attr-defined]
+    search.ecodes = types.SimpleNamespace(ecodes={})  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "evdev", search)
+    done = thorvaldc("teleop", *arguments)
+    assert done.status == status
+    assert said in " ".join(done.err.replace("│", " ").split())
+
+
+def _no_device(path: str) -> None:
+    raise FileNotFoundError(path)
+
+
+def test_without_evdev_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, thorvaldc: Command
+) -> None:
+    monkeypatch.setitem(sys.modules, "evdev", None)
+    done = thorvaldc("teleop", "good.yaml", "--joystick", "auto")
+    assert (done.status, done.err) == (
+        3,
+        "error: a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'\n",
+    )

@@ -353,6 +353,15 @@ def run(
     fast: Annotated[
         bool, typer.Option("--fast", help="Let a virtual robot's time run as fast as it can.")
     ] = False,
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name",
+            metavar="NAME",
+            help="Of its control channel, for `teleop --to` and `call`.",
+            show_default="the robot's; none with --twist or --duration",
+        ),
+    ] = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:
@@ -360,7 +369,7 @@ def run(
     from thorvaldc.cli.running import run as run_driver
 
     return run_driver(
-        file, bus, duration, twist, parameters, physics, faults, seed, fast, json, library
+        file, bus, duration, twist, parameters, physics, faults, seed, fast, name, json, library
     )
 
 
@@ -421,7 +430,8 @@ def teleop(
         typer.Option(
             "--on",
             metavar="WHAT",
-            help="sim: MuJoCo; ideal: ideal joints.",
+            help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as `run`"
+            " takes it.",
         ),
     ] = "sim",
     to: Annotated[

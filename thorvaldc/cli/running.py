@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from thorvaldc.cli.compiling import compile_one
-from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, finite, message
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def run(
     faults: str,
     seed: str,
     fast: bool,
+    name: str,
     json: bool,
     library: Sequence[str],
 ) -> int:
@@ -70,6 +71,10 @@ def run(
                 )
     if fast and not duration:
         raise typer.BadParameter("needs a --duration", param_hint="'--fast'")
+    if fast and name:
+        raise typer.BadParameter(
+            "time that runs fast is nobody's to drive in", param_hint="'--name'"
+        )
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.faults import RuntimeFault
 
@@ -80,8 +85,10 @@ def run(
     report = Report()
     try:
         asked = _parse(twist)
-        simulated, ports = _ports(robot, file, bus, physics, faults, seed, report)
-        session = Session(robot, ports, simulated, parameters, asked, seconds, fast)
+        simulated, ports = ports_of(robot, file, bus, physics, faults, seed, report)
+        # Who runs a robot for others to drive wants the channel; a run of its own has one if named.
+        channel = name or ("" if twist or duration else robot.name)
+        session = Session(robot, ports, simulated, parameters, asked, seconds, fast, channel)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
         return _tell(located(report), sources)
@@ -113,10 +120,15 @@ class Session:
         twist: Twist | None,
         seconds: float,
         fast: bool,
+        channel: str = "",
     ) -> None:
-        """Raises ``RuntimeFault``; the ports are closed then."""
+        """Raises ``RuntimeFault``, and ``OutsideError`` where the control channel is in use.
+
+        The ports are closed then.
+        """
         from thorvaldc.runtime.base_runner import BaseRunner
         from thorvaldc.runtime.can_base.base import CanBase
+        from thorvaldc.runtime.control.running import RunnerControl
         from thorvaldc.runtime.faults import RuntimeFault
 
         self.robot = robot
@@ -129,14 +141,16 @@ class Session:
         try:
             base = CanBase(robot, ports, threaded=simulated is None)
             self.runner: BaseRunner = BaseRunner(robot, base, clock, parameters=parameters or None)
-        except RuntimeFault:
+            self.control = RunnerControl(self.runner, channel)
+        except (RuntimeFault, OSError) as fault:
             for port in ports.values():
                 port.close()
+            if isinstance(fault, OSError):
+                raise OutsideError(f"{fault}; --name gives this one another name") from None
             raise
+        self.runner.feed = self._feed
         self.started = clock.now
         self.ready_at = math.nan
-        if twist is not None:
-            self.runner.feed = self._feed
         if simulated is not None and not fast:
             begun = time.monotonic() - clock.now
             self.runner.pace = lambda at: time.sleep(max(begun + at - time.monotonic(), 0.0))
@@ -158,6 +172,7 @@ class Session:
             ended = self._verdict()
             self.runner.shutdown()
         finally:
+            self.control.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
             self._clear()
@@ -167,8 +182,11 @@ class Session:
         self.stop = True
 
     def _feed(self, driver: BaseDriver, now: float) -> None:
-        """The twist of the command line, as soon as the robot stands ready."""
-        if self.twist is not None and self.runner.ready and self.runner.base.armed:
+        """Who drives by the control channel; where nobody does, the command line's twist."""
+        selected = self.control.feed(driver, now)
+        free = not selected.source and not selected.locks
+        # As soon as the robot stands ready.
+        if self.twist is not None and free and self.runner.ready and self.runner.base.armed:
             driver.command(self.twist, now)
 
     def _over(self) -> bool:
@@ -351,7 +369,7 @@ def _parse(twist: str) -> Twist | None:
     return parse_twist(twist) if twist else None
 
 
-def _ports(
+def ports_of(
     robot: Robot, file: str, bus: str, physics: str, faults: str, seed: str, report: Report
 ) -> tuple[SimulatedRobot | None, Mapping[str, Port]]:
     """The ports of the robot's buses; simulated ones with their robot.  Raises ``RuntimeFault``."""

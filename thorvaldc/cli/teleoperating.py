@@ -78,7 +78,7 @@ def _local(file: str, on: str, name: str, library: Sequence[str]) -> Vehicle:
     try:
         if on in SIMULATIONS:
             return _simulated(done.model, on, name or done.model.name)
-        raise typer.BadParameter(f"{on!r} is none of {', '.join(SIMULATIONS)}", param_hint="'--on'")
+        return _on_bus(done.model, file, on, name or done.model.name)
     except RuntimeFault as fault:
         report = Report()
         report.put(fault.diagnostic)
@@ -102,6 +102,25 @@ def _simulated(robot: Robot, on: str, name: str) -> Vehicle:
         return SimulatedVehicle(BaseDriver(robot, base), name)
     except OSError as fault:
         raise OutsideError(f"{fault}; --name gives this one another name") from None
+
+
+def _on_bus(robot: Robot, file: str, on: str, name: str) -> Vehicle:
+    import math
+
+    from thorvaldc.cli.running import SIMULATED, Session, ports_of, say_untried
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.runtime.teleop.running import RunningVehicle
+
+    if on != "virtual" and on != "udp" and ":" not in on:
+        raise typer.BadParameter(
+            f"{on!r} is none of sim, ideal, virtual, sim:NAME, slcan:PORT, socketcan:can0, udp",
+            param_hint="'--on'",
+        )
+    simulated, ports = ports_of(robot, file, on, "ideal", "", "", Report())
+    session = Session(robot, ports, simulated, "", None, math.inf, False, name)
+    if on.partition(":")[0] not in SIMULATED:
+        say_untried()
+    return RunningVehicle(session.runner, session.control)
 
 
 def _remote(name: str) -> Vehicle:
@@ -252,7 +271,7 @@ def _show(found: Any, indent: str = "") -> None:
         if isinstance(value, dict) and any(isinstance(v, dict) for v in value.values()):
             print(f"{indent}{key}:")
             _show(value, indent + "  ")
-        elif isinstance(value, dict):
+        elif isinstance(value, dict) and value:
             listed = "  ".join(f"{k} {_text(v)}" for k, v in value.items())
             print(f"{indent}{key}: {listed}")
         else:
@@ -264,7 +283,7 @@ def _text(value: Any) -> str:
         return f"{value + 0.0:.4g}"
     if isinstance(value, list):
         return ", ".join(_text(entry) for entry in value) or "-"
-    return str(value) if value not in ("", None) else "-"
+    return str(value) if value not in ("", None, {}) else "-"
 
 
 def _show_services(found: list[dict[str, Any]]) -> None:

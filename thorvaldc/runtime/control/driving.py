@@ -104,6 +104,7 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
         "odometry": state.odometry.twist._asdict(),
         "pose": state.pose._asdict(),
         "fault": state.fault,
+        "held": state.held,
     }
 
 

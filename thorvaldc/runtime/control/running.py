@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from typing import Any
 
-from thorvaldc.runtime.base_runner import BaseRunner, Refused
+from thorvaldc.runtime.base_runner import BaseRunner
 from thorvaldc.runtime.control.driving import SAFETY_STOP, driver_state, driving_services
 from thorvaldc.runtime.control.server import ControlServer
 from thorvaldc.runtime.control.services import Argument, Service, ServiceError, Services
@@ -18,8 +17,8 @@ from thorvaldc.runtime.multiplexer import Multiplexer, Selection
 class RunnerControl:
     """Who drives a runner, and what can be asked of it: by calls here and over a channel.
 
-    It is the runner's ``feed``.  ``channel`` empty: none.  Raises ``OSError`` where the channel is
-    in use.
+    Its ``feed`` is for the runner's.  ``channel`` empty: none.  Raises ``OSError`` where the
+    channel is in use.
     """
 
     def __init__(self, runner: BaseRunner, channel: str = "") -> None:
@@ -29,7 +28,6 @@ class RunnerControl:
             [*driving_services(runner.driver, self.multiplexer), *runner_services(self)]
         )
         self._server = ControlServer(channel, self.services) if channel else None
-        runner.feed = self.feed
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
         """What has come over the channel, then the command of who drives."""
@@ -76,7 +74,7 @@ def runner_services(control: RunnerControl) -> list[Service]:
     def without_time(method: Callable[..., Any]) -> Callable[..., Any]:
         return lambda now, **arguments: method(**arguments)
 
-    services = [
+    return [
         Service(
             "state",
             "What the driver and its bus do.",
@@ -135,7 +133,6 @@ def runner_services(control: RunnerControl) -> list[Service]:
             (Argument("bus", "text", ""),),
         ),
     ]
-    return [_refusable(service) for service in services]
 
 
 def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
@@ -164,14 +161,3 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
 def _number(value: float) -> float | None:
     """JSON has no NaN: what is not known is null."""
     return value if math.isfinite(value) else None
-
-
-def _refusable(service: Service) -> Service:
-    @functools.wraps(service.call)
-    def call(now: float, **arguments: Any) -> Any:
-        try:
-            return service.call(now, **arguments)
-        except Refused as refused:
-            raise ServiceError(str(refused)) from None
-
-    return Service(service.name, service.summary, call, service.arguments)

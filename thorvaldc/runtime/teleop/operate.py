@@ -56,6 +56,8 @@ def operate(
                 show(status_lines(vehicle.call("state"), wanted, operator.share, shown))
     finally:
         stop(vehicle, source, clock)
+        with contextlib.suppress(ConnectionError, ServiceError):
+            show(status_lines(vehicle.call("state"), None, operator.share, ""))
 
 
 def publish(vehicle: Vehicle, source: str, twist: Twist) -> None:

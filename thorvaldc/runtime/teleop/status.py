@@ -25,6 +25,8 @@ def status_lines(
         parts.append(f"locked: {', '.join(state['locks'])}")
     if state["fault"]:
         parts.append(f"FAULT {state['fault']}")
+    elif state["held"] and state["held"] != parts[0]:
+        parts.append(f"held: {state['held']}")
     if message:
         parts.append(message)
     first = f"{share * 100:3.0f} %  asked {asked}  in force {_twist(Twist(**state['in_force']))}"
