@@ -334,7 +334,8 @@ class BusLink:
         if frame is None or now < self._heartbeat_due - 1e-6:
             return
         period = frame.period or 0.1
-        self._heartbeat_due = max(self._heartbeat_due + period, now + period / 2.0)
+        late = now - self._heartbeat_due > period / 2.0  # also the first
+        self._heartbeat_due = (now if late else self._heartbeat_due) + period
         state = OPERATIONAL if operational else PRE_OPERATIONAL
         self.send(Message(frame.cob_id, bytes([state])))
 
