@@ -21,7 +21,7 @@ T = TypeVar("T")
 MASTER = "master"
 STANDING = 0.02
 """rad/s of a wheel below which it stands."""
-STRAIGHT = 0.05
+STRAIGHT = 0.01
 """rad of a steering from its target within which it has come to it."""
 
 
