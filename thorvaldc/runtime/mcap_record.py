@@ -25,7 +25,7 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
@@ -42,9 +42,8 @@ from thorvaldc.runtime.bag import (
 from thorvaldc.runtime.base import JointCommands, JointStates
 from thorvaldc.runtime.meter import Sample
 from thorvaldc.runtime.record import Pace, naming
-
-if TYPE_CHECKING:
-    from thorvaldc.runtime.ros_messages import RosMessages
+from thorvaldc.runtime.ros_messages import RosMessages, covariance, place, velocity
+from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 
 _TF = "tf2_msgs/msg/TFMessage"
 _GROUPS = {
@@ -79,11 +78,9 @@ class McapRecorder:
         check_rosbags()
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-        from thorvaldc.runtime.ros_messages import RosMessages
-
         self.path = path
         self._pace = Pace(every)
-        self._make: RosMessages = RosMessages()
+        self._make = RosMessages()
         self._pending: list[tuple[Any, int, bytes]] = []
         self._tf: Any = None
         self._tf_static: Any = None
@@ -135,9 +132,9 @@ class McapRecorder:
                     os.replace(self._folder / _NAME / f"{_NAME}.mcap", self.path)
                 self._drop()
 
-    def send(self, connection: Any, time: int, message: Any) -> None:
+    def send(self, connection: Any, time: int, data: bytes) -> None:
         """Queue a message for ``time`` in ns."""
-        self._pending.append((connection, time, self._make.bytes(message, connection.msgtype)))
+        self._pending.append((connection, time, data))
 
     def _write(self) -> None:
         pending, self._pending = self._pending, []
@@ -154,8 +151,9 @@ class McapRecorder:
         store = self._make.store
         return self._writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=qos)
 
-    def send_tf(self, time: int, transforms: Sequence[Any], *, static: bool = False) -> None:
-        self.send(self._tf_static if static else self._tf, time, self._make.tf(transforms))
+    def send_tf(self, time: int, data: bytes, *, static: bool = False) -> None:
+        """Queue a TFMessage."""
+        self.send(self._tf_static if static else self._tf, time, data)
 
     def _drop(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -174,61 +172,62 @@ class _RobotTopics:
     ) -> None:
         self._topics = topics
         self._recorder = recorder
-        self._make = make
-        self._odom, self._base = f"{prefix}odom", f"{prefix}base_link"
+        odom, base = f"{prefix}odom", f"{prefix}base_link"
         drives, steering = joints_of(robot)
-        self._names = [*drives, *steering]
         self._drives, self._steering = list(drives.values()), list(steering.values())
-        self._start: Any = None
+        self._odometry = make.odometry(odom, base)
+        self._truth = make.odometry("map", f"{base}_true")
+        self._start_frame = make.transforms([("map", odom)])
+        frames = [(odom, base)] * (ODOM in topics) + [("map", f"{base}_true")] * (TRUTH in topics)
+        self._frames = make.transforms(frames)
+        self._twist = make.twist(base)
+        self._joints = make.joints([*drives, *steering])
+        self._start: Pose2 | None = None
 
     def say(self, sample: Sample, commands: JointCommands | None) -> None:
-        make, topics, recorder = self._make, self._topics, self._recorder
-        time, base = round(sample.time * 1e9), self._base
-        transforms = []
+        topics, send = self._topics, self._recorder.send
+        time = round(sample.time * 1e9)
+        places: tuple[float, ...] = ()
         if ODOM in topics:
             if self._start is None:
                 self._start = sample.pose_estimated
-                start = make.transform(time, "map", self._odom, self._start)
-                recorder.send_tf(time, [start], static=True)
+                data = self._start_frame.bytes(time, place(self._start))
+                self._recorder.send_tf(time, data, static=True)
             pose = sample.pose_estimated.relative_to(self._start)
-            transforms.append(make.transform(time, self._odom, base, pose))
-            message = make.odometry(
-                time,
-                self._odom,
-                base,
-                pose,
-                sample.estimated,
-                pose_covariance=sample.pose_covariance,
-                twist_covariance=sample.twist_covariance,
-            )
-            recorder.send(topics[ODOM], time, message)
+            where = places = place(pose)
+            known = covariance(sample.pose_covariance, pose.yaw)
+            moving = (*velocity(sample.estimated), *covariance(sample.twist_covariance))
+            send(topics[ODOM], time, self._odometry.bytes(time, (*where, *known, *moving)))
         if TRUTH in topics:
-            place = ("map", f"{base}_true", sample.pose_true)
-            transforms.append(make.transform(time, *place, sample.posture))
-            message = make.odometry(time, *place, sample.true, sample.posture)
-            recorder.send(topics[TRUTH], time, message)
-        if transforms:
-            recorder.send_tf(time, transforms)
+            where = place(sample.pose_true, sample.posture)
+            places += where
+            none = covariance(ZERO_COV)
+            numbers = (*where, *none, *velocity(sample.true), *none)
+            send(topics[TRUTH], time, self._truth.bytes(time, numbers))
+        if places:
+            self._recorder.send_tf(time, self._frames.bytes(time, places))
         for topic, twist in ((ASKED, sample.asked), (AIMED, sample.aimed)):
             if topic in topics:
-                recorder.send(topics[topic], time, make.twist(time, base, twist))
+                send(topics[topic], time, self._twist.bytes(time, velocity(twist)))
         if JOINTS in topics and sample.joints is not None:
-            positions, speeds = self._states(sample.joints)
-            message = make.joints(time, self._names, positions, speeds)
-            recorder.send(topics[JOINTS], time, message)
+            send(topics[JOINTS], time, self._joints.bytes(time, self._states(sample.joints)))
         if COMMANDS in topics and commands is not None:
-            none = math.nan
-            angles = [commands.angles[i] for i in self._steering]
-            positions = [none] * len(self._drives) + angles
-            speeds = [commands.speeds[i] for i in self._drives] + [none] * len(angles)
-            message = make.joints(time, self._names, positions, speeds)
-            recorder.send(topics[COMMANDS], time, message)
+            send(topics[COMMANDS], time, self._joints.bytes(time, self._asked(commands)))
 
-    def _states(self, joints: JointStates) -> tuple[list[float], list[float]]:
-        turned = joints.positions or [math.nan] * len(joints.speeds)
-        positions = [turned[i] for i in self._drives] + [joints.angles[i] for i in self._steering]
-        speeds = [joints.speeds[i] for i in self._drives]
-        return positions, speeds + [joints.angle_rates[i] for i in self._steering]
+    def _states(self, joints: JointStates) -> list[float]:
+        """Positions, then velocities, in the order of the names."""
+        drives, steering = self._drives, self._steering
+        turned = joints.positions
+        found = [turned[i] if turned is not None else math.nan for i in drives]
+        found += [joints.angles[i] for i in steering]
+        found += [joints.speeds[i] for i in drives]
+        return found + [joints.angle_rates[i] for i in steering]
+
+    def _asked(self, commands: JointCommands) -> list[float]:
+        """A position of each steering joint, a velocity of each drive; else nan."""
+        drives, steering = self._drives, self._steering
+        found = [math.nan] * len(drives) + [commands.angles[i] for i in steering]
+        return found + [commands.speeds[i] for i in drives] + [math.nan] * len(steering)
 
 
 def joints_of(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
