@@ -58,14 +58,14 @@ def run_scenario(
             report.put(fault.diagnostic)
             faults.add(done.located(report), done.sources)
             return faults.finish()
+    if junit:
+        said = [d.message for d in report.errors if d.code.name != "expectation-failed"]
+        Path(junit).write_bytes(junit_report(result, said))
     if json:
         print(json_format.dumps(finite(result.as_json()), indent=1, ensure_ascii=False))
     else:
         print(_text(result))
     faults.add(done.located(report), done.sources)
-    if junit:
-        said = [d.message for d in report.errors if d.code.name != "expectation-failed"]
-        Path(junit).write_bytes(junit_report(result, said))
     if record:
         message(recorded(record, robots))
     pictures.write(scenario.fleet, robots, files)
