@@ -24,10 +24,17 @@ class Rig:
     """
 
     def __init__(
-        self, robot: Robot, *, seed: int = 0, base: BaseHandle | None = None, power: bool = True
+        self,
+        robot: Robot,
+        *,
+        seed: int = 0,
+        base: BaseHandle | None = None,
+        power: bool = True,
+        drives: Robot | None = None,
     ) -> None:
+        """``drives``: whose devices are on the bus, where it is not the driver's own robot."""
         self.robot = robot
-        self.simulated = SimulatedRobot(robot, seed=seed, base=base)
+        self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base)
         if power:
             self.simulated.power_on()
         self.ports = {bus.name: self.simulated.client(bus.name, fifo=True) for bus in robot.buses}

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.model.robot import Frame, Signal
-from thorvaldc.passes.bus_device import MASTER, Device, entries, integer, items, listed
+from thorvaldc.passes.bus_device import MASTER, Device, Wire, entries, integer, items, listed
 from thorvaldc.passes.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.passes.scope import Scope
 from thorvaldc.source.node import Node
@@ -186,38 +187,60 @@ def heartbeat(
 def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
     """The signals of a frame, each with its channel."""
     scope = device.scope
-    joints = {wire.channel: wire.actuator.joint for wire in device.wires}
+    wires = {wire.channel: wire for wire in device.wires}
+    commands = scope.text(frame.get("direction"), "report") == "command"
     for name, node in entries(frame.get("signals")):
         if not isinstance(node.value, dict):
             continue
         get = node.value.get
         channel = scope.text(get("channel")) if "channel" in node.value else None
-        wired = channel is None or channel in joints
+        wired = channel is None or channel in wires
 
         def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
             # The numbers of a channel without a motor have no meaning and are not evaluated.
             found = get(key) if wired else None
             return otherwise if found is None else scope.quantity(found, "ratio", otherwise or 0.0)
 
-        yield (
-            Signal(
-                name,
-                integer(scope, get("start"), 0),
-                integer(scope, get("length"), 1),
-                scope.boolean(get("signed"), False),
-                value("scale", 1.0),
-                value("offset", 0.0),
-                scope.text(get("unit")),
-                value("minimum", None),
-                value("maximum", None),
-                joints.get(channel) if channel is not None else None,
-                scope.boolean(get("multiplexer"), False),
-                tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
-                tuple((integer(scope, raw, 0), choice) for choice, raw in entries(get("choices"))),
-                scope.text(get("description")),
-            ),
-            channel,
+        wire = wires.get(channel) if channel is not None else None
+        signal = Signal(
+            name,
+            integer(scope, get("start"), 0),
+            integer(scope, get("length"), 1),
+            scope.boolean(get("signed"), False),
+            value("scale", 1.0),
+            value("offset", 0.0),
+            scope.text(get("unit")),
+            value("minimum", None),
+            value("maximum", None),
+            wire.actuator.joint if wire is not None else None,
+            scope.boolean(get("multiplexer"), False),
+            tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
+            tuple((integer(scope, raw, 0), choice) for choice, raw in entries(get("choices"))),
+            scope.text(get("description")),
         )
+        if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
+            signal = _calibrated(signal, wire, commands)
+        yield signal, channel
+
+
+def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
+    """An angle on the bus is the encoder's; the signal's value is the joint's position.
+
+    Here, and only here, the two are brought together: who uses the signal's offset sees positions.
+    A command is kept to what the controller allows by its encoder, which is the joint's range
+    moved by the offset.
+    """
+    offset = wire.actuator.encoder_offset
+    low, high = signal.minimum, signal.maximum
+    if commands:
+        low = wire.lower if low is None else low
+        high = wire.upper if high is None else high
+    return replace(
+        signal,
+        offset=signal.offset + offset,
+        minimum=None if low is None else low + offset,
+        maximum=None if high is None else high + offset,
+    )
 
 
 def _pdo(

@@ -216,7 +216,9 @@ def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
     if unit == "rad/s":
         return -wire.actuator.max_velocity, wire.actuator.max_velocity
     if unit == "rad" and wire.lower is not None and wire.upper is not None:
-        return wire.lower, wire.upper
+        # What the encoder reads over the joint's range, as the signal of a calibrated one says it.
+        offset = wire.actuator.encoder_offset
+        return wire.lower + offset, wire.upper + offset
     return None
 
 

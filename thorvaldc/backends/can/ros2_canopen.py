@@ -109,8 +109,12 @@ def _axis(bus: Bus, node: Node, number: int) -> Iterator[str]:
                 continue
             if frame.producer == node.name:
                 yield f"scale_{quantity}_from_dev: {signal.scale!r}"
+                if signal.offset:
+                    yield f"offset_{quantity}_from_dev: {signal.offset!r}"
             else:
                 yield f"scale_{quantity}_to_dev: {1 / signal.scale!r}"
+                if signal.offset:
+                    yield f"offset_{quantity}_to_dev: {-signal.offset / signal.scale!r}"
 
 
 def _key(name: str) -> str:

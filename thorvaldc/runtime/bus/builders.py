@@ -140,6 +140,7 @@ def _cia402(given: Build) -> Device:
                     joint.lower if steering else None,
                     joint.upper if steering else None,
                     brake=steering,
+                    zero=actuator.encoder_offset,
                 ),
                 motor,
             )
@@ -177,9 +178,12 @@ def _pdo(frame: Frame, node: Node) -> Pdo:
 def _roboteq(given: Build) -> Device:
     node = given.node
     channels = []
+    home_angle = 0.0
     for channel in node.channels[:2]:
         actuator = given.actuator(channel.name)
         motor = given.motor_of(actuator)
+        if actuator is not None and actuator.encoder_offset:
+            home_angle = actuator.encoder_offset
         if actuator is None:
             settings = ChannelSettings(1.0, 1024, 3000.0, steering=channel.role == "steering")
         else:
@@ -206,6 +210,7 @@ def _roboteq(given: Build) -> Device:
         identity_period=given.period(0x480 + node.id, 1.0),
         version=_version(given.property("script_version")),
         controller_type=int(given.property("script_type") or 0),
+        home_angle=home_angle,
         **given.common(),
     )
 

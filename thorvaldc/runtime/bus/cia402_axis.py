@@ -10,6 +10,7 @@ from typing import Any
 from thorvaldc.runtime.bus.cia402_motion import (
     CYCLIC_POSITION,
     CYCLIC_VELOCITY,
+    HERE,
     HOMING,
     MODES,
     PROFILE_POSITION,
@@ -38,7 +39,8 @@ class AxisSettings:
     ``position_units`` and ``velocity_units`` are the device's units for a rad and a rad/s
     of the joint.  Speeds in rad/s, torque in N m at the joint.  ``lower``, ``upper``
     (rad): limit switches, and the software limits as delivered; ``None``: none.
-    ``mode``: the mode of operation as delivered.
+    ``mode``: the mode of operation as delivered.  ``zero`` (rad): where the joint really is when
+    the encoder reads 0 after a homing, because a switch or the encoder was mounted askew.
     """
 
     gear_ratio: float
@@ -52,6 +54,7 @@ class AxisSettings:
     upper: float | None = None
     brake: bool = False
     mode: int = 0
+    zero: float = 0.0
 
 
 class Axis:
@@ -336,6 +339,8 @@ class Axis:
         if homing.attained:
             # CiA 402: zero lies at the home position plus the offset.
             state = self.motor.read(now)
+            if homing.method not in HERE:
+                state = state._replace(position=state.position + self.settings.zero)
             self.encoder.set_zero(state, -self._angle(0x7C) * self.encoder.counts_per_radian)
             self._measure(now)
             motion.move.position, motion.move.speed = self.position, 0.0

@@ -1,0 +1,142 @@
+"""A calibrated steering offset on the bus: in the signals once, and so in files and driver."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cantools
+import pytest
+import yaml
+
+from tests.examples import FOLDER
+from tests.runtime.bus.robots import CIA402
+from tests.runtime.can_base_rig import FORWARD, Rig
+from thorvaldc.backends.can import Can
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file
+
+OFFSETS = {"fl": math.radians(0.8), "fr": math.radians(-1.5)}
+
+
+def text_of(kind: str) -> str:
+    if kind == "cia402":
+        return CIA402
+    text = (FOLDER / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
+    assert "../" not in text
+    return text
+
+
+@pytest.fixture(scope="module", params=["roboteq", "cia402"])
+def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The robot as its modules say, and as it was calibrated."""
+    folder: Path = tmp_path_factory.mktemp(request.param)
+    text = text_of(request.param)
+    (folder / "plain.yaml").write_text(text, encoding="utf-8")
+    (folder / "robot.yaml").write_text(text + "\ncalibration: found.yaml\n", encoding="utf-8")
+    plain = compile_file(folder / "plain.yaml").model
+    assert isinstance(plain, Robot)
+    wheels = "".join(
+        f"  {wheel}_wheel: {{steering_offset: {offset!r} rad}}\n"
+        for wheel, offset in OFFSETS.items()
+    )
+    found = f"thorvaldc: 1\nrobot: {plain.name}\nwheels:\n{wheels}"
+    (folder / "found.yaml").write_text(found, encoding="utf-8")
+    done = compile_file(folder / "robot.yaml")
+    assert isinstance(done.model, Robot), [d.message for d in done.report]
+    assert not done.report.errors
+    return plain, done.model
+
+
+def offset_of(robot: Robot, joint: str) -> float:
+    return next(a.encoder_offset for a in robot.actuators if a.joint == joint)
+
+
+def test_the_offset_is_in_the_angles_of_the_calibrated_joints_alone(
+    pair: tuple[Robot, Robot],
+) -> None:
+    plain, calibrated = pair
+    moved = 0
+    for before, after in zip(plain.buses[0].frames, calibrated.buses[0].frames, strict=True):
+        for old, new in zip(before.signals, after.signals, strict=True):
+            if new.joint is None or new.unit != "rad" or not offset_of(calibrated, new.joint):
+                assert new == old
+                continue
+            moved += 1
+            offset = offset_of(calibrated, new.joint)
+            assert new.offset == pytest.approx(old.offset + offset)
+            assert new.scale == old.scale
+            if after.producer == "master":
+                joint = calibrated.joint(new.joint)
+                assert joint.lower is not None
+                assert joint.upper is not None
+                # What the controller takes is counted by its encoder.
+                assert new.minimum == pytest.approx(joint.lower + offset)
+                assert new.maximum == pytest.approx(joint.upper + offset)
+    assert moved == 2 * len(OFFSETS), "command and report of each"
+
+
+def test_every_file_for_the_bus_has_it(pair: tuple[Robot, Robot]) -> None:
+    _, robot = pair
+    files = {path: data.decode("cp1252") for path, data in Can().emit(robot).items()}
+    database = cantools.database.load_string(files["can/robot.dbc"], "dbc")
+    canmap = json.loads(files["can/canmap.json"])
+    nodes = yaml.safe_load(files["can/bus.yml"])["nodes"]
+    checked = 0
+    for bus in canmap["buses"]:
+        for node in bus["nodes"]:
+            for number, channel in enumerate(node["channels"]):
+                offset = offset_of(robot, channel["joint"]) if channel["actuator"] else 0.0
+                for signal in channel.get("signals", []):
+                    angle = signal["unit"] == "rad"
+                    assert signal["offset"] == (pytest.approx(offset) if angle else 0.0)
+                    read = database.get_message_by_name(signal["frame"])
+                    assert read.get_signal_by_name(signal["signal"]).offset == signal["offset"]
+                    macro = f"{signal['frame']}_{signal['signal']}_offset".upper()
+                    assert (macro in files["can/robot_can.h"]) == bool(angle and offset)
+                    checked += bool(angle and offset)
+                told = nodes.get(node["name"], {}).get("channels")
+                if told and offset:
+                    axis = told[number]
+                    assert axis["offset_pos_from_dev"] == pytest.approx(offset)
+                    # It sends target * scale + offset, in the drive's counts.
+                    zero = 0.0 * axis["scale_pos_to_dev"] + axis["offset_pos_to_dev"]
+                    assert zero * axis["scale_pos_from_dev"] == pytest.approx(-offset)
+    assert checked == 2 * len(OFFSETS)
+
+
+def angles(rig: Rig) -> dict[str, tuple[float, float]]:
+    """Of each steering: where the base says that it is, and where it is."""
+    found = {}
+    for link in rig.base.links:
+        for controller in link.controllers:
+            for axis in controller.axes:
+                if axis.steering:
+                    motor = rig.simulated.motors[axis.actuator.name].read(rig.now)
+                    found[axis.joint] = axis.position, motor.position
+    return found
+
+
+def test_a_calibrated_robot_drives_straight_on_drives_whose_zero_is_wrong(
+    pair: tuple[Robot, Robot],
+) -> None:
+    """The simulated drives count from where the calibration found their zero to be."""
+    _, calibrated = pair
+    rig = Rig(calibrated)
+    rig.drive(FORWARD, 1.5)
+    for joint, (said, true) in angles(rig).items():
+        assert said == pytest.approx(true, abs=2e-3), joint
+        assert true == pytest.approx(0.0, abs=5e-3), joint
+
+
+def test_without_the_calibration_its_wheels_are_askew_by_the_offset(
+    pair: tuple[Robot, Robot],
+) -> None:
+    plain, calibrated = pair
+    rig = Rig(plain, drives=calibrated)
+    rig.drive(FORWARD, 1.5)
+    for joint, (said, true) in angles(rig).items():
+        assert true - said == pytest.approx(offset_of(calibrated, joint), abs=2e-3), joint
+        assert said == pytest.approx(0.0, abs=5e-3), joint
