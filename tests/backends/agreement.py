@@ -263,7 +263,17 @@ class _Check:
                 for g in range(m.ngeom)
                 if m.geom_bodyid[g] == m.body(name).id and m.geom_contype[g] | m.geom_conaffinity[g]
             ]
-            self.same(f"{name}: treads", len(geoms), 1)
+            rings = sum(3 if tread.flange else 1 for tread in wheel.treads)
+            self.same(f"{name}: treads", len(geoms), 1 + rings)
+            for tread in wheel.treads:
+                ring = mujoco.mj_name2id(
+                    m, mujoco.mjtObj.mjOBJ_GEOM, f"{self.prefix}{wheel.link}_{tread.name}"
+                )
+                self.same(f"{name}: ring", ring in geoms, True)
+                grown = float(m.geom_size[ring][0]) - dict(wheel.radii)[tread.name]
+                self.same(f"{name}: ring's radius", 0.0 <= grown < 0.002, True)
+                self.same(f"{name}: ring's width", m.geom_size[ring][1] * 2, tread.width)
+                self.same(f"{name}: ring's place", m.geom_pos[ring], np.array(tread.center))
             if geoms:
                 size, turn = m.geom_size[geoms[0]], np.zeros(3)
                 ellipsoid = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)

@@ -34,6 +34,7 @@ from thorvaldc.model import (
     Sensor,
     Signal,
     Sphere,
+    Tread,
     TwistInput,
     Visual,
     World,
@@ -103,7 +104,14 @@ def everything() -> Robot:
         description='Text with "quotes", \\ and \u2603\n',
         links=(*robot.links, link),
         joints=(*robot.joints[:-1], joint),
-        wheels=tuple(replace(w, radii=(("floor", 0.1), ("rail", 0.09))) for w in robot.wheels),
+        wheels=tuple(
+            replace(
+                w,
+                radii=(("floor", 0.1), ("rail", 0.09)),
+                treads=(Tread("rail", (0.0, 0.06, 0.0), 0.05, 0.01),),
+            )
+            for w in robot.wheels
+        ),
         sensors=(Sensor("s", "m", "imu", "odd", (("rate", 100.0),), SPAN),),
         batteries=(Battery("b", "m", "odd", None, (("cells", 14),), SPAN),),
         buses=(Bus("main", 500000, 0.02, (node,), (frame,), SPAN),),

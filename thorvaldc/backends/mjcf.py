@@ -35,6 +35,7 @@ from thorvaldc.model import (
     Robot,
     Sensor,
     Shape,
+    Tread,
     Vec3,
     Visual,
     Wheel,
@@ -51,6 +52,7 @@ TORSION = 1 / 16
 ROLLING_FRICTION = 0.0005  # MuJoCo's third coefficient; condim 4 does not use it
 DRIVE_FREQUENCY = 20.0  # rad/s, of the propulsion servo, critically damped
 DRIVE_DAMPING = 1.0
+FLANGE = 0.004  # m, its thickness
 STEERING_STIFFNESS = 4000.0  # N m/rad
 
 WORLD = "world"  # the body that MuJoCo itself has
@@ -354,6 +356,30 @@ class _RobotWriter:
         _place(geom, center)
         mu = wheel.friction
         geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
+        for tread in wheel.treads:
+            self._add_ring(body, wheel, tread, axis, contact)
+
+    def _add_ring(
+        self, body: Element, wheel: Wheel, tread: Tread, axis: Vec3, contact: WheelContact
+    ) -> None:
+        """A ring beside the tyre, and its flanges, along which a rail slides."""
+        radius = dict(wheel.radii)[tread.name]
+        name = f"{self.prefix}{wheel.link}_{tread.name}"
+        mu, half = wheel.friction, tread.width / 2
+        ring = body.add("geom", name=name, class_="wheel", **self.bits)
+        ring.set(type="cylinder", size=(clean(radius + contact.penetration / 2), half))
+        ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
+        turned = _z_to(axis)
+        _place(ring, Pose(tread.center, turned).clean())
+        for side in (1, -1) if tread.flange else ():
+            shift = side * (half + FLANGE / 2)
+            center = tuple(c + shift * a for c, a in zip(tread.center, axis, strict=True))
+            flange = body.add(
+                "geom", name=f"{name}_flange_{'left' if side > 0 else 'right'}", class_="wheel"
+            )
+            flange.set(**self.bits)
+            flange.set(type="cylinder", size=(clean(radius + tread.flange), FLANGE / 2), condim=1)
+            _place(flange, Pose((center[0], center[1], center[2]), turned).clean())
 
     # -- what is in and on the bodies -----------------------------------------------
 

@@ -26,6 +26,7 @@ def run_scenario(
     done: Compilation,
     scenario: Scenario,
     pictures: RunPictures,
+    parameters: str | None,
     record: str,
     junit: str,
     log: str,
@@ -52,7 +53,7 @@ def run_scenario(
         stack.callback(progress.clear)
         try:
             files = emit(scenario.fleet, ["mjcf"], report)
-            simulation = ScenarioSimulation(scenario, files)
+            simulation = ScenarioSimulation(scenario, files, parameters)
             result = simulation.play(report, recorders, each(watches))
         except RuntimeFault as fault:
             report.put(fault.diagnostic)

@@ -108,12 +108,14 @@ def simulate(
 
         return play_back(done, replay, pictures, record, json)
     if done.scenario is not None:
-        given = {"--duration": duration, "--twist": twist, "--parameters": parameters}
+        given = {"--duration": duration, "--twist": twist}
         given |= {"--ideal": ideal, "--open-loop": open_loop}
         _refuse(given, "a scenario says it itself")
         from thorvaldc.cli.scenarios import run_scenario
 
-        return run_scenario(done, done.scenario, pictures, record, junit, log, json)
+        return run_scenario(
+            done, done.scenario, pictures, parameters or None, record, junit, log, json
+        )
     for option, text in {"--scenario": scenario, "--junit": junit}.items():
         if text:
             wrong = scenario or file

@@ -45,6 +45,7 @@ __all__ = [
     "Shape",
     "Signal",
     "Sphere",
+    "Tread",
     "TwistInput",
     "Visual",
     "Wheel",
@@ -183,6 +184,20 @@ class Joint(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Tread(Element):
+    """A ring of a wheel beside its tyre, which rolls on something else: a rail.
+
+    ``name`` is that of its radius in ``Wheel.radii``, ``center`` (m) its middle in the wheel's
+    link, ``width`` (m) that between its flanges, which are ``flange`` (m) high; 0: none.
+    """
+
+    name: str
+    center: Vec3
+    width: float
+    flange: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Wheel(Element):
     """A wheel and its geometry in ``base_link`` with every joint at zero.
 
@@ -192,7 +207,8 @@ class Wheel(Element):
     steering angle q it is ``heading + steering_sign * q``.  ``trail`` and
     ``lateral_offset`` (m): the contact point relative to that axis, along and
     to the left of the rolling direction.  ``radius`` and ``width`` in m;
-    ``radii`` holds named alternatives (``floor``, ``rail``).  ``load`` (N) is
+    ``radii`` holds named alternatives (``floor``, ``rail``), ``treads`` those that are rings of
+    their own.  ``load`` (N) is
     the static share of the weight.  ``contact_height`` (m) is how far the
     wheel's lowest point is above the ground (0 for a well-built robot).
     """
@@ -219,6 +235,7 @@ class Wheel(Element):
     load: float
     contact_height: float
     origin: Span
+    treads: tuple[Tread, ...] = ()
 
     @property
     def steered(self) -> bool:

@@ -13,12 +13,16 @@ GROUPS = ("odometry", "truth", "twist", "joints")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """From ``time`` (s) on: forward and leftward m/s, turning rad/s of ``base_link``."""
+    """From ``time`` (s) on: forward and leftward m/s, turning rad/s of ``base_link``.
+
+    ``parameters`` names the parameter set to drive by from then on (empty: as before).
+    """
 
     time: float
     vx: float
     vy: float
     wz: float
+    parameters: str = ""
 
 
 @dataclass(frozen=True, slots=True)

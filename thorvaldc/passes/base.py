@@ -203,6 +203,7 @@ def make_wheels(
                 load=0.0,
                 contact_height=clean(round(point[2], 9)),
                 origin=item.origin,
+                treads=part.treads,
             )
         )
     return wheels

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Container, Iterator
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Label, Report, Span
@@ -16,6 +17,7 @@ from thorvaldc.model.robot import (
     Collision,
     Mesh,
     Scalar,
+    Tread,
     Visual,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3, combine, norm, scale
@@ -81,6 +83,7 @@ class WheelPart(NamedTuple):
     radii: tuple[tuple[str, float], ...]
     friction: float
     rolling_resistance: float
+    treads: tuple[Tread, ...]
     span: Span
 
 
@@ -460,8 +463,27 @@ class _Builder:
             tuple((k, self._above_zero(radii, k, "length", 0.1)) for k in named) if radii else (),
             scope.quantity(node.get("friction"), "ratio", 0.8),
             scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
+            tuple(self._treads(node.get("treads"), named)),
             node.where,
         )
+
+    def _treads(self, node: Node | None, radii: Container[str]) -> Iterator[Tread]:
+        entries = node.value if node is not None and isinstance(node.value, dict) else {}
+        for name, entry in entries.items():
+            if name not in radii:
+                self.report.add(
+                    "missing-key",
+                    f"the ring `{name}` has no radius",
+                    entry.where,
+                    hint=f"add `radii: {{{name}: 90 mm}}`",
+                )
+                continue
+            yield Tread(
+                name,
+                self.scope.vector(entry.get("xyz"), "length"),
+                self._above_zero(entry, "width", "length", 0.1),
+                self._not_negative(entry, "flange", "length"),
+            )
 
     def _sensor(self, node: Node) -> SensorPart:
         return SensorPart(

@@ -99,11 +99,24 @@ class _Reader:
                 self.numbers(node, "vx", "velocity"),
                 self.numbers(node, "vy", "velocity"),
                 self.numbers(node, "wz", "angular_velocity"),
+                "" if node.get("parameters") is None else str(node.plain()["parameters"]),
             )
             named = node.get("robot")
             for name in plans if named is None else self._robots(named):
                 plans[name].append(command)
+                self._check_parameters(name, node.get("parameters"))
         return tuple((name, tuple(plan)) for name, plan in plans.items())
+
+    def _check_parameters(self, name: str, node: Node | None) -> None:
+        known = [found.name for found in self.robots[name].parameter_sets]
+        if node is not None and node.value not in known:
+            there = f"it has {', '.join(known)}" if known else "its file names none"
+            self.report.add(
+                "parameter-set-unknown",
+                f"{name} has no parameter set `{node.value}`",
+                node.span,
+                hint=did_you_mean(str(node.value), known, there),
+            )
 
     def faults(self, listed: Node | None) -> Iterator[Fault]:
         for node in _items(listed):

@@ -309,11 +309,22 @@ class _Blocks:
         gauge = self.numbers.positive(node, "gauge", "length", 0.6)
         diameter = self.numbers.positive(node, "diameter", "length", 0.051)
         height = self.numbers(node, "height", "length", diameter, least=0.0, above=True)
+        ramp = self.numbers(node, "ramp", "length", least=0.0)
         for side, sign in (("left", 1), ("right", -1)):
             lying = Pose.from_xyz_rpy(
                 (0.0, sign * gauge / 2, height - diameter / 2), (0.0, math.pi / 2, 0.0)
             )
             self._add("rail", f"{name}_{side}", Cylinder(diameter / 2, length), middle * lying)
+            if ramp <= 0.0:
+                continue
+            # From half in the ground up to the rail, where the axes meet.
+            rise = height - diameter / 2
+            slant = Cylinder(diameter / 2, math.hypot(ramp, rise))
+            for end, out in (("begin", -1), ("end", 1)):
+                where = (out * (length + ramp) / 2, sign * gauge / 2, rise / 2)
+                tilt = (0.0, math.pi / 2 + out * math.atan2(rise, ramp), 0.0)
+                pose = middle * Pose.from_xyz_rpy(where, tilt)
+                self._add("rail", f"{name}_{side}_{end}", slant, pose)
 
     def _obstacle(self, node: Node, name: str) -> None:
         pose, numbers = self._frame(node), self.numbers

@@ -62,3 +62,31 @@ class Contacts:
                 if name:
                     self.collisions[name] += 1
         self._touching = found
+
+
+class Rings:
+    """On which of their rings wheels roll: on the tyre, or beside it on a rail."""
+
+    def __init__(self, robot: Robot, scene: MujocoScene) -> None:
+        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        self._scene = scene
+        self._tyres = [wheel.radius for wheel in robot.wheels]
+        # (geom, wheel, radius) of the rings beside the tyres.
+        self._rings = [
+            (
+                scene.index("geom", f"{prefix}{wheel.link}_{tread.name}", robot),
+                i,
+                dict(wheel.radii)[tread.name],
+            )
+            for i, wheel in enumerate(robot.wheels)
+            for tread in wheel.treads
+        ]
+
+    def radii(self) -> list[float]:
+        """Radius (m) of what each wheel rolls on now; of one in the air, of its tyre."""
+        touching = set(self._scene.data.contact.geom.ravel().tolist())
+        found = list(self._tyres)
+        for geom, wheel, radius in self._rings:
+            if geom in touching:
+                found[wheel] = radius
+        return found

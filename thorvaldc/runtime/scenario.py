@@ -13,7 +13,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.runtime.base import BaseHandle
 from thorvaldc.runtime.calculators.geometry import BaseGeometry
-from thorvaldc.runtime.contacts import Contacts
+from thorvaldc.runtime.contacts import Contacts, Rings
 from thorvaldc.runtime.faults import RuntimeFault
 from thorvaldc.runtime.faulty_base import FaultyBase
 from thorvaldc.runtime.manoeuvre import Segment
@@ -124,12 +124,18 @@ class ScenarioResult:
 class ScenarioSimulation(Simulation):
     """A scenario's robots in its world, ready to drive."""
 
-    def __init__(self, scenario: Scenario, files: Path | str | Mapping[str, bytes]) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        files: Path | str | Mapping[str, bytes],
+        parameters: str | None = None,
+    ) -> None:
         """``files`` are the outputs of the ``mjcf`` backend for ``scenario.fleet``.
 
-        Raises ``RuntimeFault`` where the scene cannot be read.
+        ``parameters`` names the set that the robots drive by to begin with.  Raises
+        ``RuntimeFault`` where the scene cannot be read, or a robot has no such set.
         """
-        super().__init__(scenario.fleet, files)
+        super().__init__(scenario.fleet, files, parameters)
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()
@@ -158,6 +164,7 @@ class ScenarioSimulation(Simulation):
             if found is None:
                 found = observers[meter.name] = Observer(meter, contacts)
             found.tick()
+            self._change_parameters(meter)
             command = meter.driver.state.command
             sample, joints = meter.sample(), None if command is None else command.joints
             for recorder in everywhere:
@@ -193,6 +200,16 @@ class ScenarioSimulation(Simulation):
                 )
         return ScenarioResult(self.scenario.name, run, metrics, checks, digest.hexdigest())
 
+    def _change_parameters(self, meter: Meter) -> None:
+        """Switch to the sets of the script; what is staged now is in force with the next tick."""
+        for name, commands in self.scenario.commands:
+            if name == meter.name:
+                before, now = meter.driver.state.time, meter.next
+                for command in commands:
+                    due = before < command.time - 1e-9 <= now or (command.time == before == 0.0)
+                    if command.parameters and due:
+                        meter.driver.use(command.parameters)
+
     def _base(self, name: str, robot: Robot) -> BaseHandle:
         if self.scene is None:
             return super()._base(name, robot)
@@ -214,6 +231,8 @@ class Observer:
         self.contacts = contacts
         self.wheels = BaseGeometry.from_robot(meter.robot).wheels
         self.motors = base.motors()
+        rings = any(wheel.treads for wheel in meter.robot.wheels)
+        self.rings = Rings(meter.robot, base.scene) if rings else None
         self.time = 0.0
         self.energy = 0.0
         self.slip_squares = 0.0
@@ -232,6 +251,7 @@ class Observer:
                 self.energy += power * dt
         twist = self.base.true_twist()
         joints = self.base.actual
+        radii = self.rings.radii() if self.rings is not None else None
         for i, wheel in enumerate(self.wheels):
             angle, rate = joints.angles[i], joints.angle_rates[i]
             if wheel.driven and not wheel.swivel:
@@ -241,7 +261,8 @@ class Observer:
                 )
                 # The contact moves about the steering axis too, where it lies beside it.
                 turning = wheel.sign * rate
-                along -= wheel.lateral * turning + wheel.radius * joints.speeds[i]
+                radius = wheel.radius if radii is None else radii[i]
+                along -= wheel.lateral * turning + radius * joints.speeds[i]
                 across += wheel.trail * turning
                 square = along * along + across * across
                 self.slip_squares += square

@@ -94,6 +94,8 @@ class Simulation:
         for _, robot in self.robots:
             Parameters.of(robot, parameters)
         self.parameters = parameters
+        world = model.world if isinstance(model, Fleet) else None
+        self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
         self.scene = None if files is None else MujocoScene(files)
         self.hidden = hidden or {}
         self.open_loop = open_loop
@@ -173,8 +175,10 @@ class Simulation:
         return fleet_manoeuvres([(name, robot, self.starts[name]) for name, robot in self.robots])
 
     def _tell_radii(self, report: Report) -> None:
-        """A scene's wheels roll on their ordinary radii, whatever set is in force."""
+        """Without rails a scene's wheels roll on their ordinary radii, whatever set is in force."""
         for name, robot in self.robots:
+            if self.rails and any(wheel.treads for wheel in robot.wheels):
+                continue  # where it rolls on what, only its way tells
             radii = Parameters.of(robot, self.parameters).radii
             for wheel, radius in zip(robot.wheels, radii, strict=True):
                 if wheel.driven and radius != wheel.radius:
