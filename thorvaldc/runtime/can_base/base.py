@@ -98,10 +98,9 @@ class CanBase(BaseHandle):
         """
         for link in self.links:
             link.take()
-        before = self.supervisor.state
         self.supervisor.update(now)
-        if self.supervisor.state is not before and self.supervisor.state is not State.ACTIVE:
-            self.armed = self.armed and self.supervisor.state.drives
+        if not self.supervisor.state.drives:
+            self.armed = False
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
         oldest = now - (MISS + MISSES - 1) * self.period

@@ -196,8 +196,12 @@ class MotorController(abc.ABC):
 
     @property
     def arrived(self) -> bool:
-        """Whether every steering is where it shall be."""
-        return all(abs(a.position - a.target) < STRAIGHT for a in self.axes if a.steering)
+        """Whether every steering is where it shall be, and stays there."""
+        return all(
+            abs(axis.position - axis.target) < STRAIGHT and abs(axis.velocity) < STANDING
+            for axis in self.axes
+            if axis.steering
+        )
 
     def zero_here(self) -> Message | None:
         """The frame that makes the steering's present angle 0 from the next homing on.
