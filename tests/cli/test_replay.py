@@ -107,6 +107,19 @@ def test_plots_and_films_are_made_of_records(thorvaldc: Command, recorded: dict[
         assert getattr(film, "n_frames", 1) == math.floor(3 * 12.5) + 1
 
 
+def test_a_picture_shows_where_the_robot_was(thorvaldc: Command, recorded: dict[str, Any]) -> None:
+    small = ["--size", "160x120", "--view", "top"]
+    pictures = []
+    for options in ([], ["--at", "1.5 s"], ["--at", "3"], ["--at", "99"]):
+        done = thorvaldc("render", "s.yaml", *small, "--replay", "a.mcap", *options, "-o", "p.png")
+        assert done.status == 0, done.err
+        pictures.append(Path("p.png").read_bytes())
+    assert pictures[0] == pictures[2] == pictures[3] != pictures[1]
+    assert thorvaldc("render", "s.yaml", "--at", "1").status == 2
+    assert thorvaldc("render", "s.yaml", "--replay", "a.mcap", "--at", "-1").status == 2
+    assert thorvaldc("render", "s.yaml", "--replay", "none.mcap").status == 1
+
+
 def test_fleets_are_played_from_a_folder_and_a_file(thorvaldc: Command, tmp_path: Path) -> None:
     short = ["--twist", "0.5,0,0", "--duration", "1"]
     tables = []

@@ -392,12 +392,21 @@ def render(
             help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
     ] = "corner",
+    replay: Annotated[
+        str, typer.Option("--replay", metavar="RECORD", help="Where a record has the robots.")
+    ] = "",
+    at: Annotated[
+        str,
+        typer.Option(
+            "--at", metavar="TIME", help="Of the record: 5, or '5 s'.", show_default="its end"
+        ),
+    ] = "",
     library: Library = [],  # noqa: B006
 ) -> int:
     """Draw a picture of a robot or fleet, without a display."""
     from thorvaldc.cli.picturing import render_file
 
-    return render_file(file, output, size, view, library)
+    return render_file(file, output, size, view, library, replay, at)
 
 
 @app.command(cls=LightCommand)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,7 +26,16 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-def render_file(file: str, output: str, size: str, view: str, library: Sequence[str]) -> int:
+def render_file(
+    file: str,
+    output: str,
+    size: str,
+    view: str,
+    library: Sequence[str],
+    replay: str = "",
+    at: str = "",
+) -> int:
+    """A picture of the robots as they stand, or as the record ``replay`` has them ``at`` a time."""
     from thorvaldc.runtime.pictures.graphics import check_pillow, choose_graphics
 
     with outside_errors():
@@ -35,6 +45,9 @@ def render_file(file: str, output: str, size: str, view: str, library: Sequence[
 
     pixels = parsed(size, parse_size, "--size")
     camera = parsed(view, parse_view, "--view")
+    if at and not replay:
+        raise typer.BadParameter("this is a time of --replay", param_hint="'--at'")
+    time = parsed(at, parse_time, "--at") if at else math.inf
     if output:
         check_output(output, ["png"], "--output")
     done = compile_one(file, library)
@@ -48,9 +61,17 @@ def render_file(file: str, output: str, size: str, view: str, library: Sequence[
     if not output:
         check_output(path, ["png"], "--output")
     report = Report()
+    arrange = None
+    if replay:
+        from thorvaldc.cli.replaying import arranged
+
+        arrange = arranged(done, replay, time)
+        if arrange is None:
+            return INPUT
     try:
         with outside_errors():
-            picture = render(done.model, emit(done.model, ["mjcf"], report), pixels, camera)
+            files = emit(done.model, ["mjcf"], report)
+            picture = render(done.model, files, pixels, camera, arrange=arrange)
     except RuntimeFault as fault:
         report.put(fault.diagnostic)
     else:
@@ -70,6 +91,19 @@ def outside_errors() -> Iterator[None]:
         yield
     except PictureError as fault:
         raise OutsideError(str(fault)) from None
+
+
+def parse_time(text: str) -> float:
+    """Seconds.  Raises ``ValueError``."""
+    from thorvaldc.source.units import UnitError, parse_quantity
+
+    try:
+        seconds = parse_quantity(text, "time")
+    except UnitError as fault:
+        raise ValueError(f"{text!r}: {fault}") from None
+    if not seconds >= 0.0:
+        raise ValueError(f"{text!r} is before the beginning")
+    return seconds
 
 
 def parsed(text: str, parse: Callable[[str], T], option: str) -> T:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import json as json_format
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,54 +16,46 @@ from thorvaldc.cli.recording import Robots, open_recorder, recorded, writing
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
+    from thorvaldc.model import Fleet, Robot
     from thorvaldc.pipeline import Compilation
     from thorvaldc.runtime.base import JointCommands
     from thorvaldc.runtime.meter import Sample
+    from thorvaldc.runtime.mujoco_base import MujocoScene
     from thorvaldc.runtime.recorded import RecordedRun
 
 
 def replay(done: Compilation, source: str, pictures: RunPictures, record: str, json: bool) -> int:
     """Show how the compiled robots drove by the record ``source``; ``record`` writes it anew."""
     from thorvaldc.diagnostics import Report
-    from thorvaldc.model import Fleet
     from thorvaldc.pipeline import emit
     from thorvaldc.runtime.faults import RuntimeFault
     from thorvaldc.runtime.mujoco_base import MujocoScene
     from thorvaldc.runtime.replay import Replay, summary
     from thorvaldc.runtime.simulation import DemoRow, demo_table
 
-    model = done.model
-    if model is None:
-        raise ValueError("only what compiles can be replayed")
-    robots = (
-        [(p.name, p.robot) for p in model.placements]
-        if isinstance(model, Fleet)
-        else [(model.name, model)]
-    )
+    model, robots = _robots(done)
     report, faults = Report(), Faults("text", sys.stderr)
-    sources = {**done.sources, **_texts(source)}
     runs = read_enough(source, robots, pictures, report)
+    faults.add(report, _texts(source))
     if runs is None:
-        faults.add(report, sources)
         return faults.finish()
-    files = None
+    files, scene = None, Report()
     try:
         show = None
         if pictures.video:
-            files = emit(model, ["mjcf"], report)
+            files = emit(model, ["mjcf"], scene)
             show = Replay(MujocoScene(files), robots, runs)
         samples = {name: run.samples for name, run in runs.items()}
         pictures.replay(samples, show)
     except RuntimeFault as fault:
-        report.put(fault.diagnostic)
-        faults.add(report, sources)
+        scene.put(fault.diagnostic)
+        faults.add(done.located(scene), done.sources)
         return faults.finish()
     result = summary(robots, runs)
     if json:
         print(json_format.dumps(finite(result.as_json()), indent=1, ensure_ascii=False))
     else:
         print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
-    faults.add(report, sources)
     if record:
         with ExitStack() as stack:
             groups = next(iter(runs.values())).groups
@@ -73,6 +65,41 @@ def replay(done: Compilation, source: str, pictures: RunPictures, record: str, j
         message(recorded(record, robots))
     pictures.write(model, robots, files)
     return faults.finish()
+
+
+def arranged(done: Compilation, source: str, time: float) -> Callable[[MujocoScene], None] | None:
+    """What moves the compiled robots to where they were at ``time`` (s; beyond: at the end).
+
+    ``None`` where the record is at fault, which is shown.
+    """
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.runtime.replay import Replay
+
+    _, robots = _robots(done)
+    report, faults = Report(), Faults("text", sys.stderr)
+    found = read_enough(source, robots, RunPictures(""), report)
+    faults.add(report, _texts(source))
+    faults.finish()
+    if found is None:
+        return None
+    runs = found
+
+    def arrange(scene: MujocoScene) -> None:
+        replay = Replay(scene, robots, runs)
+        replay.show(min(time, replay.end))
+
+    return arrange
+
+
+def _robots(done: Compilation) -> tuple[Robot | Fleet, Robots]:
+    from thorvaldc.model import Fleet
+
+    model = done.model
+    if model is None:
+        raise ValueError("only what compiles can be replayed")
+    if isinstance(model, Fleet):
+        return model, [(p.name, p.robot) for p in model.placements]
+    return model, [(model.name, model)]
 
 
 def _in_order(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,12 +81,13 @@ def render(
     *,
     twist: Twist = ZERO_TWIST,
     spin: float = 0.0,
+    arrange: Callable[[MujocoScene], None] | None = None,
 ) -> bytes:
     """A PNG of a robot or fleet as it stands, from the outputs of the ``mjcf`` backend.
 
     Its wheels are steered for ``twist`` and each turned by ``spin`` rad more than the
-    last.  Raises ``RuntimeFault`` where MuJoCo cannot read the files and ``PictureError``
-    where it cannot draw here.
+    last, or ``arrange`` moves the robots to where they shall be.  Raises ``RuntimeFault``
+    where MuJoCo cannot read the files and ``PictureError`` where it cannot draw here.
     """
     from PIL import Image
 
@@ -94,7 +95,10 @@ def render(
     width, height = size
     large = (width * SAMPLING, height * SAMPLING)
     scene = dressed_scene(files, large, view)
-    _turn_wheels(model, scene, twist, spin)
+    if arrange is not None:
+        arrange(scene)
+    else:
+        _turn_wheels(model, scene, twist, spin)
     points = visible_points(scene)
     with renderer(scene, large, points) as drawing:
         drawing.update_scene(scene.data, aim(points, view, width / height))
