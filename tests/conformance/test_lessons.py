@@ -1,0 +1,266 @@
+"""What went wrong in the original software and in others', one test each, end to end.
+
+Each would have caught the fault where it was made.  The parts have tests of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.examples import example_robot
+from tests.runtime.bus.robots import cia402_robot
+from tests.runtime.can_base_rig import FORWARD, Rig
+from thorvaldc.backends.can import Can
+from thorvaldc.diagnostics import Report
+from thorvaldc.importer import import_file
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime.base_runner import Refused
+from thorvaldc.runtime.bus.client import Client
+from thorvaldc.runtime.bus.frame import CanFrame
+from thorvaldc.runtime.bus.plain_devices import BATTERY_FRAMES
+from thorvaldc.runtime.bus.roboteq import RoboteqController
+from thorvaldc.runtime.bus.timeline import Timeline
+from thorvaldc.runtime.bus.wire import Wire
+from thorvaldc.runtime.can_base.receiver import Receiver
+from thorvaldc.runtime.can_base.supervisor import State
+from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.runtime.se2 import ZERO_TWIST
+
+COMMAND, STATE = 0x240, 0x1C0
+"""What is told to the sprayer, a foreign device, and what it says."""
+
+
+def compiled(folder: Path, text: str) -> tuple[Robot | None, list[str]]:
+    """The robot, where there is one, and the names of the errors."""
+    path = folder / "robot.yaml"
+    path.write_text(text, encoding="utf-8")
+    done = compile_file(path)
+    robot = done.model if isinstance(done.model, Robot) else None
+    return robot, [d.code.name for d in done.report.errors]
+
+
+# -- the original: batteries -------------------------------------------------------------------
+
+
+def test_all_frames_of_a_battery_are_the_batterys() -> None:
+    """Its parser claimed one frame of three, and two leaked to the foreign devices."""
+    rig = Rig(cia402_robot())
+    sent = set[int]()
+    rig.simulated.wire().observers.append(lambda _, frame, __: sent.add(frame.id))
+    rig.ready()
+    assert {first + 1 for first in BATTERY_FRAMES} <= sent
+    battery = rig.runner.batteries()["battery"]
+    for value in (battery.voltage, battery.current, battery.charge, *battery.temperatures):
+        assert math.isfinite(value)
+    assert {found.cob_id for found in rig.runner.from_devices()} <= {STATE}
+
+
+@pytest.mark.parametrize(
+    ("battery", "drive", "refused"),
+    [(1, 65, True), (1, 81, True), (1, 97, True), (1, 63, False), (16, 2, True), (15, 2, False)],
+)
+def test_a_batterys_frames_are_no_drives(
+    tmp_path: Path, battery: int, drive: int, refused: bool
+) -> None:
+    """Battery b sends as nodes 64+b, 80+b and 96+b do; from 16 on batteries hit one another."""
+    text = f"""
+thorvaldc: 1
+name: clash
+modules:
+  frame: {{type: frame/tube_rectangular, params: {{length: 1.2 m, width: 800 mm}}}}
+  fl: {{type: assembly/steered_drive, mount: frame.front_left, can: {drive}}}
+  fr: {{type: assembly/steered_drive, mount: frame.front_right, can: 4}}
+  rl: {{type: caster/swivel, mount: frame.rear_left}}
+  rr: {{type: caster/swivel, mount: frame.rear_right}}
+  battery: {{type: battery/enclosure, mount: {{parent: frame, xyz: [0, 0, 0.07]}}, can: {battery}}}
+"""
+    errors = compiled(tmp_path, text)[1]
+    assert any(name.startswith("can-") for name in errors) == refused, errors
+
+
+def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
+    """345 was battery 1, and -1 an enclosure without one."""
+    original = Path(__file__).parents[1] / "importer" / "originals" / "standard.yaml"
+    found = import_file(original, Report())
+    assert found is not None
+    path = tmp_path / "robot.yaml"
+    path.write_text(found.text, encoding="utf-8")
+    robot = compile_file(path).model
+    assert isinstance(robot, Robot)
+    ids = sorted(n.id for b in robot.buses for n in b.nodes if n.id_space == "kc_battery")
+    assert ids == [1, 3]
+    assert sum(battery.node is None for battery in robot.batteries) == 1
+    pulses = {a.encoder_ppr for a in robot.actuators if a.role == "propulsion"}
+    assert pulses == {1024, 4096}, "one drive of a real robot has another encoder"
+
+
+# -- the original: receiving and sending -------------------------------------------------------
+
+
+def test_a_full_receive_queue_keeps_the_newest() -> None:
+    """It kept the oldest frames: the robot went by what had been."""
+    wire = Wire(Timeline())
+    receiver = Receiver(Client(wire, "driver"), {0x701}, ring=8)
+    node = Client(wire, "node")
+    for number in range(30):
+        node.send(CanFrame(0x701, bytes([number])), timeout=1.0)
+    node.sleep(0.1)
+    assert [data[0] for _, _, data in receiver.drain()] == list(range(22, 30))
+    assert receiver.latest[0x701].data == bytes([29])
+    assert receiver.dropped == 22
+
+
+def test_what_cannot_be_written_is_noticed() -> None:
+    """The results of writes were ignored."""
+    rig = Rig(example_robot("4wd4ws_wide"))
+    rig.drive(seconds=1.0)
+    complete = rig.base.cycles
+    sends = rig.port.send
+    rig.port.send = lambda frame, timeout=0.0: False  # type: ignore[method-assign]
+    took = rig.until(lambda: rig.state is State.FAULT, 0.5)
+    assert took <= 0.1
+    assert "nothing can be sent" in rig.reason
+    assert rig.base.cycles <= complete + 1
+    assert rig.base.links[0].failed > 0
+    rig.port.send = sends  # type: ignore[method-assign]
+
+
+def test_a_hundred_frames_for_a_device_do_not_lose_all() -> None:
+    """A hundred device frames in a cycle dropped every one of them, and nobody knew."""
+    rig = Rig(cia402_robot())
+    rig.ready()
+    at = len(rig.frames)
+    refused = 0
+    for number in range(100):
+        try:
+            rig.runner.send_to_device(COMMAND, bytes([number]))
+        except Refused:
+            refused += 1
+    rig.run(0.5)
+    passed = [frame for _, frame in rig.frames[at:] if frame.id == COMMAND]
+    assert passed
+    assert len(passed) + refused == 100
+    assert sum(rig.runner.relay_drops().values()) == refused
+
+
+@pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x201, 0x601, 0x77F])
+def test_not_every_identifier_passes_the_relay(cob_id: int) -> None:
+    """Any node could send any identifier through it: to the drives, or as the master."""
+    rig = Rig(cia402_robot())
+    rig.ready()
+    with pytest.raises(Refused, match="not allowed"):
+        rig.runner.send_to_device(cob_id, b"\xaa\xbb")
+    rig.run(0.2)
+    assert all(frame.data != b"\xaa\xbb" for _, frame in rig.frames)
+
+
+# -- the original: the controllers, and the stop -----------------------------------------------
+
+
+def test_another_script_in_a_controller_is_noticed() -> None:
+    """The check was commented out."""
+    rig = Rig(example_robot("4wd4ws_wide"))
+    drive = rig.simulated.devices["rr_controller"]
+    assert isinstance(drive, RoboteqController)
+    drive.version = (0, 9, 0)
+    rig.until(lambda: rig.state is State.FAULT)
+    assert "rr_controller" in rig.reason
+    assert "0.9.0" in rig.reason
+    rig.twist = FORWARD
+    rig.run(1.0)
+    assert rig.speed() == 0.0
+
+
+def test_the_safety_stop_does_more_than_to_command_zero() -> None:
+    """It only zeroed speeds: the next command moved the robot again."""
+    for robot in (example_robot("4wd4ws_wide"), cia402_robot()):
+        rig = Rig(robot)
+        rig.drive()
+        rig.runner.safety_stop()
+        rig.run(2.0)  # and motion is still commanded
+        assert rig.state is State.ESTOP
+        assert rig.speed() == 0.0
+        assert all(c.is_off for link in rig.base.links for c in link.controllers)
+        rig.runner.safety_stop(False)
+        rig.run(1.0)
+        assert rig.state is State.ESTOP, "a release alone starts nothing"
+        assert rig.speed() == 0.0
+
+
+# -- the original: one robot -------------------------------------------------------------------
+
+
+def test_two_robots_in_one_simulation_are_noticed() -> None:
+    """A launch file took the description from one robot's file and the driver from another's."""
+    one, other = example_robot("4wd4ws_wide"), example_robot("4wd2ws_tall")
+    with pytest.raises(RuntimeFault, match="the scene has no joint"):
+        MujocoBase(one, MujocoScene(emit(other, ["mjcf"], Report())))
+
+
+def test_quoted_numbers_and_truth_values_are_faults_and_no_text(tmp_path: Path) -> None:
+    """Numbers and booleans were text here and there, and then something else than was meant."""
+    text = """
+thorvaldc: 1
+name: quoted
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.2 m, width: 800 mm}}
+  fl: {type: assembly/steered_drive, mount: frame.front_left, can: "1"}
+  fr: {type: assembly/steered_drive, mount: frame.front_right, can: 2}
+  rl: {type: caster/swivel, mount: frame.rear_left}
+  rr: {type: caster/swivel, mount: frame.rear_right}
+  board: {type: io/board, params: {relay_0_at_start: "true"}, can: 20}
+"""
+    robot, errors = compiled(tmp_path, text)
+    assert robot is None or len(errors) >= 2, errors
+
+
+# -- others' ---------------------------------------------------------------------------------
+
+
+def test_drives_stop_by_themselves_when_the_driver_hangs() -> None:
+    """Robots kept moving when ROS died, or while something else refreshed their watchdogs."""
+    for robot in (example_robot("4wd4ws_wide"), cia402_robot()):
+        rig = Rig(robot)
+        rig.drive()
+        hung = rig.now
+        assert rig.speed() > 0.4
+        rig.simulated.run(2.0)  # no cycle any more
+        rig.frames = [(t, f) for t, f in rig.frames if t / 1e9 > hung + 0.02]
+        own = {f.cob_id for f in robot.buses[0].frames if f.producer == "master"}
+        assert not [frame for _, frame in rig.frames if frame.id in own]
+        assert rig.speed() == 0.0
+
+
+def test_heartbeats_are_on_for_ros2_canopen() -> None:
+    """They are off by default there."""
+    nodes = yaml.safe_load(Can().emit(cia402_robot())["can/bus.yml"])
+    assert nodes["master"]["heartbeat_producer"] > 0
+    for name, node in nodes["nodes"].items():
+        if name.endswith("_controller"):
+            assert node["heartbeat_producer"] > 0
+            assert node["heartbeat_consumer"] is True
+
+
+def test_nothing_jumps_when_the_driver_goes_on_after_a_fault() -> None:
+    """A controller that was activated again went on to where it had been told to go before."""
+    rig = Rig(cia402_robot())
+    rig.drive()
+    device = rig.simulated.devices["fl_controller"]
+    device.power_off()
+    rig.until(lambda: rig.state is State.FAULT, 2.0)
+    device.power_on()
+    rig.until(lambda: rig.speed() == 0.0, 3.0)
+    with pytest.raises(Refused, match="command zero first"):
+        rig.runner.reset()
+    rig.twist = ZERO_TWIST
+    rig.run(0.5)
+    rig.runner.reset()
+    rig.ready()
+    rig.run(1.0)
+    assert rig.speed() == 0.0
