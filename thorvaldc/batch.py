@@ -15,10 +15,47 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.passes.variations import Change, Variations
-from thorvaldc.pipeline import Compilation, compile_file, emit, plan_variations
+from thorvaldc.passes.variations import (
+    Change,
+    Variations,
+    read_variations,
+    without_variations,
+)
+from thorvaldc.pipeline import Compilation, compile_file, emit
+from thorvaldc.schema.checker import check, sound
+from thorvaldc.source.reader import read_file
 
 __all__ = ["Batch", "Run", "plan_variations", "processors"]
+
+
+def plan_variations(
+    path: Path | str,
+    settings: Sequence[str] = (),
+    draws: int | None = None,
+    seed: int | None = None,
+    *,
+    own: bool = True,
+    report: Report,
+) -> Variations | None:
+    """What varies in the runs of a scenario: what its document says, and ``settings``.
+
+    Without ``own`` the settings alone; ``None`` where the file is no scenario.  See
+    ``passes.variations.read_variations``.
+    """
+    shape, said = Report(), Report()
+    document = read_file(Path(path), str(path), shape)
+    if document is None:
+        report.extend(shape)
+        return Variations(())
+    if document.get("scenario") is None:
+        return None
+    check(document, "scenario", shape)
+    document = sound(document, shape)
+    if not own:
+        document = without_variations(document)
+    found = read_variations(document, settings, draws, seed, said)
+    report.extend(said)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

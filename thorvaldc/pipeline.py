@@ -30,7 +30,7 @@ from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
 
 if TYPE_CHECKING:
-    from thorvaldc.passes.variations import Change, Variations
+    from thorvaldc.passes.variations import Change
 
 MODEL_FILE = "model.json"
 SETTING = "--set "
@@ -101,9 +101,9 @@ def _compile(
     if document is not None:
         scenario = _is_scenario(document)
         if scenario and changes:
-            from thorvaldc.passes.variations import changed  # which few runs need
+            from thorvaldc.passes.variations import changed, without_variations  # few runs need it
 
-            document = _without_variations(changed(document, changes, shape))
+            document = without_variations(changed(document, changes, shape))
         fleet = not scenario and _is_fleet(document)
         check(document, "scenario" if scenario else "fleet" if fleet else "robot", shape)
         modules = document.get("modules")
@@ -196,38 +196,6 @@ def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | N
     for found in (shape, _without_places_of(shape, said)):
         report.extend(found)
     return None if shape.has_errors or said.has_errors else script
-
-
-def plan_variations(
-    path: Path | str,
-    settings: Sequence[str] = (),
-    draws: int | None = None,
-    seed: int | None = None,
-    *,
-    own: bool = True,
-    report: Report,
-) -> Variations | None:
-    """What varies in the runs of a scenario: what its document says, and ``settings``.
-
-    Without ``own`` the settings alone; ``None`` where the file is no scenario.  See
-    ``passes.variations.read_variations``.
-    """
-    from thorvaldc.passes.variations import Variations, read_variations  # which few runs need
-
-    shape, said = Report(), Report()
-    document = read_file(Path(path), str(path), shape)
-    if document is None:
-        report.extend(shape)
-        return Variations(())
-    if not _is_scenario(document):
-        return None
-    check(document, "scenario", shape)
-    document = sound(document, shape)
-    if not own:
-        document = _without_variations(document)
-    found = read_variations(document, settings, draws, seed, said)
-    report.extend(said)
-    return found
 
 
 def emit(
@@ -479,13 +447,6 @@ def _is_other(document: Node, report: Report) -> bool:
                 report.add("other-document", message, node.where, hint=hint)
                 return True
     return False
-
-
-def _without_variations(document: Node) -> Node:
-    if not isinstance(document.value, dict):
-        return document
-    rest = {key: node for key, node in document.value.items() if key != "variations"}
-    return document._replace(value=rest)
 
 
 def _is_fleet(document: Node | None) -> bool:

@@ -41,8 +41,8 @@ def plan(
 
     ``own``: the document's own variations as well.
     """
+    from thorvaldc.batch import plan_variations
     from thorvaldc.diagnostics import Report
-    from thorvaldc.pipeline import plan_variations
 
     for text in settings:
         if "=" not in text or not text.partition("=")[0].strip():

@@ -11,8 +11,8 @@ from thorvaldc.model.bus import Bus
 from thorvaldc.model.bus import Node as Device
 from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKind
 from thorvaldc.model.robot import Robot
+from thorvaldc.passes.numbers import Numbers
 from thorvaldc.passes.scope import Scope
-from thorvaldc.passes.world import Numbers
 from thorvaldc.source.node import Node
 
 LONGEST = 86400.0

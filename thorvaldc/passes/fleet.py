@@ -11,8 +11,8 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import Library
 from thorvaldc.model import Placement, Pose, Robot
 from thorvaldc.passes.base import contact_point
+from thorvaldc.passes.numbers import Numbers
 from thorvaldc.passes.scope import Scope
-from thorvaldc.passes.world import Numbers
 from thorvaldc.source.node import Node
 
 

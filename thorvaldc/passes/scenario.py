@@ -11,8 +11,10 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.library import Library
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Fault, Noise, Scenario
+from thorvaldc.passes.numbers import Numbers
 from thorvaldc.passes.scope import Scope
-from thorvaldc.passes.world import Numbers, check_starts, friction, read_world, with_friction
+from thorvaldc.passes.world import friction, read_world, with_friction
+from thorvaldc.passes.zones import check_starts
 from thorvaldc.source.node import Node
 
 LONGEST = 86400.0

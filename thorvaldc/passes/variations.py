@@ -235,6 +235,14 @@ def changed(document: Node, changes: Sequence[Change], report: Report) -> Node:
     return document
 
 
+def without_variations(document: Node) -> Node:
+    """The document without its own variations."""
+    if not isinstance(document.value, dict):
+        return document
+    rest = {key: node for key, node in document.value.items() if key != "variations"}
+    return document._replace(value=rest)
+
+
 def _put(node: Node, steps: Sequence[str], change: Change, report: Report) -> Node:
     if not steps:
         return change.value

@@ -3,95 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import (
     Block,
     Box,
     Cylinder,
-    Fleet,
     Ground,
     Pose,
     Robot,
     Shape,
     Sphere,
     World,
-    Zone,
 )
-from thorvaldc.passes.scope import Scope
+from thorvaldc.passes.numbers import Numbers, placed
+from thorvaldc.passes.zones import CELLS_PER_WAVE, MAX_CELLS, read_zones
 from thorvaldc.source.node import Node
 
 MAX_BLOCKS = 5000
 """More geoms than these take a simulation minutes to load."""
-MAX_CELLS = 1_000_000
-CELLS_PER_WAVE = 10
-"""Cells of rough ground along a wave: the fewer, the more it resists rolling."""
 
 _OF_SLOPES = ("angle", "direction")
 _OF_BUMPS = ("amplitude", "wavelength", "seed", "size")
-
-
-class Numbers:
-    """Quantities of a document, each within its bounds."""
-
-    def __init__(self, scope: Scope, report: Report) -> None:
-        self.scope = scope
-        self.report = report
-
-    def __call__(
-        self,
-        node: Node,
-        key: str,
-        quantity: str,
-        default: float = 0.0,
-        *,
-        least: float = -math.inf,
-        most: float = math.inf,
-        above: bool = False,
-    ) -> float:
-        """The value of ``key`` in SI; ``above``: it must be more than ``least``."""
-        found = node.get(key)
-        return self.value(found, key, quantity, default, least=least, most=most, above=above)
-
-    def value(
-        self,
-        found: Node | None,
-        key: str,
-        quantity: str,
-        default: float = 0.0,
-        *,
-        least: float = -math.inf,
-        most: float = math.inf,
-        above: bool = False,
-    ) -> float:
-        if found is None:
-            return default
-        value = self.scope.quantity(found, quantity, default)
-        if least <= value <= most and not (above and value == least):
-            return value
-        bounds = []
-        if least > -math.inf:
-            bounds.append(f"{'more than' if above else 'at least'} {least:g}")
-        if most < math.inf:
-            bounds.append(f"at most {most:g}")
-        self.report.add(
-            "out-of-range",
-            f"`{key}` is {value:g} in SI units; it must be {' and '.join(bounds)}",
-            found.span,
-        )
-        return default
-
-    def positive(self, node: Node, key: str, quantity: str, default: float) -> float:
-        return self(node, key, quantity, default, least=0.0, above=True)
-
-    def pair(self, node: Node, key: str, default: tuple[float, float]) -> tuple[float, float]:
-        found = node.get(key)
-        items = found.value if found is not None else None
-        if not isinstance(items, tuple) or len(items) != 2:
-            return default
-        x, y = (self.scope.quantity(item, "length") for item in items)
-        return x, y
 
 
 def read_world(document: Node, numbers: Numbers, report: Report) -> World:
@@ -103,7 +36,7 @@ def read_world(document: Node, numbers: Numbers, report: Report) -> World:
     return World(
         _ground(ground, numbers, report) if ground is not None else Ground(),
         blocks.all(),
-        tuple(_zones(node.get("zones"), numbers, report)),
+        tuple(read_zones(node.get("zones"), numbers, report)),
     )
 
 
@@ -162,84 +95,6 @@ def _ground(node: Node, numbers: Numbers, report: Report) -> Ground:
         seed,
         size,
     )
-
-
-def _zones(listed: Node | None, numbers: Numbers, report: Report) -> Iterator[Zone]:
-    items = listed.value if listed is not None else None
-    for node in items if isinstance(items, tuple) else ():
-        size = numbers.pair(node, "size", (1.0, 1.0))
-        amplitude = numbers(node, "amplitude", "length", least=0.0, most=1.0)
-        wavelength = numbers(node, "wavelength", "length", 0.5, least=0.05, most=100.0)
-        cell = min(0.1, wavelength / CELLS_PER_WAVE) if amplitude else 0.1
-        count = math.prod(edge / cell for edge in size)
-        if not (min(size) > 0.0 and count <= MAX_CELLS):
-            report.add(
-                "out-of-range",
-                f"a zone of {size[0]:g} m x {size[1]:g} m has {count:.3g} cells; it must have "
-                f"an extent, and at most {MAX_CELLS} cells",
-                (node.get("size") or node).where,
-            )
-            continue
-        for key, of in (("wavelength", "amplitude"), ("seed", "amplitude"), ("slope", "height")):
-            entry = node.get(key)
-            if entry is not None and node.get(of) is None:
-                report.add(
-                    "conflicting-keys",
-                    f"`{key}` says nothing of a zone without `{of}`",
-                    entry.where,
-                    hint=f"leave it out, or add `{of}`",
-                )
-        seed = node.get("seed")
-        yield Zone(
-            placed(node, numbers),
-            size,
-            _own(node, "friction", numbers, 5.0),
-            _own(node, "rolling_resistance", numbers, 1.0),
-            numbers(node, "height", "length", least=0.0, most=10.0),
-            numbers(
-                node, "slope", "angle", math.radians(10.0), least=0.01, most=math.radians(80.0)
-            ),
-            amplitude,
-            wavelength,
-            seed.value if seed is not None and isinstance(seed.value, int) else 0,
-        )
-
-
-def _own(node: Node, key: str, numbers: Numbers, most: float) -> float | None:
-    if node.get(key) is None:
-        return None
-    return numbers(node, key, "number", least=0.0, most=most)
-
-
-def placed(node: Node, numbers: Numbers) -> Pose:
-    """The pose of ``xyz`` and ``yaw``."""
-    scope = numbers.scope
-    yaw = math.remainder(scope.quantity(node.get("yaw"), "angle"), 2 * math.pi)
-    return Pose.from_xyz_rpy(scope.vector(node.get("xyz"), "length"), (0.0, 0.0, yaw)).clean()
-
-
-def check_starts(fleet: Fleet, document: Node, report: Report) -> None:
-    """That no robot starts in ground that rises, but on top of it."""
-    world = document.get("world")
-    listed = world.get("zones") if world is not None else None
-    items = listed.value if listed is not None else None
-    zones = fleet.world.zones if fleet.world is not None else ()
-    if not isinstance(items, tuple) or len(items) != len(zones):
-        return
-    for node, zone in zip(items, zones, strict=True):
-        if zone.level:
-            continue
-        for placement in fleet.placements:
-            points = (placement.pose.apply((w.x, w.y, 0.0)) for w in placement.robot.wheels)
-            if placement.pose.xyz[2] <= zone.pose.xyz[2] and any(
-                zone.holds(x, y) for x, y, _ in points
-            ):
-                report.add(
-                    "zone-under-robot",
-                    f"{placement.name} starts within ground that rises",
-                    node.where,
-                    hint="start it beside, or as high as the ground is there",
-                )
 
 
 class _Blocks:

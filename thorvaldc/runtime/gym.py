@@ -19,17 +19,16 @@ from numpy.typing import NDArray
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import Fleet
 from thorvaldc.model.scenario import Scenario
-from thorvaldc.runtime.base import JointCommands, JointStates
-from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate
 from thorvaldc.runtime.contacts import Contacts
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.faults import RuntimeFault
 from thorvaldc.runtime.faulty_base import FaultyBase
+from thorvaldc.runtime.joint_actions import DirectCommands, JointActions
 from thorvaldc.runtime.manoeuvre import Manoeuvre, Segment
 from thorvaldc.runtime.meter import Meter, Sample
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.parameters import Parameters
-from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
+from thorvaldc.runtime.se2 import Pose2, Twist
 
 try:
     import gymnasium
@@ -152,7 +151,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             settings.max_angular_velocity,
         )
         self._action = action
-        self._joints = _JointActions(self.robot)
+        self._joints = JointActions(self.robot)
         self.action_names, self.observation_names = _names(self.robot, action)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.action_names),), np.float32)
         self.observation_space = gymnasium.spaces.Box(
@@ -255,7 +254,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         meter = Meter(name, robot, base, (), self.parameters)
         if self._action == "joints":
             self._joints.reset()
-            direct = _Direct(meter.driver.calculator, self._joints.commands)
+            direct = DirectCommands(meter.driver.calculator, self._joints.commands)
             meter.driver = BaseDriver(robot, base, direct, parameters=self.parameters)
         return meter
 
@@ -317,71 +316,6 @@ def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]
     twist = ("vx", "vy", "wz")
     asked = twist if action == "twist" else (*speeds, *angles)
     return asked, (*twist, "x", "y", "yaw", *speeds, *angles)
-
-
-class _JointActions:
-    """Joint commands of actions of -1..1: driven wheels' speeds, then steered wheels' angles."""
-
-    def __init__(self, robot: Robot) -> None:
-        n = len(robot.wheels)
-        self.commands = JointCommands([0.0] * n, [0.0] * n)
-        # (wheel, largest rad/s), (wheel, scale, lower, upper in rad).
-        self.driven: list[tuple[int, float]] = []
-        self.steered: list[tuple[int, float, float, float]] = []
-        for i, wheel in enumerate(robot.wheels):
-            motor = robot.actuator_of(wheel.spin_joint)
-            if wheel.driven and motor is not None:
-                self.driven.append((i, motor.max_velocity))
-            if wheel.steering_joint is not None:
-                joint = robot.joint(wheel.steering_joint)
-                lower = -math.inf if joint.lower is None else joint.lower
-                upper = math.inf if joint.upper is None else joint.upper
-                scale = max(abs(lower), abs(upper))
-                scale = scale if math.isfinite(scale) else math.pi
-                self.steered.append((i, scale, lower, upper))
-
-    def reset(self) -> None:
-        n = len(self.commands.speeds)
-        self.commands.speeds, self.commands.angles = [0.0] * n, [0.0] * n
-
-    def set(self, action: Array) -> None:
-        speeds, angles = list(self.commands.speeds), list(self.commands.angles)
-        values = action.tolist()
-        for (i, largest), value in zip(self.driven, values, strict=False):
-            speeds[i] = value * largest
-        for (i, scale, lower, upper), value in zip(
-            self.steered, values[len(self.driven) :], strict=True
-        ):
-            angles[i] = min(max(value * scale, lower), upper)
-        self.commands.speeds, self.commands.angles = speeds, angles
-
-
-class _Direct(BaseCalculator):
-    """Commands joints as it is told, whatever the twist; odometry as by another calculator."""
-
-    name = "direct"
-    summary = "joint commands from outside"
-
-    def __init__(self, odometer: BaseCalculator, commands: JointCommands) -> None:
-        super().__init__(odometer.geometry, odometer.options, odometer.noise)
-        self.estimator = odometer.estimator
-        self._odometer = odometer
-        self._commands = commands
-
-    def allowed(self, twist: Twist) -> Twist:
-        return twist
-
-    def command(
-        self, twist: Twist, states: JointStates | None = None, dt: float | None = None
-    ) -> BaseCommand:
-        joints = JointCommands(tuple(self._commands.speeds), tuple(self._commands.angles))
-        return BaseCommand(joints, ZERO_TWIST, ZERO_TWIST, ZERO_TWIST, 1.0, ())
-
-    def odometry(self, states: JointStates) -> TwistEstimate:
-        return self._odometer.odometry(states)
-
-    def reset(self, states: JointStates | None = None) -> None:
-        self._odometer.reset(states)
 
 
 class _Drawing:
