@@ -1,0 +1,130 @@
+"""The control cycle by the clock, on a simulated bus in another process: nine drives at 50 Hz."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+
+from bench.figure import ROOT, Figure
+from bench.robots import example
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file
+from thorvaldc.runtime.base_runner import BaseRunner
+from thorvaldc.runtime.bus.port import open_ports
+from thorvaldc.runtime.can_base.base import CanBase
+from thorvaldc.runtime.driver import BaseDriver, DriverState
+from thorvaldc.runtime.se2 import Twist
+
+SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "60"))
+TWIST = Twist(0.3, 0.0, 0.2)
+
+
+def figures() -> Iterator[Figure]:
+    path = example("9wd9ws")
+    robot = compile_file(path).model
+    if not isinstance(robot, Robot):
+        raise SystemExit(f"{path} does not compile")
+    with tempfile.TemporaryDirectory() as folder, _bus(str(path), folder) as channel:
+        runner, work = _run(robot, channel)
+    timing = runner.timing
+    gaps = [b - a for a, b in pairwise(timing.starts)]
+    spread = statistics.pstdev(gaps)
+    off = sorted(abs(gap - runner.period) for gap in gaps)
+    link = runner.base.links[0]
+    said = (
+        f"9WD9WS at {1.0 / runner.period:g} Hz for {SECONDS:g} s of driving,"
+        f" {timing.cycles} cycles,"
+        f" {link.receiver.received / timing.starts[-1]:.0f} frames/s received;"
+        f" bus and driver share {os.cpu_count()} cores"
+    )
+    yield Figure("CAN cycle, mean", 1e3 * statistics.fmean(gaps), "ms", None, "lower", said)
+    yield Figure(
+        "CAN cycle, spread",
+        1e3 * spread,
+        "ms",
+        None,
+        "lower",
+        f"standard deviation of the cycle; 99 % within {1e3 * off[int(0.99 * len(off))]:.2f} ms,"
+        f" worst {1e3 * off[-1]:.2f} ms",
+    )
+    yield Figure(
+        "CAN cycle, deadlines missed",
+        timing.overruns,
+        "",
+        None,
+        "lower",
+        f"of {timing.cycles} cycles, {timing.skipped} of them left out; begun late by"
+        f" {1e3 * timing.latest:.2f} ms at the most; {runner.base.incomplete} not sent whole,"
+        f" {link.receiver.dropped} events dropped",
+    )
+    work.sort()
+    yield Figure(
+        "CAN cycle, work",
+        1e3 * statistics.median(work),
+        "ms",
+        10.0,
+        "lower",
+        f"median from its start until all is sent, 99 % under"
+        f" {1e3 * work[int(0.99 * len(work))]:.2f} ms, longest {1e3 * work[-1]:.2f} ms",
+    )
+
+
+def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float]]:
+    ports = open_ports(f"sim:{channel}", robot)
+    clock = next(iter(ports.values()))
+    base = CanBase(robot, ports)
+    runner = BaseRunner(robot, base, clock, keep_starts=True)
+    work: list[float] = []
+
+    def feed(driver: BaseDriver, now: float) -> None:
+        if runner.ready and base.armed:
+            driver.command(TWIST, now)
+
+    def watch(_: BaseRunner, state: DriverState) -> None:
+        work.append(clock.now - state.time)
+
+    runner.feed = feed
+    gc.collect()
+    gc.freeze()
+    runner.run(clock.now + 60.0, stop=lambda: runner.ready)
+    if not runner.ready:
+        raise SystemExit(f"the robot is {runner.state.value}: {base.supervisor.reason}")
+    runner.timing = type(runner.timing)()
+    runner.run(clock.now + SECONDS, watch=watch)
+    if not runner.ready:
+        raise SystemExit(f"the robot is {runner.state.value}: {base.supervisor.reason}")
+    runner.shutdown()
+    gc.unfreeze()
+    return runner, work
+
+
+@contextlib.contextmanager
+def _bus(path: str, folder: str) -> Iterator[str]:
+    """`thorvaldc bus` in a process of its own; the name of its channel."""
+    socket = os.path.join(folder, "bus.sock")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "thorvaldc", "bus", path, "--channel", socket, "--json"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        line = process.stdout.readline() if process.stdout is not None else ""
+        if not line:
+            raise SystemExit("the simulated bus does not start")
+        time.sleep(0.5)
+        yield str(json.loads(line)[0]["channel"])
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
