@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import pty
-import select
 import signal
 import subprocess
 import sys
@@ -21,69 +18,11 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import GOOD, Command
+from tests.cli.person import PATIENCE, Person
 
-PATIENCE = 20.0
 
-
-class Teleop:
-    """The command with a person at its terminal."""
-
-    def __init__(self, folder: Path, *arguments: str) -> None:
-        self.ours, self.theirs = pty.openpty()
-        self.before = termios.tcgetattr(self.theirs)
-        self.shown = ""
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "thorvaldc", "teleop", *arguments],
-            cwd=folder,
-            stdin=self.theirs,
-            stdout=self.theirs,
-            stderr=self.theirs,
-            start_new_session=True,
-            # As a shell does: Ctrl-C and a hang-up reach the process by its terminal.
-            preexec_fn=lambda: os.close(os.open(os.ttyname(0), os.O_RDWR)),
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm"},
-        )
-
-    def read(self, seconds: float = 0.05) -> None:
-        while select.select([self.ours], [], [], seconds)[0]:
-            try:
-                data = os.read(self.ours, 65536)
-            except OSError:
-                return
-            if not data:
-                return
-            self.shown += data.decode("utf-8", "replace")
-
-    def until(self, text: str) -> None:
-        """Wait until it is shown after what was waited for before."""
-        limit = time.monotonic() + PATIENCE
-        while text not in self.shown:
-            assert time.monotonic() < limit, self.shown[-800:]
-            assert self.process.poll() is None, self.shown[-800:]
-            self.read()
-        self.shown = self.shown.partition(text)[2]
-
-    def type(self, text: str) -> None:
-        os.write(self.ours, text.encode())
-
-    def end(self) -> int:
-        """Its status; the terminal is as it was."""
-        limit = time.monotonic() + PATIENCE
-        while self.process.poll() is None:
-            assert time.monotonic() < limit, "it does not end"
-            self.read()
-        self.read()
-        assert termios.tcgetattr(self.theirs) == self.before
-        assert "\x1b[?25h" in self.shown
-        return self.process.returncode
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
-        for fd in (self.ours, self.theirs):
-            with contextlib.suppress(OSError):
-                os.close(fd)
+def at_teleop(folder: Path, *arguments: str) -> Person:
+    return Person(folder, "teleop", *arguments)
 
 
 @pytest.fixture
@@ -95,8 +34,8 @@ def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.fixture
-def teleop(folder: Path) -> Iterator[Teleop]:
-    running = Teleop(folder, "good.yaml", "--on", "ideal")
+def teleop(folder: Path) -> Iterator[Person]:
+    running = at_teleop(folder, "good.yaml", "--on", "ideal")
     running.until("drives: nobody")
     yield running
     running.close()
@@ -111,7 +50,7 @@ def state(thorvaldc: Command, name: str = "good") -> dict[str, Any]:
 
 
 def test_keys_drive_and_a_service_is_called_beside(
-    teleop: Teleop, thorvaldc: Command, folder: Path
+    teleop: Person, thorvaldc: Command, folder: Path
 ) -> None:
     teleop.type("9")
     for _ in range(25):
@@ -139,7 +78,7 @@ def test_keys_drive_and_a_service_is_called_beside(
 
 
 @pytest.mark.parametrize("way", ["ctrl-c", "terminate", "hang-up"])
-def test_the_terminal_is_put_back(teleop: Teleop, way: str) -> None:
+def test_the_terminal_is_put_back(teleop: Person, way: str) -> None:
     teleop.type("i")
     teleop.until("drives: teleop_joy")
     if way == "ctrl-c":
@@ -150,8 +89,8 @@ def test_the_terminal_is_put_back(teleop: Teleop, way: str) -> None:
     assert "Traceback" not in teleop.shown
 
 
-def test_one_drives_what_another_runs(teleop: Teleop, folder: Path, thorvaldc: Command) -> None:
-    other = Teleop(folder, "--to", "good", "--source", "auto_nav", "--speed", "100")
+def test_one_drives_what_another_runs(teleop: Person, folder: Path, thorvaldc: Command) -> None:
+    other = at_teleop(folder, "--to", "good", "--source", "auto_nav", "--speed", "100")
     try:
         other.until("drives: nobody")
         other.type("j")
@@ -197,7 +136,7 @@ def test_what_is_said_of_a_wrong_call(
 def test_what_is_said_on_a_terminal(
     folder: Path, arguments: tuple[str, ...], status: int, said: str
 ) -> None:
-    running = Teleop(folder, "good.yaml", *arguments)
+    running = at_teleop(folder, "good.yaml", *arguments)
     try:
         running.process.wait(PATIENCE)
         running.read()
@@ -229,7 +168,7 @@ def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
             asked = thorvaldc("call", "good", "state", "--json")
             ready = asked.status == 0 and json.loads(asked.out)["supervisor"] == "ready"
         assert ready
-        person = Teleop(folder, "--to", "good")
+        person = at_teleop(folder, "--to", "good")
         try:
             person.until("ready  drives: nobody")
             for _ in range(20):
@@ -252,7 +191,7 @@ def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
 
 
 def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
-    running = Teleop(folder, "good.yaml", "--on", "virtual", "--speed", "20")
+    running = at_teleop(folder, "good.yaml", "--on", "virtual", "--speed", "20")
     try:
         running.until("homing")
         running.until("ready")

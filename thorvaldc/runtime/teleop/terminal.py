@@ -44,10 +44,12 @@ class Terminal:
     back, whatever was the reason.
     """
 
-    def __init__(self, keys: IO[str] | None, screen: IO[str]) -> None:
+    def __init__(self, keys: IO[str] | None, screen: IO[str], *, whole: bool = False) -> None:
+        """``whole``: the lines have the screen for themselves; what was there comes back."""
         self._keys = keys
         self._screen = screen
         self._before: list[Any] | None = None
+        self._whole = whole
         self._shown = 0
         self._is_terminal = screen.isatty()
         self._out = -1
@@ -74,12 +76,15 @@ class Terminal:
             with contextlib.suppress(OSError):
                 name = os.ttyname(self._screen.fileno())
                 self._out = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
-            self._write("\x1b[?25l")
+            self._write("\x1b[?1049h\x1b[?25l" if self._whole else "\x1b[?25l")
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._is_terminal:
-            self._write("\x1b[?25h" + ("\n" if self._shown else ""))
+            if self._whole:
+                self._write("\x1b[?25h\x1b[?1049l")
+            else:
+                self._write("\x1b[?25h" + ("\n" if self._shown else ""))
             if self._out >= 0:
                 os.close(self._out)
                 self._out = -1
@@ -117,8 +122,11 @@ class Terminal:
         if not self._is_terminal or self._pending:
             return
         width = max(shutil.get_terminal_size().columns - 1, 20)
-        up = f"\x1b[{self._shown - 1}A" if self._shown > 1 else ""
         body = "\n".join(f"\r\x1b[2K{line[:width]}" for line in lines)
+        if self._whole:
+            self._write(f"\x1b[H{body}\x1b[J")
+            return
+        up = f"\x1b[{self._shown - 1}A" if self._shown > 1 else ""
         self._shown = len(lines)
         self._write(f"{up}{body}")
 

@@ -1,0 +1,120 @@
+"""``can monitor`` beside a bus that another process runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import GOOD, Command
+from tests.cli.person import PATIENCE, Person
+from tests.cli.test_bus import running
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+    (tmp_path / "good.yaml").write_text(GOOD)
+    with tempfile.TemporaryDirectory(prefix="tv") as sockets:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", sockets)
+        yield tmp_path
+
+
+@pytest.fixture
+def bus(folder: Path) -> Iterator[str]:
+    """The channel of a bus that is run."""
+    sockets = Path(os.environ["XDG_RUNTIME_DIR"])
+    (sockets / "good.yaml").write_text(GOOD)
+    with running(sockets, "good.yaml") as (_, said):
+        yield f"sim:{said['channel']}"
+
+
+def test_json_lines_a_page_and_a_live_view(bus: str, folder: Path, thorvaldc: Command) -> None:
+    watch = ("can", "monitor", "good.yaml", "--bus", bus)
+    done = thorvaldc(*watch, "--duration", "1 s", "--interval", "250 ms", "--json")
+    assert (done.status, done.err) == (0, "")
+    told = [json.loads(line) for line in done.out.splitlines()]
+    assert len(told) == 4
+    assert {n["nmt"] for n in told[-1]["nodes"] if "controller" in n["name"]} == {"pre-operational"}
+    assert 0.0 < told[-1]["load"] < told[-1]["load_budget"]
+    assert not told[-1]["unknown"]
+
+    done = thorvaldc(*watch, "--duration", "300 ms")
+    assert done.status == 0
+    assert done.out.startswith("good main  500 kbit/s  load ")
+    assert "fl_controller_heartbeat" in done.out
+    assert "\x1b" not in done.out
+
+    person = Person(folder, *watch)
+    try:
+        person.until("\x1b[?1049h")
+        person.until("good main")
+        person.until("lines; arrow keys --")
+        person.type("\x1b[B")
+        person.until("-- 2 to ")
+        person.type("q")
+        assert person.end() == 0
+        assert "\x1b[?1049l" in person.shown
+    finally:
+        person.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_what_was_heard(bus: str, folder: Path, number: int) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus, "--json"],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["robot"] == "good"
+        process.send_signal(number)
+        _, err = process.communicate(timeout=PATIENCE)
+        assert (process.returncode, err) == (0, "")
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -> None:
+    sockets = Path(os.environ["XDG_RUNTIME_DIR"])
+    (sockets / "good.yaml").write_text(GOOD)
+    with running(sockets, "good.yaml") as (process, said):
+        person = Person(folder, "can", "monitor", "good.yaml", "--bus", f"sim:{said['channel']}")
+        try:
+            person.until("good main")
+            process.terminate()
+            person.process.wait(PATIENCE)
+            assert person.end() == 3
+            assert "error: the bus is gone" in person.shown
+        finally:
+            person.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (("--bus", "sim:nobody"), 3, "no bus is run at"),
+        (("--bus", "virtual"), 2, "a virtual bus is the own process's alone"),
+        (("--bus", "sim:x", "--of", "left"), 2, "there is no bus 'left'; there are main"),
+        (("--bus", "sim:x", "--duration", "soon"), 2, "'--duration'"),
+        (("--bus", "sim:x", "--interval", "0"), 2, "not between 0.05 and 86400 s"),
+        ((), 2, "Missing option '--bus'"),
+    ],
+)
+def test_what_is_said_of_a_wrong_call(
+    folder: Path, thorvaldc: Command, arguments: tuple[str, ...], status: int, said: str
+) -> None:
+    done = thorvaldc("can", "monitor", "good.yaml", *arguments)
+    assert done.status == status
+    assert said in " ".join(done.err.replace("│", " ").split())

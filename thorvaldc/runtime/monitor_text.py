@@ -1,0 +1,115 @@
+"""A bus monitor's summary as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+NAME_WIDTH = 30
+SHOWN_EMERGENCIES = 5
+
+
+def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Head, nodes, emergencies, what is not in the map, and the frames with their values."""
+    lines = [_head(summary), ""]
+    lines += _nodes(summary["nodes"])
+    lines += _emergencies(summary["emergencies"], summary["time"])
+    lines += _unknown(summary["unknown"])
+    lines += ["", f"{'id':>4} {'frame':{NAME_WIDTH}} {'period':>8} {'age':>8}  values"]
+    lines += [_frame(frame) for frame in summary["frames"]]
+    return lines
+
+
+def page(lines: Sequence[str], height: int, first: int) -> list[str]:
+    """``height`` of the lines, from ``first`` on; the last says how many are left out."""
+    height = max(height, 3)
+    if len(lines) <= height:
+        return list(lines)
+    first = min(max(first, 0), len(lines) - height + 1)
+    shown = list(lines[first : first + height - 1])
+    return [*shown, f"-- {first + 1} to {first + len(shown)} of {len(lines)} lines; arrow keys --"]
+
+
+def _head(summary: Mapping[str, Any]) -> str:
+    parts = [
+        f"{summary['robot']} {summary['bus']}",
+        f"{summary['bitrate'] // 1000} kbit/s",
+        f"load {_percent(summary['load'])} (highest {_percent(summary['highest_load'])}, "
+        f"budget {_percent(summary['load_budget'])})",
+        f"{summary['frames_per_second']:.0f} frames/s",
+    ]
+    controller = summary.get("controller", "")
+    if controller not in ("", "error-active"):
+        parts.append(f"OUR CONTROLLER: {controller.upper()}")
+    if summary.get("overruns"):
+        parts.append(f"{summary['overruns']} frames lost here")
+    return "  ".join(parts)
+
+
+def _nodes(nodes: Sequence[Mapping[str, Any]]) -> list[str]:
+    width = max([len("node"), *(len(node["name"]) for node in nodes)])
+    lines = [f"{'node':{width}} {'id':>3}  state"] if nodes else []
+    for node in nodes:
+        drive = ", ".join(
+            name.replace("_", " ") if state is None else f"{name} {state}"
+            for name, state in node["drive"].items()
+        )
+        state = node["nmt"] or ("-" if node["heard"] is not None else "never heard")
+        if node["silent"]:
+            state += "  SILENT"
+        lines.append(f"{node['name']:{width}} {node['id']:>3}  {state:17}  {drive}".rstrip())
+    return lines
+
+
+def _emergencies(found: Sequence[Mapping[str, Any]], now: float) -> list[str]:
+    lines = [""] if found else []
+    for one in found[-SHOWN_EMERGENCIES:]:
+        what = "no error any more" if one["over"] else f"error {one['code']:#06x}"
+        register = "" if one["register"] is None else f" register {one['register']:#04x}"
+        data = f" data {one['data']}" if one["data"].strip("0") else ""
+        lines.append(f"EMCY {now - one['time']:.1f} s ago  {one['node']}: {what}{register}{data}")
+    return lines
+
+
+def _unknown(found: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = [""] if found else []
+    for one in found:
+        name = f"{one['id']:08x}" if one["extended"] else f"{one['id']:03x}"
+        lines.append(
+            f"NOT IN THE MAP {name}  {one['count']} frames  {_time(one['period'])}  "
+            f"{_time(one['age'])} ago  {one['data']}".rstrip()
+        )
+    return lines
+
+
+def _frame(frame: Mapping[str, Any]) -> str:
+    units = frame["units"]
+    flags = frame["flags"]
+    values = "  ".join(
+        name if name in flags else f"{name} {_value(value)} {units.get(name, '')}".rstrip()
+        for name, value in frame["values"].items()
+        if value or name not in flags
+    )
+    problem = f"{frame['problem'].upper()}  " if frame["problem"] else ""
+    return (
+        f"{frame['id']:>4x} {frame['name']:{NAME_WIDTH}} {_time(frame['period']):>8} "
+        f"{_time(frame['age']):>8}  {problem}{values}"
+    ).rstrip()
+
+
+def _value(value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    return str(value) if isinstance(value, int) else f"{value + 0.0:.4g}"
+
+
+def _time(seconds: float | None) -> str:
+    if seconds is None:
+        return "-"
+    if seconds < 1.0:
+        return f"{seconds * 1000:.0f} ms"
+    return f"{seconds:.1f} s" if seconds < 100.0 else f"{seconds:.0f} s"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"
