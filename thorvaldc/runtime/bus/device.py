@@ -42,6 +42,7 @@ class Device:
         self.wire = wire
         self.timeline = wire.timeline
         self.random = random.Random(f"{seed}:{name}")
+        self.factory_bitrate = bitrate
         self.kept: dict[str, Any] = {BITRATE: bitrate, **(kept or {})}
         self.write_time = WRITE_TIME
         self.torn_writes = False
@@ -61,7 +62,8 @@ class Device:
         if self.powered:
             return
         self.powered = True
-        self.controller.bitrate = self.kept[BITRATE]
+        # A write that was torn may have lost it.
+        self.controller.bitrate = self.kept.get(BITRATE, self.factory_bitrate)
         self.controller.switch_on()
         self.start()
 

@@ -20,6 +20,7 @@ from thorvaldc.runtime.faults import RuntimeFault
 
 FORMAT, VERSION = "thorvaldc-flash", 1
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
+_HEAD = b'{"record":"'
 
 
 class Store(Protocol):
@@ -178,32 +179,39 @@ class Journal:
 
     def _read(self, data: bytes) -> list[Run]:
         runs: list[tuple[str, Plan, list[dict[str, Any]]]] = []
+        torn = 0
         for number, line in enumerate(data.split(b"\n"), 1):
+            if not line.strip():
+                continue
             try:
-                record = json.loads(line) if line.strip() else None
-                if record is None:
-                    continue
-                if record["record"] == "run":
-                    if record["format"] != FORMAT or record["version"] != VERSION:
-                        raise self._fault(f"line {number} has another format or version")
-                    plan = plan_from_json(record["plan"])
-                    if plan.hash != record["hash"] or record["mode"] not in (
-                        APPLY,
-                        RESUME,
-                        ROLLBACK,
-                    ):
-                        raise self._fault(f"the plan in line {number} was changed by hand")
+                record = json.loads(line)
+                kind = record["record"]
+                if kind == "run":
+                    plan = self._plan(record, number)
                     runs.append((record["mode"], plan, []))
-                elif runs:
-                    self._check(record)
-                    runs[-1][2].append(record)
-                else:
-                    raise self._fault("it does not begin with a plan")
+                    torn = 0
+                    continue
+                self._check(record)
             except (ValueError, KeyError, TypeError, AttributeError):
-                # What a cut tore, and nothing but that, is the beginning of a record.
-                if not line.startswith(b"{") or line.endswith(b"}"):
+                # A cut leaves the beginning of a record, and nothing but another run behind it.
+                if torn or not (line.startswith(_HEAD) or _HEAD.startswith(line)):
                     raise self._fault(f"line {number} is no record of it") from None
+                torn = number
+                continue
+            if torn:
+                raise self._fault(f"line {torn} is damaged")
+            if not runs:
+                raise self._fault("it does not begin with a plan")
+            runs[-1][2].append(record)
         return [Run(mode, plan, tuple(records)) for mode, plan, records in runs]
+
+    def _plan(self, record: dict[str, Any], number: int) -> Plan:
+        if record["format"] != FORMAT or record["version"] != VERSION:
+            raise self._fault(f"line {number} has another format or version")
+        plan = plan_from_json(record["plan"])
+        if plan.hash != record["hash"] or record["mode"] not in (APPLY, RESUME, ROLLBACK):
+            raise self._fault(f"the plan in line {number} was changed by hand")
+        return plan
 
     def _check(self, record: dict[str, Any]) -> None:
         kind = record["record"]

@@ -183,7 +183,7 @@ def _obstacles(target: Target, scan: Scan) -> tuple[list[str], list[str], list[s
         if not entry.node:
             if by_hand and found is not None and _may_be(target, found.identity):
                 continue  # one of those that are still to get their addresses
-            if entry.verdict == UNEXPECTED:
+            if entry.verdict == UNEXPECTED and found is not None and found.identity is not None:
                 strangers.append(entry.detail + _suggestion(target, scan, found))
             else:
                 problems.append(entry.detail)

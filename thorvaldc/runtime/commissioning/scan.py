@@ -181,7 +181,8 @@ class Scanner:
             if found is None or found.id is None or entry.node in self._placed:
                 continue
             if found.id == UNCONFIGURED:
-                self._bare.append(found)
+                if not entry.node:
+                    self._bare.append(found)
             elif not entry.node or self.target.node(entry.node).sdo:
                 ids.add(found.id)
         for node in sorted(i for i in ids if i is not None and i != UNCONFIGURED):
@@ -244,20 +245,22 @@ class Scanner:
         ids = sorted(n for n in self._found if self._found[n].identity is None)
         for place, node in enumerate(ids):
             self._progress("reading identities", place, len(ids))
+            kind = (self._number(node, DEVICE_TYPE, 0, 1) or [None])[-1]
             numbers = [
                 self._number(node, IDENTITY, subindex, ROUNDS if subindex == 4 else 1)
                 for subindex in (1, 2, 3, 4)
             ]
-            kind = self._number(node, DEVICE_TYPE, 0, 1)
+            # A number that it refuses it does not have; one that it is silent about is not known.
+            known = all(numbers) and numbers[0][-1] is not None
+            identity = Identity(*(seen[-1] or 0 for seen in numbers)) if known else None
             words: tuple[str, ...] = ()
             if texts and node not in self._evidence:
                 words = tuple(self._text(node, index) for index in TEXTS)
-            identity = None if numbers[0] is None else Identity(*(n or 0 for n in numbers))
             self._found[node] = Found(node, identity, kind, words)
         self._progress("reading identities", len(ids), len(ids))
 
-    def _number(self, node: int, index: int, subindex: int, rounds: int) -> int | None:
-        """What is answered, with every answer counted; the last one where they differ."""
+    def _number(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
+        """Every answer to requests for a number; ``None``: it was refused."""
         seen: list[int | None] = []
         for _ in range(rounds):
             answers = self.sdo.every(node, index, subindex, timeout=self.session.timing.sdo)
@@ -268,7 +271,7 @@ class Scanner:
                 seen.append(None if answer.abort is not None else value)
         if any(value != seen[0] for value in seen):
             self._evidence[node] = "its identity changes from answer to answer"
-        return seen[-1] if seen else None
+        return seen
 
     def _text(self, node: int, index: int) -> str:
         try:
@@ -287,12 +290,14 @@ class Scanner:
             count = self.lss.select(identity)
             if count == 0:
                 continue
-            try:
-                where = self.lss.node_id()
-            except LssFault as fault:
+            if count > 1:
                 where = self.target.node(name).id
-                self._evidence[where] = f"{identity_text(identity)}: {fault}"
-            self._placed[name] = Found(where, identity)
+                self._evidence[where] = f"{count} devices are {identity_text(identity)}"
+                continue
+            try:
+                self._placed[name] = Found(self.lss.node_id(), identity)
+            except LssFault:
+                continue  # it is gone, or its answers are doubtful: it is not found
         if known:
             self._progress("asking by serial number", len(known), len(known))
             self.lss.waiting()
@@ -333,6 +338,8 @@ class Scanner:
                 entries.append(Entry("", DUPLICATE, None, found, detail))
             else:
                 detail = f"a device with {what} that the robot's file does not name"
+                if found.identity is None:
+                    detail = f"the device with {what} does not say who it is"
                 entries.append(Entry("", UNEXPECTED, None, found, detail))
         entries += self._strangers()
         read: dict[str, dict[tuple[int, int], int | None]] = {}
@@ -358,6 +365,8 @@ class Scanner:
                 placed[node.name] = own if whole and own is not None else given
             elif here is not None and self._alike(node, here):
                 placed[node.name] = here
+            elif (elsewhere := self._by_serial(node)) is not None:
+                placed[node.name] = elsewhere
             elif not node.sdo and self._heard_of(node):
                 placed[node.name] = Found(node.id if node.canopen else None)
         for node in self.target.nodes:
@@ -378,6 +387,12 @@ class Scanner:
             if len(free) == 1 and len(waiting) == 1:
                 placed[node.name] = free[0]
         return placed
+
+    def _by_serial(self, node: Wanted) -> Found | None:
+        """One that says over SDO that it is that very device, though it does not by LSS."""
+        if node.serial is None:
+            return None
+        return next((f for f in self._found.values() if self._alike(node, f)), None)
 
     def _alike(self, node: Wanted, found: Found) -> bool:
         if found.identity is None or not node.is_like(found.identity):
@@ -419,7 +434,7 @@ class Scanner:
             if identifier in known or not 0 < node < 127:
                 continue
             if node not in self._found and all(f.id != node for f in self._placed.values()):
-                detail = "its heartbeat is heard; the robot's file has no such id"
+                detail = f"the heartbeat of id {node} is heard, which the robot's file does not have"
                 entries.append(Entry("", UNEXPECTED, None, Found(node), detail))
         return entries
 

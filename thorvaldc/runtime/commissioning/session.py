@@ -141,16 +141,15 @@ class Session:
                 if node in missing:
                     missing.remove(node)
             self.boots.clear()
-            if not missing or self.now >= limit:
+            if not missing or self._next(limit - self.now) is None:
                 break
-            self._next(limit - self.now)
         return missing
 
     def wait_for_count(self, count: int, timeout: float) -> None:
         """Until so many nodes have said that they have started, at whatever ids."""
         limit = self.now + timeout
-        while len(self.boots) < count and self.now < limit:
-            self._next(limit - self.now)
+        while len(self.boots) < count and self._next(limit - self.now) is not None:
+            pass
 
     def forget(self) -> None:
         """What was heard so far; what waits in the queue with it."""
