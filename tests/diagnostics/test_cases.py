@@ -10,7 +10,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 - ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
   the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
   ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml),
-  ``port`` (opening ``bus`` for its first bus), ``drive`` (by its buses with
+  ``can`` (setting its simulated bus up in a ``situation``), ``port`` (opening ``bus`` for its
+  first bus), ``drive`` (by its buses with
   ``devices`` of another file, and faults.yaml), ``scenario``,
   ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
   joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
@@ -36,7 +37,7 @@ PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
     *("twist", "seconds", "parameters", "record", "distance", "read_only"),
-    *("bus", "devices", "options"),
+    *("bus", "devices", "options", "situation"),
 }
 OWN = "neighbour_"
 
@@ -108,6 +109,14 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         run_on_a_bus(done.model, done.report)
     if how == "drive" and isinstance(done.model, Robot):
         drive_by_its_buses(done.model, case.get("devices"), done.report)
+    if how == "can" and isinstance(done.model, Robot):
+        from tests.runtime.commissioning.situations import play
+        from thorvaldc.runtime.faults import RuntimeFault
+
+        try:
+            play(done.model, case["situation"])
+        except RuntimeFault as fault:
+            done.report.put(fault.diagnostic)
     if how == "port" and isinstance(done.model, Robot):
         from thorvaldc.runtime.bus.port import open_port
         from thorvaldc.runtime.faults import RuntimeFault

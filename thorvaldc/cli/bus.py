@@ -60,7 +60,7 @@ def run_bus(
     if not isinstance(robot, Robot):
         raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
     gc.enable()
-    kept = _read_store(store)
+    kept = read_store(store)
     report, found = Report(), Report()
     try:
         script = read_faults(faults, robot, report) if faults else None
@@ -93,7 +93,7 @@ def run_bus(
         for number_, handler in before.items():
             signal.signal(number_, handler)
         if store:
-            _write_store(store, simulated)
+            write_store(store, simulated)
     _say_end(simulated, server.behind)
     return DONE
 
@@ -130,7 +130,7 @@ def _tell(report: Any, sources: dict[str, Path]) -> int:
 # -- what devices keep ----------------------------------------------------------------------------
 
 
-def _read_store(store: str) -> dict[str, dict[str, Any]]:
+def read_store(store: str) -> dict[str, dict[str, Any]]:
     """What devices kept when the bus was run the last time; nothing the first time."""
     if not store or not os.path.exists(store):
         return {}
@@ -152,7 +152,7 @@ def _read_store(store: str) -> dict[str, dict[str, Any]]:
     return dict(found)
 
 
-def _write_store(store: str, simulated: SimulatedRobot) -> None:
+def write_store(store: str, simulated: SimulatedRobot) -> None:
     kept = {name: device.kept for name, device in simulated.devices.items()}
     text = json_format.dumps(kept, indent=1, ensure_ascii=False) + "\n"
     Path(store).write_text(text, encoding="utf-8")

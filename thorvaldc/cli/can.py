@@ -10,10 +10,115 @@ from thorvaldc.cli.command import LightCommand, LightGroup, guarded
 
 can = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 
+File = Annotated[str, typer.Argument(metavar="FILE", help="The robot's robot.yaml.")]
+BusOption = Annotated[
+    str,
+    typer.Option(
+        "--bus",
+        metavar="BUS",
+        help="socketcan:can0, slcan:PORT, sim:NAME, virtual (as the file says) or"
+        " virtual:delivered; of a robot with several buses NAME=BUS.",
+    ),
+]
+Store = Annotated[
+    str,
+    typer.Option(
+        "--store", metavar="FILE", help="With virtual: where its devices keep their memory."
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Library = Annotated[
+    list[str],
+    typer.Option("--library", metavar="DIR", help="A folder of modules of yours; may be repeated."),
+]
+
 
 @can.callback()
 def main() -> None:
     """Set up, check and watch a robot's CAN bus."""
+
+
+@can.command(cls=LightCommand)
+@guarded
+def scan(
+    file: File,
+    bus: BusOption,
+    active: Annotated[
+        bool, typer.Option("--active", help="Ask every node, after listening.")
+    ] = False,
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """See what is on the bus and compare it with the robot's file."""
+    from thorvaldc.cli.commissioning import scan_bus
+
+    return scan_bus(file, bus, active, store, json, library)
+
+
+@can.command(cls=LightCommand)
+@guarded
+def plan(
+    file: File,
+    bus: BusOption,
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Show the steps that would make the bus what the file says; nothing is written."""
+    from thorvaldc.cli.commissioning import plan_bus
+
+    return plan_bus(file, bus, store, json, library)
+
+
+@can.command(cls=LightCommand)
+@guarded
+def flash(
+    file: File,
+    bus: BusOption,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Write; without, it is a dry run.")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a flash that was broken off.")
+    ] = False,
+    rollback: Annotated[
+        bool, typer.Option("--rollback", help="Undo the last flash of the journal.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for tools.")] = False,
+    plan: Annotated[
+        str,
+        typer.Option("--plan", metavar="HASH", help="Write only if the plan still has this hash."),
+    ] = "",
+    journal: Annotated[
+        str,
+        typer.Option(
+            "--journal", metavar="FILE", help="What was done.", show_default="<robot>.flash.jsonl"
+        ),
+    ] = "",
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Give every node its address and its values, each step verified and in a journal."""
+    from thorvaldc.cli.commissioning import flash_bus
+
+    return flash_bus(file, bus, apply, resume, rollback, yes, plan, journal, store, json, library)
+
+
+@can.command(cls=LightCommand)
+@guarded
+def verify(
+    file: File,
+    bus: BusOption,
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    """Check identities, values, periods and load of the bus; nothing is written."""
+    from thorvaldc.cli.commissioning import verify_bus
+
+    return verify_bus(file, bus, store, json, library)
 
 
 @can.command(cls=LightCommand)

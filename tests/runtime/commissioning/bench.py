@@ -1,4 +1,4 @@
-"""A bus to set up in virtual time: a simulated robot, a master that can die, a journal in memory."""
+"""A bus to set up in virtual time: simulated devices, a mortal master, a journal in memory."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from thorvaldc.runtime.commissioning.plan import Plan, make_plan
 from thorvaldc.runtime.commissioning.scan import Scan, Scanner
 from thorvaldc.runtime.commissioning.session import Session, Timing
 from thorvaldc.runtime.commissioning.target import Target, target_of
-
 
 QUICK = Timing(absent=0.01, probe_gap=0.001, probe_tail=0.02, boot=1.0)
 """For devices of which it is known how soon they answer."""
@@ -170,9 +169,7 @@ class Bench:
         """A process of its own: a new place on the bus, the journal read anew."""
         session = self.session()
         try:
-            flash = Flash(
-                session, target or self.target, Journal(self.store), operator=operator
-            )
+            flash = Flash(session, target or self.target, Journal(self.store), operator=operator)
             return how(flash)
         finally:
             session.port.close()
@@ -200,5 +197,3 @@ class Bench:
             for name, device in self.simulated.devices.items()
             if isinstance(device, CanopenDevice)
         }
-
-

