@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Hashable
+import operator
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, cast
+
+
+def values_getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
+    """From an object to the tuple of its attributes of these names; faster than a loop."""
+    if len(names) > 1:
+        return cast(Callable[[Any], tuple[Any, ...]], operator.attrgetter(*names))
+    return lambda value: tuple(getattr(value, name) for name in names)
 
 
 @functools.cache
 def _compared(cls: Hashable) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cast(Any, cls)) if f.compare)
+
+
+@functools.cache
+def _values(cls: Hashable) -> Callable[[Any], tuple[Any, ...]]:
+    return values_getter(_compared(cls))
 
 
 class Element:
@@ -23,7 +36,7 @@ class Element:
     __slots__ = ()
 
     def _key(self) -> tuple[Any, ...]:
-        return tuple(getattr(self, name) for name in _compared(cast(Hashable, type(self))))
+        return _values(cast(Hashable, type(self)))(self)
 
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):

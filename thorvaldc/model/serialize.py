@@ -8,10 +8,12 @@ import json
 import math
 import types
 import typing
-from typing import Any, TypeVar
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar, cast
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import robot as _robot
+from thorvaldc.model.element import values_getter
 from thorvaldc.model.robot import Fleet, Robot
 
 FORMAT = "thorvaldc-model"
@@ -49,10 +51,10 @@ def _is_plain(hint: Any) -> bool:
 
 
 @functools.cache
-def _plan(cls: type) -> tuple[tuple[str, bool], ...]:
-    """The fields of a class, and whether each is plain."""
-    hints = _hints(cls)
-    return tuple((name, _is_plain(hints[name])) for name in _fields(cls))
+def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]], list[str]]:
+    """The fields of a class, what gets their values, and which are not plain."""
+    hints, names = _hints(cast(Any, cls)), _fields(cast(Any, cls))
+    return names, values_getter(names), [name for name in names if not _is_plain(hints[name])]
 
 
 def _encode(value: Any) -> Any:
@@ -63,10 +65,10 @@ def _encode(value: Any) -> Any:
         return [_encode(v) for v in value]
     if value is None:
         return None
-    out = {
-        name: getattr(value, name) if plain else _encode(getattr(value, name))
-        for name, plain in _plan(cls)  # type: ignore[arg-type]
-    }
+    names, values, nested = _plan(cast(Hashable, cls))
+    out = dict(zip(names, values(value), strict=True))
+    for name in nested:
+        out[name] = _encode(out[name])
     if cls in _SHAPES:
         out["kind"] = cls.__name__
     return out

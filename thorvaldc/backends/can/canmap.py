@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Iterable
 from typing import Any
 
 from thorvaldc.model import Robot
@@ -144,21 +146,25 @@ def json_text(document: dict[str, Any]) -> str:
 
 def _layout(value: Any, depth: int) -> str:
     pad, inner = "  " * depth, "  " * (depth + 1)
-    if isinstance(value, dict) and not all(_is_flat(v) for v in value.values()):
-        rows = [f"{inner}{_dump(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
+    if type(value) is dict and not all(map(_is_flat, _containers(value.values()))):
+        rows = [f"{inner}{_key(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
         return "{\n" + ",\n".join(rows) + f"\n{pad}}}"
-    if isinstance(value, list) and not _is_flat(value):
+    if type(value) is list and _containers(value):
         rows = [inner + _layout(v, depth + 1) for v in value]
         return "[\n" + ",\n".join(rows) + f"\n{pad}]"
-    return _dump(value)
+    # The encoder takes long to begin.
+    return repr(value) if type(value) is int else _ENCODER.encode(value)
 
 
-def _is_flat(value: Any) -> bool:
-    """Whether the value has no containers in it."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    return not isinstance(value, list) or not any(isinstance(v, dict | list) for v in value)
+def _is_flat(container: Any) -> bool:
+    """Whether there are no containers in it."""
+    return not _containers(container.values() if type(container) is dict else container)
 
 
-def _dump(value: Any) -> str:
-    return _ENCODER.encode(value)
+def _containers(values: Iterable[Any]) -> list[Any]:
+    return [v for v in values if type(v) is dict or type(v) is list]
+
+
+@functools.lru_cache(maxsize=256)
+def _key(key: str) -> str:
+    return _ENCODER.encode(key)
