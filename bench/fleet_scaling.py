@@ -13,6 +13,7 @@ from bench.figure import Figure, least_times
 from bench.robots import example
 from thorvaldc.model import Fleet
 from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.runtime import crowd
 from thorvaldc.runtime.manoeuvre import Segment
 from thorvaldc.runtime.meter import Meter
 from thorvaldc.runtime.se2 import Twist
@@ -38,7 +39,7 @@ def figures() -> Iterator[Figure]:
         )
         loops = [_Loops(path) for path in paths.values()]
     works = [work for loop in loops for work in (loop.whole, loop.bare)]
-    times = least_times(works, ROUNDS)
+    *times, alone = least_times([*works, loops[-1].one_by_one], ROUNDS)
     whole = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[::2], strict=True)}
     bare = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[1::2], strict=True)}
     steps = loops[0].steps
@@ -55,7 +56,8 @@ def figures() -> Iterator[Figure]:
         1e6,
         "us",
         f"{steps} steps of physics, and each robot's driver and odometry, 50 Hz;"
-        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step",
+        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step; with the odometry of"
+        f" each by itself it takes {alone / loops[0].ticks / whole[100]:.2f} times as long",
     )
 
 
@@ -105,6 +107,13 @@ class _Loops:
 
     def whole(self) -> None:
         self.simulation.run(SECONDS, PLAN)
+
+    def one_by_one(self) -> None:
+        least, crowd.LEAST = crowd.LEAST, 1 + len(self.simulation.robots)
+        try:
+            self.whole()
+        finally:
+            crowd.LEAST = least
 
     def bare(self) -> None:
         self.scene.reset()

@@ -178,8 +178,10 @@ class BaseDriver:
         self.state.pose = self.odometry.pose
         self.state.pose_covariance = self.odometry.covariance
 
-    def tick(self, now: float) -> DriverState:
+    def tick(self, now: float, joints: JointStates | None = None) -> DriverState:
         """Read the joints, estimate, ramp, command.  A time that does not advance does nothing.
+
+        ``joints`` are those that the base was read for at this time, where it was already.
 
         Without usable joints, and after more than ``LONGEST_INTERVAL`` without, the
         way is unknown: the pose stays and its covariance grows by what the robot can
@@ -190,7 +192,8 @@ class BaseDriver:
         dt = 0.0 if first else now - state.time
         if not math.isfinite(now) or not (first or dt > 0.0):
             return state
-        joints = self.base.read(now)
+        if joints is None:
+            joints = self.base.read(now)
         odometry = self.odometry
         fault = ""
         starts = odometry.joints is None

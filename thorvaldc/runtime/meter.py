@@ -116,11 +116,12 @@ class Meter:
     def next(self) -> float:
         return self.ticks / self.robot.driver.rate
 
-    def tick(self) -> None:
+    def tick(self, joints: JointStates | None = None) -> None:
+        """A tick of the driver; ``joints`` as in ``BaseDriver.tick``."""
         now = self.next
         before = self.driver.state
         self.driver.command(twist_at(self.manoeuvre, now), now)
-        state = self.driver.tick(now)
+        state = self.driver.tick(now, joints)
         if self.ticks:
             dt = now - before.time
             if before.command is not None:

@@ -21,7 +21,8 @@ class Odometry:
 
     ``estimate`` is the mean twist over the last interval, ``pose`` that of
     ``base_link`` where it was last reset, ``covariance`` that of a small motion of it
-    in itself.  ``calculator`` may be exchanged between two updates; the pose stays.
+    in itself; ``known`` is what that was at the last ``joints``.  ``calculator`` may be
+    exchanged between two updates; the pose stays.
     ``fastest`` (m/s, rad/s): what the robot can have driven while nobody looked.
     """
 
@@ -32,14 +33,13 @@ class Odometry:
         self.pose = ORIGIN
         self.covariance = ZERO_COV
         self.joints: JointStates | None = None
-        # The covariance at the last joints, without what may have happened since.
-        self._known = ZERO_COV
+        self.known = ZERO_COV
         self._at = -math.inf
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
         """Set the pose; its covariance starts again at zero."""
         self.pose = pose
-        self.covariance = self._known = ZERO_COV
+        self.covariance = self.known = ZERO_COV
 
     def update(self, joints: JointStates, now: float) -> None:
         """Take in the joints read at ``now`` (s, monotonic).
@@ -53,8 +53,7 @@ class Odometry:
         """
         before = self.joints
         if before is None:
-            self.estimate = self.calculator.odometry(joints)
-            self._take(joints, now)
+            self.take(joints, now, self.calculator.odometry(joints), self.pose, self.known)
             return
         elapsed = joints.time - before.time
         if elapsed == 0.0:
@@ -62,37 +61,38 @@ class Odometry:
             self.miss(now)
             return
         if not 0.0 < elapsed <= LONGEST_INTERVAL:
-            self.estimate = self.calculator.odometry(joints)
-            self._known = self._grown(max(elapsed, now - self._at))
-            self._take(joints, now)
+            estimate = self.calculator.odometry(joints)
+            known = self._grown(max(elapsed, now - self._at))
+            self.take(joints, now, estimate, self.pose, known)
             return
         self.calculator.estimator.check(joints)
         estimate = self.calculator.odometry(_between(before, joints, elapsed))
         correlation = self.calculator.estimator.noise.correlation
         if estimate.rank < 3:
             correlation = max(correlation, _UNKNOWN)
-        self._known = se2.propagate(
-            self._known, estimate.twist, estimate.covariance, elapsed, correlation
-        )
-        self.pose = self.pose.moved(se2.exp(estimate.twist, elapsed))
-        self.estimate = estimate
-        self._take(joints, now)
+        known = se2.propagate(self.known, estimate.twist, estimate.covariance, elapsed, correlation)
+        self.take(joints, now, estimate, self.pose.moved(se2.exp(estimate.twist, elapsed)), known)
 
     def miss(self, now: float) -> None:
         """There are no joints at ``now``: the covariance grows until there are."""
         if self.joints is not None:
             self.covariance = self._grown(now - self._at)
 
-    def _take(self, joints: JointStates, now: float) -> None:
+    def take(
+        self, joints: JointStates, now: float, estimate: TwistEstimate, pose: Pose2, known: Cov3
+    ) -> None:
+        """Take over what was made of the joints read at ``now``."""
         self.joints = joints
-        self.covariance = self._known
+        self.estimate = estimate
+        self.pose = pose
+        self.covariance = self.known = known
         self._at = now
 
     def _grown(self, time: float) -> Cov3:
         """The covariance after ``time`` s of any motion that the robot is capable of."""
         way = (self.fastest[0] * time) ** 2
         turn = (self.fastest[1] * time) ** 2
-        (a, b, c), (_, d, e), (_, _, f) = self._known
+        (a, b, c), (_, d, e), (_, _, f) = self.known
         return ((a + way, b, c), (b, d + way, e), (c, e, f + turn))
 
 

@@ -9,7 +9,7 @@ that it does not depend on where the robot is.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 Row3 = tuple[float, float, float]
 Cov3 = tuple[Row3, Row3, Row3]
@@ -124,21 +124,40 @@ def propagate(
     what is left of one a step later.  Over shorter times this says too much.
     """
     dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
-    sa, va = _sin_over(angle), _versin_over(angle)
-    x, y = sa * dx - va * dy, va * dx + sa * dy  # the step, as by `exp`
-    c, s = math.cos(angle), math.sin(angle)
-    # A small turn before the step moves its end, at t, by w x t: seen from there R^T (w x t).
-    moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
     if abs(angle) < 1e-3:
         p, q = angle / 6.0, 0.5
     else:
-        p, q = (angle - math.sin(angle)) / (angle * angle), va / angle
-    noise = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, twist_covariance)
+        p, q = (angle - math.sin(angle)) / (angle * angle), _versin_over(angle) / angle
     d2 = dt * dt
     if correlation > 0.0:
         d2 /= math.tanh(dt / (2.0 * correlation))
+    turn = Turn(math.cos(angle), math.sin(angle), _sin_over(angle), _versin_over(angle), p, q)
+    return propagated(covariance, twist_covariance, dx, dy, turn, d2)
+
+
+class Turn(NamedTuple):
+    """Functions of the angle a that a step turns by, which are numbers or arrays of them."""
+
+    c: Any  # cos a
+    s: Any  # sin a
+    s1: Any  # sin a / a
+    c1: Any  # (1 - cos a) / a
+    s2: Any  # (a - sin a) / a^2
+    c2: Any  # (1 - cos a) / a^2
+
+
+def propagated(covariance: Cov3, noise: Cov3, dx: Any, dy: Any, turn: Turn, d2: Any) -> Cov3:
+    """The arithmetic of ``propagate``, which arrays in place of numbers go through as well.
+
+    ``dx``, ``dy`` (m) are velocity times time, ``noise`` times ``d2`` (s^2) what is added.
+    """
+    c, s, sa, va, p, q = turn
+    x, y = sa * dx - va * dy, va * dx + sa * dy  # the step, as by `exp`
+    # A small turn before the step moves its end, at t, by w x t: seen from there R^T (w x t).
+    moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
+    added = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, noise)
     (m11, m12, m13), (_, m22, m23), (_, _, m33) = moved
-    (n11, n12, n13), (_, n22, n23), (_, _, n33) = noise
+    (n11, n12, n13), (_, n22, n23), (_, _, n33) = added
     k12, k13, k23 = m12 + d2 * n12, m13 + d2 * n13, m23 + d2 * n23
     return (
         (m11 + d2 * n11, k12, k13),

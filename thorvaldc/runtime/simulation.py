@@ -15,7 +15,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.serialize import ModelFormatError, from_json
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base import BaseHandle, SimulatedBase
+from thorvaldc.runtime.base import BaseHandle, JointStates, SimulatedBase
+from thorvaldc.runtime.crowd import Crowd
 from thorvaldc.runtime.faults import RuntimeFault
 from thorvaldc.runtime.hidden import HiddenErrors
 from thorvaldc.runtime.manoeuvre import (
@@ -125,6 +126,8 @@ class Simulation:
         ]
         # When whose next tick is due: a heap, in the order of robots where times are equal.
         due = [(meter.next, number) for number, meter in enumerate(meters)]
+        crowd = Crowd([meter.driver for meter in meters])
+        joints: dict[int, JointStates] = {}
         started = time.perf_counter()
         simulated = 0.0
         stopped = False
@@ -132,9 +135,11 @@ class Simulation:
             now, number = due[0]
             if now > duration + 1e-9:
                 break
+            if now > simulated:
+                joints = crowd.sense(now, [k for at, k in due if at == now])
             simulated = now
             meter = meters[number]
-            meter.tick()
+            meter.tick(joints.get(number))
             heapq.heapreplace(due, (meter.next, number))
             if watch is not None:
                 watch(meter)

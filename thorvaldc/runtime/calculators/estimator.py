@@ -336,12 +336,12 @@ class TwistEstimator:
         if not plain or self.options.polish or self.inverse is None or self.inverse[1] < 3:
             return None
         gates = self.gates if self.options.faulty else (math.inf,) * len(self.rows)
-        wheels = [
+        wheels = tuple(
             UnrolledWheel(
                 r.wheel, r.heading, r.sign, r.cos, r.sin, r.x, r.y, r.radius, r.turns, gate
             )
             for r, gate in zip(self.rows, gates, strict=True)
-        ]
+        )
         return unrolled(wheels, self._n, self.inverse[0], self._centre, self.squares, TwistEstimate)
 
     def _without_the_wrong(

@@ -170,10 +170,11 @@ _RESULT = """\
 """
 
 
+@functools.lru_cache(maxsize=64)  # a hundred copies would not stay in a processor's cache
 def unrolled(
-    wheels: Sequence[UnrolledWheel],
+    wheels: tuple[UnrolledWheel, ...],
     count: int,
-    inverse: Sequence[float],
+    inverse: tuple[float, ...],
     centre: tuple[float, float],
     noise: Squares,
     result: type,
@@ -226,14 +227,10 @@ def unrolled(
     for i in n:
         tests[wheels[i].place] = f"d{i}"
     text.append(_RESULT.format(tests=", ".join(tests)))
-    made: Estimate = _estimate("".join(text), result)
+    made: Estimate = compiled(
+        "".join(text), "estimate", new=tuple.__new__, Twist=Twist, Result=result
+    )
     return made
-
-
-@functools.lru_cache(maxsize=64)
-def _estimate(text: str, result: type) -> Any:
-    """Robots of one kind share it: a hundred copies would not stay in a processor's cache."""
-    return compiled(text, "estimate", new=tuple.__new__, Twist=Twist, Result=result)
 
 
 def compiled(text: str, name: str, **names: Any) -> Any:
