@@ -1,4 +1,8 @@
-"""Robot and scenario files as environments of Gymnasium, by the id ``thorvaldc/Robot-v0``."""
+"""Robot and scenario files as environments of Gymnasium, by the id ``thorvaldc/Robot-v0``.
+
+``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")`` imports this
+module, which registers the id.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,17 @@ from typing import TYPE_CHECKING, Any
 from thorvaldc.diagnostics import Report
 from thorvaldc.pipeline import compile_file, emit
 
+try:
+    from gymnasium.envs import registration
+except ImportError:
+    raise ImportError(
+        "an environment needs Gymnasium, which is not installed: pip install 'thorvaldc[gym]'"
+    ) from None
+
 if TYPE_CHECKING:
     from thorvaldc.runtime.gym import RobotEnv
 
 NAME = "thorvaldc/Robot-v0"
-
-
-def register() -> None:
-    """Make ``thorvaldc/Robot-v0`` known; Gymnasium calls it where thorvaldc is installed."""
-    from gymnasium.envs import registration
-
-    if NAME not in registration.registry:
-        registration.register(NAME, entry_point="thorvaldc.environments:make")
 
 
 def make(
@@ -46,3 +49,7 @@ def make(
         raise ValueError(f"{scenario or file} does not compile:\n{said}")
     files = emit(done.model, ["mjcf"], Report())
     return RobotEnv(done.scenario or done.model, files, **options)
+
+
+if NAME not in registration.registry:
+    registration.register(NAME, entry_point="thorvaldc.environments:make")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,8 @@ FIELD = ROOT / "examples/scenarios/field_edge.yaml"
 
 @pytest.fixture(scope="module")
 def gymnasium() -> Any:
-    if not os.environ.get("CI"):
-        pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
     import gymnasium
 
-    environments.register()
     return gymnasium
 
 
@@ -243,17 +241,23 @@ def test_wrong_arguments_are_told(gymnasium: Any, tmp_path: Path) -> None:
     assert (replaced.name, len(replaced.robot.wheels)) == ("thorvald", 4)
 
 
-def test_gymnasium_finds_it_by_its_entry_point(gymnasium: Any) -> None:
-    from gymnasium.envs import registration
-
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    entries = settings["project"]["entry-points"]["gymnasium.envs"]
-    assert entries == {"thorvaldc": "thorvaldc.environments:register"}
-    kept = registration.registry.pop(environments.NAME)
-    try:
-        # As its loader does it, in the name space of the entry point's name.
-        with registration.namespace("thorvaldc"):
-            environments.register()
-        assert environments.NAME in registration.registry
-    finally:
-        registration.registry[environments.NAME] = kept
+def test_gymnasium_finds_it_by_its_module() -> None:
+    """In a process that has not heard of it."""
+    program = (
+        "import gymnasium\n"
+        f"env = gymnasium.make('thorvaldc.environments:thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
+        "print(env.reset(seed=1)[0].shape, env.spec.id)\n"
+        "import thorvaldc.environments\n"
+        "gymnasium.register_envs(thorvaldc.environments)\n"
+        f"gymnasium.make('thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    assert done.stdout == "(14,) thorvaldc/Robot-v0\n"

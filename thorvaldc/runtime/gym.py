@@ -1,7 +1,8 @@
 """Robots in MuJoCo as environments of Gymnasium, for learning and for experiments in a loop.
 
 Needs the extra ``thorvaldc[gym]``.  ``RobotEnv`` takes a model and its MJCF files;
-``gymnasium.make("thorvaldc/Robot-v0", file="robot.yaml")`` compiles them first.
+``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")`` compiles
+them first.
 """
 
 from __future__ import annotations
