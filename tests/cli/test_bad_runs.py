@@ -148,8 +148,13 @@ def test_who_leaves_all_bounds_is_named_with_time_and_cause(thorvaldc: Command) 
 
 
 @pytest.mark.parametrize("record", ["r.csv", "r.mcap"])
-def test_ctrl_c_leaves_a_record_that_can_be_read(
-    tmp_path: Path, thorvaldc: Command, record: str
+@pytest.mark.parametrize(
+    ("number", "status", "said"),
+    [(signal.SIGINT, 130, "interrupted\n"), (signal.SIGTERM, 143, "terminated\n")],
+    ids=["ctrl-c", "kill"],
+)
+def test_who_is_ended_leaves_a_record_that_can_be_read(
+    thorvaldc: Command, record: str, number: int, status: int, said: str
 ) -> None:
     path = scenario(duration=80000)
     command = [sys.executable, "-m", "thorvaldc", "sim", path, "--record", record]
@@ -160,9 +165,9 @@ def test_ctrl_c_leaves_a_record_that_can_be_read(
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and _written() < 100_000:
             time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", "interrupted\n")
+    assert (process.returncode, out, err) == (status, "", said)
     assert not list(Path().glob(".*"))
     done = thorvaldc("sim", path, "--replay", record, "--json")
     assert done.status == 0, done.err

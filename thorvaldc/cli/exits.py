@@ -5,18 +5,41 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 # Exit status.  1 and 2 are the user's to mend, 3 the world's, 70 ours.
 DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
-INTERRUPTED, BROKEN_PIPE = 130, 141
+INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
 TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
 
 
 class OutsideError(Exception):
     """The world failed (a disk, a display, a bus); the message is one line for the user."""
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, and has something to close."""
+
+
+@contextmanager
+def closing_when_terminated() -> Iterator[None]:
+    """Within the block a termination ends it as Ctrl-C does, so that what is open is closed."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def protect(work: Callable[[], int]) -> int:
@@ -27,6 +50,8 @@ def protect(work: Callable[[], int]) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
         return status
+    except Terminated:
+        return _fail("terminated", TERMINATED)
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.exits import OutsideError, closing_when_terminated
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -50,6 +50,7 @@ def open_recorder(
             from thorvaldc.runtime.record import CsvRecorder
 
             recorder = CsvRecorder(path, robots, groups, every)
+    stack.enter_context(closing_when_terminated())
     stack.callback(recorder.close)
     return (recorder,)
 

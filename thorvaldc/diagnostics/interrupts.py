@@ -10,16 +10,19 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the end of the block; then it is raised."""
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
+    """Hold Ctrl-C, and a termination that somebody handles, back until the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
+    handlers = ((number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM))
+    held = {number: handler for number, handler in handlers if callable(handler)}
     pending: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _frame: pending.append(number))
+    for number in held:
+        signal.signal(number, lambda number, _frame: pending.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in held.items():
+            signal.signal(number, handler)
         if pending:
-            raise KeyboardInterrupt
+            held[signal.Signals(pending[0])](pending[0], None)
