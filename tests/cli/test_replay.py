@@ -11,7 +11,10 @@ import pytest
 
 from tests.cli.conftest import Command
 from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+from thorvaldc.model.scenario import GROUPS
 from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime.mcap_record import McapRecorder
 from thorvaldc.runtime.mujoco_base import MujocoScene
 from thorvaldc.runtime.recorded import read_record
 from thorvaldc.runtime.replay import Replay
@@ -143,6 +146,17 @@ def test_of_what_was_not_recorded_there_is_a_dash(thorvaldc: Command, tmp_path: 
         assert done.status == 0, done.err
         assert done.out.splitlines()[1].split()[-6:-4] == ["-", "-"]
         assert done.out.splitlines()[1].split()[-2:] == ["-", "-"]
+
+
+def test_a_record_that_ended_before_its_first_tick_holds_nothing(
+    thorvaldc: Command, tmp_path: Path
+) -> None:
+    done = compile_file(SLIM)
+    assert isinstance(done.model, Robot)
+    McapRecorder(Path("a.mcap"), [(done.model.name, done.model)], GROUPS).close()
+    told = thorvaldc("sim", SLIM, "--replay", "a.mcap")
+    assert told.status == 1
+    assert "`a.mcap` holds nothing of thorvald_4wd4ws_slim" in told.err
 
 
 def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path) -> None:

@@ -92,6 +92,9 @@ def _watch_interrupts() -> _Interrupts:
 
 def _interrupted() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the second one would find us leaving
+    # CPython remembers one that went through code made from text (dataclasses are), and would
+    # end by the signal in place of our status; any other such code makes it forget.
+    exec("pass")
     return _fail("interrupted", INTERRUPTED)
 
 

@@ -148,8 +148,10 @@ class McapRecorder:
 
     def _connect(self, topic: str, kind: str, *, latched: bool = False) -> Any:
         qos = [self._make.latched()] if latched else []
-        store = self._make.store
-        return self._writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=qos)
+        text, digest = self._make.definition(kind)
+        return self._writer.add_connection(
+            topic, kind, msgdef=text, rihs01=digest, offered_qos_profiles=qos
+        )
 
     def send_tf(self, time: int, data: bytes, *, static: bool = False) -> None:
         """Queue a TFMessage."""

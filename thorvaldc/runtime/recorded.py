@@ -267,7 +267,7 @@ class _BagRun:
         kinds = self.by_time
         groups = {"odometry": ODOM, "truth": TRUTH, "twist": ASKED, "joints": JOINTS}
         has = tuple(group for group in GROUPS if groups[group] in kinds)
-        if JOINTS in kinds and not self._joints_fit(report):
+        if not self._joints_fit(report):
             return None
         run = RecordedRun(has, [], [])
         wanted = [groups[group] for group in has]
@@ -289,10 +289,12 @@ class _BagRun:
         return run
 
     def _joints_fit(self, report: Report) -> bool:
+        first = next(iter(self.by_time.get(JOINTS, {}).values()), None)
+        if first is None:
+            return True
         drives, steering = joints_of(self.robot)
         wanted = {*drives, *steering}
-        first = next(iter(self.by_time[JOINTS].values()), None)
-        names = list(first.name) if first is not None else []
+        names = list(first.name)
         other = next((name for name in names if name not in wanted), None)
         missing = next((name for name in (*drives, *steering) if name not in names), None)
         if other is not None or missing is not None:

@@ -85,6 +85,14 @@ class RosMessages:
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self._types: Any = self.store.types
         self._array = numpy.array
+        self._definitions: dict[str, tuple[str, str]] = {}
+
+    def definition(self, kind: str) -> tuple[str, str]:
+        """The text that defines a type, and its hash (REP 2016)."""
+        if kind not in self._definitions:
+            text, _ = self.store.generate_msgdef(kind, ros_version=2)
+            self._definitions[kind] = (str(text), self.store.hash_rihs01(kind))
+        return self._definitions[kind]
 
     def latched(self) -> Any:
         """The quality of service of ``/tf_static``: who comes later gets it too."""
