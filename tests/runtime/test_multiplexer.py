@@ -133,7 +133,7 @@ def drive(mux: Multiplexer, until: float, start: int = 0) -> list[tuple[float, D
             mux.publish("auto_nav", SLOW, now)
         if abs(now - 1.0) < 1e-9:
             mux.lock("auto_nav_pause", True, now)
-        if abs(now - 1.4) < 1e-9:
+        if abs(now - 1.7) < 1e-9:
             mux.lock("auto_nav_pause", False, now)
         mux.feed(driver, now)
         state = driver.tick(now)
@@ -148,7 +148,8 @@ def test_a_lock_stops_the_robot_at_once_and_silence_after_the_time_out(mux: Mult
     assert speed[0.98] == pytest.approx(0.2)
     assert 0.0 < speed[1.0] < 0.2  # by the ramp
     assert speed[1.3] == 0.0
-    assert speed[1.8] == pytest.approx(0.2)
+    assert mode[1.68] is DriveMode.IDLE
+    assert speed[2.0] == pytest.approx(0.2)
     assert speed[2.48] == pytest.approx(0.2)
     assert mode[2.48] is DriveMode.DRIVING
     assert mode[2.52] is DriveMode.TIMED_OUT

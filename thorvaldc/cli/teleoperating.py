@@ -147,6 +147,9 @@ def _drive(
     print(
         *([HELP] * (keys is not None) + [STICKS] * (search is not None)), "", sep="\n", flush=True
     )
+    # A pause of the collector would be a pause of the robot: what is there now stays.
+    gc.collect()
+    gc.freeze()
     with Terminal(keys, sys.stdout) as terminal:
         operator: Operator = Keyboard(limits, terminal.read, share)
         if search is not None:

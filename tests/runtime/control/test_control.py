@@ -123,6 +123,17 @@ def test_a_client_that_dies_lets_its_twist_time_out(running: Running, wire: Wire
     assert running.driver.state.ramped.vx == 0.0
 
 
+def test_a_client_that_leaves_its_answers_unread(running: Running, wire: Wire) -> None:
+    wire.send(b'{"call": "description"}\n' * 3)
+    running.cycles()
+    wire.send(b'{"call": "description"}\n')
+    wire.stream.close()  # the driver reads "connection reset" then
+    running.cycles(3)
+    other = Wire(running)
+    assert other.ask(b'{"call": "state"}')["ok"]
+    other.stream.close()
+
+
 def test_the_stop_holds_until_it_is_released(running: Running, wire: Wire) -> None:
     twist = b'{"call": "twist", "arguments": {"source": "teleop_joy", "vx": 0.4}}'
     assert wire.ask(b'{"call": "safety-stop"}')["ok"]

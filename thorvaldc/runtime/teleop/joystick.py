@@ -195,7 +195,6 @@ class Joystick:
             return False
         self._device, self._layout = found
         self._ranges = {code: (axis.min, axis.max) for code, axis in _axes(self._device).items()}
-        self._forget()
         self.message = ""
         return True
 
