@@ -190,7 +190,7 @@ class _Ground:
     """Friction and rolling resistance under each wheel: of zones, and of wheels on ice."""
 
     def __init__(self, base: FaultyBase, zones: Sequence[Zone], ice: Sequence[Fault]) -> None:
-        self._zones = [z for z in zones if not (z.friction is z.rolling_resistance is None)]
+        self._zones = [_Place(z) for z in zones if not (z.friction is z.rolling_resistance is None)]
         self._ice = ice
         self._wheels: list[_Footing] = []
         if self._zones or ice:
@@ -201,9 +201,13 @@ class _Ground:
             friction = resistance = None
             if self._zones:
                 x, y = wheel.place()
-                for zone in self._zones:
-                    if zone.holds(x, y):
-                        friction, resistance = zone.friction, zone.rolling_resistance
+                for place in self._zones:
+                    dx, dy = x - place.x, y - place.y
+                    if (
+                        abs(place.cos * dx + place.sin * dy) <= place.half_x
+                        and abs(place.cos * dy - place.sin * dx) <= place.half_y
+                    ):
+                        friction, resistance = place.zone.friction, place.zone.rolling_resistance
             for fault in self._ice:
                 if fault.wheel == wheel.name and fault.start <= now < fault.end:
                     friction = fault.value
@@ -212,6 +216,17 @@ class _Ground:
     def leave(self) -> None:
         for wheel in self._wheels:
             wheel.put(None, None)
+
+
+class _Place:
+    """A zone as plain numbers, which each wheel asks at each tick."""
+
+    def __init__(self, zone: Zone) -> None:
+        self.zone = zone
+        self.x, self.y, _ = zone.pose.xyz
+        yaw = zone.pose.rpy()[2]
+        self.cos, self.sin = math.cos(yaw), math.sin(yaw)
+        self.half_x, self.half_y = (edge / 2 for edge in zone.size)
 
 
 class _Footing:
