@@ -94,7 +94,7 @@ def test_the_model_of_a_build_is_enough(thorvaldc: Command) -> None:
 FAULTS = """\
 thorvaldc: 1
 faults:
-  - {fault: power_cut, node: fl_controller, at: 4 s}
+  - {fault: power_cut, node: fl_controller, at: 6 s}
 """
 
 

@@ -398,11 +398,14 @@ def test_home_steering_homes_again() -> None:
 
 
 def writes(rig: Rig) -> list[CanFrame]:
-    """Whatever changes something in a device: PDOs, and SDO downloads."""
+    """Whatever changes something in a device: PDOs to it, and SDO downloads."""
+    pdos = {
+        f.cob_id for f in rig.robot.buses[0].frames if f.producer == "master" and f.kind == "pdo"
+    }
     return [
         frame
         for _, frame in rig.frames
-        if frame.id in commands(rig) or (0x600 < frame.id < 0x680 and frame.data[0] & 0xE0 == 0x20)
+        if frame.id in pdos or (0x600 < frame.id < 0x680 and frame.data[0] & 0xE0 == 0x20)
     ]
 
 
@@ -420,7 +423,8 @@ def test_another_script_is_refused(change: dict[str, object], says: str) -> None
     rig.until(lambda: rig.state is State.FAULT)
     assert says in rig.reason
     assert rig.base.supervisor.mismatch
-    assert rig.speed() == 0.0
+    rig.run(1.0)
+    assert writes(rig) == []
 
 
 def test_another_encoder_is_refused() -> None:

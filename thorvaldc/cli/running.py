@@ -171,6 +171,10 @@ class Session:
             self.runner.run(watch=self._watch if shows else None, stop=self._over)
             ended = self._verdict()
             self.runner.shutdown()
+        except BaseException:
+            # Nothing is sent any more: the drives stop by themselves.
+            self.runner.base.close()
+            raise
         finally:
             self.control.close()
             for number, handler in before.items():

@@ -166,7 +166,7 @@ class CanBase(BaseHandle):
         complete = True
         if supervisor.operational:
             try:
-                cyclic = link.cyclic(intent, now)
+                cyclic = link.cyclic(intent, now) if supervisor.commands else []
             except ValueError as fault:
                 supervisor.fail(str(fault))
                 return False
@@ -176,7 +176,7 @@ class CanBase(BaseHandle):
                     break
             # Half of the commands must not become valid together with SYNC.
             complete = complete and link.send_sync(self._wait)
-        for message in link.sporadic(intent, now, supervisor.operational, supervisor.state.drives):
+        for message in link.sporadic(intent, now, supervisor.commands, supervisor.state.drives):
             complete = link.send(message, self._wait) and complete
         link.send_relayed()
         link.failures_in_a_row = 0 if complete else link.failures_in_a_row + 1

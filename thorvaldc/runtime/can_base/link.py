@@ -282,11 +282,11 @@ class BusLink:
         return sorted(m for c in self.controllers for m in c.cyclic(intent, now))
 
     def sporadic(
-        self, intent: Intent, now: float, operational: bool, driving: bool
+        self, intent: Intent, now: float, commands: bool, driving: bool
     ) -> Iterator[Message]:
         """What there is to tell once, at most so many frames as have room in a cycle.
 
-        Commands only where the nodes are ``operational``: others do not hear them.
+        ``commands``: also what controllers are to be told.
         """
         room = DRIVING if driving else AT_REST
         while room > 0 and self.outbox:
@@ -299,7 +299,7 @@ class BusLink:
                 yield asked
         n = len(self.controllers)
         for i in range(n):
-            if room <= 0 or not operational:
+            if room <= 0 or not commands:
                 break
             controller = self.controllers[(self._turn + i) % n]
             told = controller.sporadic(intent, now)

@@ -17,6 +17,8 @@ REPEAT = 1.0
 """s after which a mode is told again: nothing tells whether it was heard."""
 QUICK = 100
 """ms between two frames of constants while the script is looked at, in place of seconds."""
+STOP_TIME = 2.0
+"""s after which a stopped controller gets no torque, whatever it tells."""
 HOMED, HOMING = 0x01, 0x02
 """Bits of the configuration in TPDO4."""
 _CHECKED = (0x1017, 0x1018)
@@ -37,7 +39,7 @@ class RoboteqScript(MotorController):
         self._home_asked = False
         self._home_from = -math.inf
         self._homing_failed = False
-        self._stopped = False
+        self._stopped_at: float | None = None
         self._home_count = 0
         channels: list[Axis | None] = [self.axis_of(channel.name) for channel in node.channels]
         self._first, self._second = (*channels, None, None)[:2]
@@ -186,9 +188,9 @@ class RoboteqScript(MotorController):
     def cyclic(self, intent: Intent, now: float) -> list[Message]:
         follows = intent is Intent.FOLLOW
         if intent is not Intent.QUICK_STOP:
-            self._stopped = False
-        elif not self._stopped:
-            self._stopped = True
+            self._stopped_at = None
+        elif self._stopped_at is None:
+            self._stopped_at = now
             self.hold()
         self._sequence = self._sequence % 0x7FFFFFFF + 1
         messages = [self._speed("rpdo1", self._first, follows)]
@@ -219,7 +221,7 @@ class RoboteqScript(MotorController):
             self._fast = looking
             period = self.codecs["tpdo4"].frame.period or 1.0
             return self.setting("tpdo4_cycle_time", QUICK if looking else period * 1000.0)
-        modes = self._wanted(intent)
+        modes = self._wanted(intent, now)
         homing = HOME in modes
         if modes != self._modes or (now - self._told_at > REPEAT and not homing):
             if homing and modes != self._modes:
@@ -234,7 +236,7 @@ class RoboteqScript(MotorController):
             return Message(codec.cob_id, codec.encode([float(mode) for mode in kept]))
         return None
 
-    def _wanted(self, intent: Intent) -> tuple[int, int]:
+    def _wanted(self, intent: Intent, now: float) -> tuple[int, int]:
         if intent is Intent.FOLLOW:
             return DRIVE, DRIVE
         if intent is Intent.HOME:
@@ -242,8 +244,11 @@ class RoboteqScript(MotorController):
             if second is not None and second.steering and not second.homed:
                 return DRIVE, HOME
             return DRIVE, DRIVE
-        if intent is Intent.QUICK_STOP and not self.standing and self._modes is not None:
-            return self._modes  # first to rest
+        if intent is Intent.QUICK_STOP and self._modes is not None:
+            # First to rest.  One that does not tell how fast it is has had time for it.
+            since = now if self._stopped_at is None else self._stopped_at
+            if not self.standing and now - since < STOP_TIME:
+                return self._modes
         return DECOUPLED, DECOUPLED
 
     def zero_here(self) -> Message | None:

@@ -80,6 +80,7 @@ class Supervisor:
         self._commanded = -math.inf
         self._repeat_at = -math.inf
         self._speaks = False
+        self._checked = False
         self._started = False
         self._enabling: float | None = None
         self._finds_home = False
@@ -119,8 +120,6 @@ class Supervisor:
             link.failures_in_a_row = 0
             if link.port.state is ErrorState.BUS_OFF:
                 link.port.restart()
-        for controller in self.controllers:
-            controller.allow_reset()
         self._wants_stop = ""
         self._go(State.PREOP, now)
         return ""
@@ -188,17 +187,24 @@ class Supervisor:
         """Whether the nodes are, and take commands."""
         return self._started
 
+    @property
+    def commands(self) -> bool:
+        """Whether commands may be sent: all controllers are those of the robot's file."""
+        return self._checked
+
     # -- inside --------------------------------------------------------------------------------
 
     def _go(self, state: State, now: float, reason: str = "") -> None:
         self.state, self.since, self.reason = state, now, reason
         self._enabling, self._finds_home = None, False
         if state in (State.INIT, State.PREOP):
-            self._started = self.mismatch = False
+            self._started = self._checked = self.mismatch = False
             for link in self.links:
                 link.unwatch()
         if state is State.PREOP:
             self._speaks = True
+            for controller in self.controllers:
+                controller.allow_reset()
             self._commanded, self._repeat_at = now, -math.inf
         elif state is State.CONFIG:
             for link in self.links:
@@ -315,6 +321,7 @@ class Supervisor:
         if not waiting:
             for link in self.links:
                 link.watch(now)
+            self._checked = True
             self._go(State.HOMING, now)
         elif self._late(now, self.times.configure):
             why = f"does not tell what it is and does: {', '.join(waiting)}"
