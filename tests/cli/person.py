@@ -44,12 +44,13 @@ class Person:
                 return
             self.shown += data.decode("utf-8", "replace")
 
-    def until(self, text: str) -> None:
-        """Wait until it is shown after what was waited for before."""
+    def until(self, text: str, typing: str = "") -> None:
+        """Wait until it is shown after what was waited for before, ``typing`` all the while."""
         limit = time.monotonic() + PATIENCE
         while text not in self.shown:
             assert time.monotonic() < limit, self.shown[-800:]
             assert self.process.poll() is None, self.shown[-800:]
+            self.type(typing)
             self.read()
         self.shown = self.shown.partition(text)[2]
 

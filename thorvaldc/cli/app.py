@@ -432,7 +432,10 @@ def view(
 @guarded
 def teleop(
     file: Annotated[
-        str, typer.Argument(metavar="[FILE]", help="A robot.yaml.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="[FILE]", help="A robot.yaml, or the model.json of a build.", show_default=False
+        ),
     ] = "",
     on: Annotated[
         str,

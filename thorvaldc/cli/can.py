@@ -124,7 +124,9 @@ def verify(
 @can.command(cls=LightCommand)
 @guarded
 def monitor(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml.")],
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A robot.yaml, or the model.json of a build.")
+    ],
     bus: Annotated[
         str,
         typer.Option(

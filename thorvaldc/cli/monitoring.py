@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, finite
 
@@ -40,27 +39,26 @@ def monitor(
     seconds = _time(duration, "--duration") if duration else math.inf
     default = LIVE_INTERVAL if live else INTERVAL
     period = _time(interval, "--interval") if interval else default
-    done = compile_one(file, library)
-    if done.model is None:
-        return INPUT
+    from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
-    from thorvaldc.model import Robot
     from thorvaldc.runtime.faults import RuntimeFault
 
-    if not isinstance(done.model, Robot):
-        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
+    loaded = load_robot(file, library)
+    if loaded is None:
+        return INPUT
+    robot, sources, located = loaded
     try:
-        watched = _bus_of(done.model, of)
+        watched = _bus_of(robot, of)
         port = _open(bus, watched)
     except RuntimeFault as fault:
         report = Report()
         report.put(fault.diagnostic)
         faults = Faults("text", sys.stderr)
-        faults.add(done.located(report), done.sources)
+        faults.add(located(report), sources)
         return faults.finish()
     gc.enable()
     try:
-        _watch(done.model, watched, port, period, seconds, json, live)
+        _watch(robot, watched, port, period, seconds, json, live)
     except ConnectionError as fault:
         raise OutsideError(f"the bus is gone: {fault}") from None
     finally:

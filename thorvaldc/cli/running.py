@@ -22,6 +22,7 @@ from thorvaldc.cli.faults import Faults, finite, message
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Diagnostic, Report
     from thorvaldc.model import Robot
+    from thorvaldc.runtime.base import BaseHandle
     from thorvaldc.runtime.base_runner import BaseRunner
     from thorvaldc.runtime.bus.port import Port
     from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
@@ -78,7 +79,7 @@ def run(
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.faults import RuntimeFault
 
-    found = _load(file, library)
+    found = load_robot(file, library)
     if found is None:
         return INPUT
     robot, sources, located = found
@@ -330,7 +331,7 @@ def say_untried() -> None:
 # -- what it starts from ----------------------------------------------------------------------
 
 
-def _load(
+def load_robot(
     file: str, library: Sequence[str]
 ) -> tuple[Robot, Mapping[str, Path], Callable[[Report], Report]] | None:
     """The robot of a robot.yaml or of a build's model.json; what is wrong has been said."""
@@ -387,7 +388,7 @@ def ports_of(
 
     script = read_faults(faults, robot, report) if faults else None
     number = _number(seed) if seed else script.seed if script is not None else 0
-    base = _mujoco(robot, file, report) if physics == "mujoco" else None
+    base = mujoco_base(robot, file, report) if physics == "mujoco" else None
     simulated = SimulatedRobot(robot, seed=number, base=base)
     if script is not None:
         bus_faults.Faults(simulated, script, _say_fault)
@@ -395,7 +396,8 @@ def ports_of(
     return simulated, {b.name: simulated.client(b.name, fifo=True) for b in robot.buses}
 
 
-def _mujoco(robot: Robot, file: str, report: Report) -> Any:
+def mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
+    """The robot in MuJoCo, from its file or the build beside its model."""
     from thorvaldc.pipeline import emit
     from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, finite, message
 
@@ -65,39 +64,34 @@ class _NotCompiled(Exception):
 
 
 def _local(file: str, on: str, name: str, library: Sequence[str]) -> Vehicle:
-    from thorvaldc.model import Robot
-
-    done = compile_one(file, library)
-    if done.model is None:
-        raise _NotCompiled
-    if not isinstance(done.model, Robot):
-        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
+    from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.faults import RuntimeFault
 
+    found = load_robot(file, library)
+    if found is None:
+        raise _NotCompiled
+    robot, sources, located = found
+    report = Report()
     try:
         if on in SIMULATIONS:
-            return _simulated(done.model, on, name or done.model.name)
-        return _on_bus(done.model, file, on, name or done.model.name)
+            return _simulated(robot, file, on, name or robot.name)
+        return _on_bus(robot, file, on, name or robot.name)
     except RuntimeFault as fault:
-        report = Report()
         report.put(fault.diagnostic)
         faults = Faults("text", sys.stderr)
-        faults.add(done.located(report), done.sources)
+        faults.add(located(report), sources)
         raise typer.Exit(faults.finish()) from None
 
 
-def _simulated(robot: Robot, on: str, name: str) -> Vehicle:
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.base import BaseHandle
+def _simulated(robot: Robot, file: str, on: str, name: str) -> Vehicle:
+    from thorvaldc.cli.running import mujoco_base
+    from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.driver import BaseDriver
-    from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
     from thorvaldc.runtime.sim_base import SimBase
     from thorvaldc.runtime.teleop.vehicle import SimulatedVehicle
 
-    base: BaseHandle = SimBase(robot)
-    if on == "sim":
-        base = MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"])))
+    base = mujoco_base(robot, file, Report()) if on == "sim" else SimBase(robot)
     try:
         return SimulatedVehicle(BaseDriver(robot, base), name)
     except OSError as fault:

@@ -17,7 +17,7 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.runtime.control.client import ControlClient
 from thorvaldc.runtime.control.driving import driving_services
-from thorvaldc.runtime.control.server import LONGEST_LINE, ControlServer, control_path
+from thorvaldc.runtime.control.server import LONGEST_LINE, MOST_CLIENTS, ControlServer, control_path
 from thorvaldc.runtime.control.services import Argument, Service, ServiceError, Services
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
@@ -222,6 +222,17 @@ def test_a_flood_does_not_hold_the_cycle(running: Running, wire: Wire) -> None:
     other.stream.close()
     for _ in range(1000):
         assert wire.answer()["ok"]
+
+
+def test_too_many_clients_are_let_go(running: Running) -> None:
+    wires = [Wire(running) for _ in range(MOST_CLIENTS)]
+    running.cycles(MOST_CLIENTS)
+    one_more = Wire(running)
+    running.cycles()
+    assert one_more.stream.recv(1) == b""
+    assert wires[-1].ask(b'{"call": "state"}')["ok"]
+    for wire in [*wires, one_more]:
+        wire.stream.close()
 
 
 def test_only_the_user_can_connect(running: Running) -> None:
