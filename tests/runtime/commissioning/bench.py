@@ -72,7 +72,7 @@ class MortalClient(Client):
 class Watch:
     """Looks at every change of an id: no two devices under power may have the same."""
 
-    def __init__(self, devices: Iterable[CanopenDevice]) -> None:
+    def __init__(self, devices: Iterable[CanopenDevice], still: bool) -> None:
         self.doubles: list[str] = []
         self.devices = tuple(devices)
         watch = self
@@ -82,6 +82,8 @@ class Watch:
             class Watched(type(device)):  # type: ignore[misc]
                 def ready(self) -> None:
                     """Its motors stand still: nothing is controlled, which saves half the time."""
+                    if not still:
+                        super().ready()
 
                 @property
                 def node_id(self) -> int:
@@ -132,6 +134,7 @@ class Bench:
         delivered: bool = True,
         timing: Timing | None = None,
         torn: bool = False,
+        still: bool = True,
     ) -> None:
         self.robot = robot
         self.bus = robot.buses[0]
@@ -142,7 +145,7 @@ class Bench:
         self.wire = self.simulated.wire()
         self.store = Memory()
         self.timing = timing
-        self.watch = Watch(self.devices().values())
+        self.watch = Watch(self.devices().values(), still)
         self.simulated.power_on()
         self.simulated.run(0.15)
 

@@ -8,6 +8,7 @@ shows it.  After a stop at any place, ``resume`` makes a new plan from what it t
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
@@ -25,6 +26,7 @@ from thorvaldc.runtime.commissioning.plan import (
 from thorvaldc.runtime.commissioning.scan import (
     DUPLICATE,
     MISSING,
+    OK,
     Scan,
     Scanner,
     identity_text,
@@ -79,6 +81,7 @@ class Flash:
         self.sdo = SdoClient(session)
         self.lss = LssMaster(session)
         self.writer = ParameterWriter(self.sdo)
+        self._at: Counter[int] = Counter()
         self._progress = progress or (lambda number, of, step, done: None)
 
     # -- the three ways to begin ---------------------------------------------------------------
@@ -181,7 +184,8 @@ class Flash:
             and target.node(entry.node).sdo
         }
         ids = sorted(node for node in own if node is not None)
-        self._reset(ids)
+        self._at = Counter(before.ids().values())
+        self._reset(ids, sum(self._at[node] for node in ids))
         scan = Scanner(self.session, target).again(before)
         self._check(target, scan)
         return before, scan
@@ -256,7 +260,8 @@ class Flash:
                 self._progress(number, len(plan.steps), step, False)
                 self._step(number, step, plan.target)
                 self._progress(number, len(plan.steps), step, True)
-            self._bring_back(plan)
+                if isinstance(step, AttachStep):
+                    self._bring_back(plan, number)
         except KeyboardInterrupt:
             self.journal.stop("interrupted")
             raise
@@ -335,6 +340,8 @@ class Flash:
             self._restart(step.after, step.after)
         else:
             self._restart(step.before, step.after)
+        self._at[step.before] -= 1
+        self._at[step.after] += 1
         if step.after == UNCONFIGURED:
             self._check_bare(step.identity)
         else:
@@ -343,18 +350,18 @@ class Flash:
     def _restart(self, node: int, after: int) -> None:
         self.session.boots.clear()
         self.session.nmt(RESET_NODE, node)
-        if after == UNCONFIGURED:
-            self.session.listen(10 * self.session.timing.absent)
-        else:
-            self._await([after])
+        if after != UNCONFIGURED:
+            # Others of the same id, which are still to get their own, start again with it.
+            others = [node] * (self._at[node] - 1) if node != after else []
+            self._await([after, *others])
 
-    def _reset(self, ids: list[int]) -> None:
+    def _reset(self, ids: list[int], count: int) -> None:
         """What nodes have stored is what they show afterwards."""
         self.session.boots.clear()
         for node in ids:
             self.session.nmt(RESET_NODE, node)
         # One that has lost its id does not say when it has started.
-        self.session.wait_for_count(len(ids), self.session.timing.boot)
+        self.session.wait_for_count(count, self.session.timing.boot)
         self.session.listen(self.session.timing.absent / 4)
 
     def _await(self, ids: list[int]) -> None:
@@ -382,9 +389,14 @@ class Flash:
                 raise StepFailed(f"the device at id {node} does not say who it is")
 
     def _check_bare(self, identity: Identity) -> None:
-        self.lss.waiting()
-        if self.lss.select(identity) != 1:
-            raise StepFailed(f"nobody answers as {identity_text(identity)}")
+        """It has no id any more.  Who has none does not say when it has started: it is asked."""
+        limit = self.session.now + self.session.timing.boot
+        while True:
+            self.lss.waiting()
+            if self.lss.select(identity) == 1:
+                break
+            if self.session.now >= limit:
+                raise StepFailed(f"nobody answers as {identity_text(identity)}")
         where = self.lss.node_id()
         self.lss.waiting()
         if where != UNCONFIGURED:
@@ -419,10 +431,17 @@ class Flash:
         }
         self.journal.done(number, step.node, read)
 
-    def _bring_back(self, plan: Plan) -> None:
-        """After modules were powered one at a time."""
-        if any(isinstance(step, AttachStep) for step in plan.steps) and self.operator is not None:
-            self.operator.all_on("Power all modules again.")
+    def _bring_back(self, plan: Plan, number: int) -> None:
+        """After the last module that was powered alone: all of them, each at its own id."""
+        if any(isinstance(step, AttachStep) for step in plan.steps[number + 1 :]):
+            return
+        if self.operator is None or not self.operator.all_on("Power all modules again."):
+            raise StepFailed("the modules were not powered again")
+        scan = Scanner(self.session, plan.target).active(values=False, texts=False)
+        for step in plan.steps[: number + 1]:
+            entry = scan.entry(step.node)
+            if isinstance(step, AttachStep) and entry.verdict != OK:
+                raise StepFailed(f"{step.node} is {entry.verdict}: {entry.detail}")
 
 
 def impossible(plan: Plan) -> RuntimeFault:

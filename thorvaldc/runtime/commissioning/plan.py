@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from thorvaldc.runtime.bus.lss import UNCONFIGURED, Identity
-from thorvaldc.runtime.commissioning.scan import DUPLICATE, MISSING, OK, UNEXPECTED, Scan
+from thorvaldc.runtime.commissioning.scan import DUPLICATE, MISSING, OK, UNEXPECTED, Found, Scan
 from thorvaldc.runtime.commissioning.target import (
     PARKING,
     Target,
@@ -183,7 +183,9 @@ def _obstacles(target: Target, scan: Scan) -> tuple[list[str], list[str], list[s
         if not entry.node:
             if by_hand and found is not None and _may_be(target, found.identity):
                 continue  # one of those that are still to get their addresses
-            if entry.verdict == UNEXPECTED and found is not None and found.identity is not None:
+            if found is not None and found.id == UNCONFIGURED and _candidates(target, scan, found):
+                problems.append(entry.detail + _suggestion(target, scan, found))
+            elif entry.verdict == UNEXPECTED and found is not None and found.identity is not None:
                 strangers.append(entry.detail + _suggestion(target, scan, found))
             else:
                 problems.append(entry.detail)
@@ -209,11 +211,24 @@ def _may_be(target: Target, identity: Identity | None) -> bool:
     return any(n.by_hand and (identity is None or n.is_like(identity)) for n in target.nodes)
 
 
-def _suggestion(target: Target, scan: Scan, found: Any) -> str:
+def _candidates(target: Target, scan: Scan, found: Found) -> list[str]:
+    """The nodes that it may be, which the file names by no serial number."""
+    return [
+        node.name
+        for node in target.nodes
+        if node.lss
+        and node.serial is None
+        and scan.entry(node.name).found is None
+        and found.identity is not None
+        and node.is_like(found.identity)
+    ]
+
+
+def _suggestion(target: Target, scan: Scan, found: Found | None) -> str:
     if found is None or found.identity is None or not found.identity.serial:
         return ""
-    free = [n.name for n in target.nodes if n.lss and scan.entry(n.name).found is None]
     serial = f" (serial {found.identity.serial:#x})"
+    free = _candidates(target, scan, found)
     if not free:
         return serial
     return f"{serial}; if it is {' or '.join(free)}, write its serial number into the file"

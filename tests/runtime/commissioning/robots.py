@@ -1,0 +1,24 @@
+"""Robots whose files say less."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Node
+
+
+def without_serials(robot: Robot, names: Sequence[str]) -> Robot:
+    """The robot, with no serial numbers of these nodes in its file."""
+    bus = robot.buses[0]
+    nodes = tuple(_bare(node) if node.name in names else node for node in bus.nodes)
+    return dataclasses.replace(robot, buses=(dataclasses.replace(bus, nodes=nodes),))
+
+
+def _bare(node: Node) -> Node:
+    objects = tuple(
+        dataclasses.replace(o, value=None) if (o.index, o.subindex) == (0x1018, 4) else o
+        for o in node.objects
+    )
+    return dataclasses.replace(node, serial=None, objects=objects)
