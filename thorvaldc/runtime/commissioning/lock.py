@@ -22,7 +22,7 @@ class BusLock:
     def __enter__(self) -> BusLock:
         """Raises ``RuntimeFault`` (``bus-locked``), and ``OSError`` where no lock can be made."""
         name = re.sub(r"[^A-Za-z0-9.]+", "_", self.spec)[-40:]
-        path = channel_path(f"master-{name}").with_suffix(".lock")
+        path = channel_path("m").with_name(f"master-{name}.lock")
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)

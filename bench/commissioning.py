@@ -1,0 +1,75 @@
+"""Flashing a robot of four new drives on a simulated bus, in virtual time."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from bench.figure import Figure, median_time
+
+ROBOT = """
+thorvaldc: 1
+name: four_drives
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m, height: 650 mm}}
+  fl: {type: assembly/steered_drive, mount: frame.front_left, params: &p
+    {controller: controller/cia402_propulsion_steering}, can: {id: 1, serial: "0x101"}}
+  fr: {type: assembly/steered_drive, mount: frame.front_right, params: *p,
+    can: {id: 2, serial: "0x102"}}
+  rl: {type: assembly/steered_drive, mount: frame.rear_left, params: *p,
+    can: {id: 3, serial: "0x103"}}
+  rr: {type: assembly/steered_drive, mount: frame.rear_right, params: *p,
+    can: {id: 4, serial: "0x104"}}
+"""
+SWAPPED = {"fl_controller": {"node_id": 2}, "fr_controller": {"node_id": 1}}
+ROUNDS = 5
+
+
+def figures() -> Iterator[Figure]:
+    from thorvaldc.model import Robot
+    from thorvaldc.pipeline import compile_file
+    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.runtime.commissioning.flash import Flash
+    from thorvaldc.runtime.commissioning.journal import FileStore, Journal
+    from thorvaldc.runtime.commissioning.session import Session
+    from thorvaldc.runtime.commissioning.target import target_of
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "robot.yaml").write_text(ROBOT, encoding="utf-8")
+        robot = compile_file(folder / "robot.yaml").model
+        if not isinstance(robot, Robot):
+            raise TypeError("the robot of the bench does not compile")
+        bus = robot.buses[0]
+        told: list[tuple[float, int, float]] = []
+
+        def flash() -> None:
+            simulated = SimulatedRobot(robot, delivered=True, kept=SWAPPED)
+            simulated.power_on()
+            simulated.run(0.2)
+            before, frames = simulated.timeline.seconds, simulated.wire().frames
+            store = FileStore(folder / f"{len(told)}.flash.jsonl")
+            session = Session(simulated.client(receive_limit=100_000), bus)
+            start = time.perf_counter()
+            plan = Flash(session, target_of(robot, bus), Journal(store)).apply()
+            wall = time.perf_counter() - start
+            store.close()
+            if len(plan.steps) != 9:
+                raise RuntimeError("the plan is not that of four new drives, two exchanged")
+            told.append(
+                (simulated.timeline.seconds - before, simulated.wire().frames - frames, wall)
+            )
+
+        seconds = median_time(flash, ROUNDS)
+    virtual, frames, wall = told[-1]
+    yield Figure(
+        "flash of four drives",
+        seconds,
+        "s",
+        None,
+        "lower",
+        f"two new, two exchanged, 72 values each; {virtual:.1f} s of bus time, {frames} frames, "
+        f"journal on the disk {wall:.2f} s by the clock; median of {ROUNDS}",
+    )

@@ -1,0 +1,141 @@
+"""`thorvaldc can scan|plan|flash|verify`, in virtual time and against a bus of another process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Command
+from tests.cli.test_bus import ROOT, running
+from tests.runtime.bus.robots import CIA402
+from thorvaldc.runtime.commissioning.lock import BusLock
+
+ONE = """
+thorvaldc: 1
+name: one_drive
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m, height: 650 mm}}
+  fl: {type: assembly/steered_drive, mount: frame.front_left, params:
+    {controller: controller/cia402_propulsion_steering}, can: {id: 1, serial: "0x101"}}
+  fr: {type: caster/swivel, mount: frame.front_right}
+  rl: {type: caster/fixed, mount: frame.rear_left}
+  rr: {type: caster/fixed, mount: frame.rear_right}
+"""
+NEW = ("robot.yaml", "--bus", "virtual:delivered", "--store", "memory.json")
+
+
+@pytest.fixture
+def robot(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = tmp_path / "robot.yaml"
+    path.write_text(CIA402, encoding="utf-8")
+    return path
+
+
+def test_from_new_drives_to_a_verified_robot_and_back(thorvaldc: Command, robot: Path) -> None:
+    scan = thorvaldc("can", "scan", *NEW, "--active")
+    assert scan.status == 1
+    assert scan.out.count("unconfigured") == 4
+    plan = thorvaldc("can", "plan", *NEW)
+    assert plan.status == 0
+    assert "1     lss-serial  give fl_controller the id 1" in plan.out
+    hash_ = plan.out.split()[-1]
+    dry = thorvaldc("can", "flash", *NEW)
+    assert (dry.status, dry.out) == (0, plan.out)
+    assert "nothing was written" in dry.err
+    assert not robot.with_name("robot.flash.jsonl").exists()
+    done = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--plan", hash_)
+    assert (done.status, done.out) == (0, "with_cia402: done, 8 steps\n")
+    assert done.err.count(": verified") == 8
+    verified = thorvaldc("can", "verify", *NEW, "--json")
+    assert verified.status == 0
+    assert json.loads(verified.out)["passed"]
+    again = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--json")
+    assert json.loads(again.out)["result"] == "nothing to do"
+    undone = thorvaldc("can", "flash", *NEW, "--rollback", "--yes")
+    assert (undone.status, undone.out) == (0, "with_cia402: undone, 8 steps\n")
+    differs = thorvaldc("can", "verify", *NEW)
+    assert differs.status == 1
+    assert "8 differences" in differs.out
+
+
+def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
+    scan = thorvaldc("can", "scan", "robot.yaml", "--bus", "virtual", "--json")
+    assert scan.status == 0
+    nodes = json.loads(scan.out)["nodes"]
+    assert {node["verdict"] for node in nodes} == {"ok"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["flash", *NEW, "--apply"], 2, "needs a terminal to ask at, or --yes"),
+        (["flash", *NEW, "--apply", "--resume", "--yes"], 2, "one of them at a time"),
+        (["flash", *NEW, "--resume", "--yes"], 2, "there is no journal robot.flash.jsonl"),
+        (["flash", *NEW, "--apply", "--yes", "--plan", "0" * 64], 1, "plan-changed"),
+        (["flash", *NEW, "--apply", "--yes", "--journal", "no/where.jsonl"], 3, "cannot write"),
+        (["flash", *NEW, "--apply", "--yes", "--journal", "robot.yaml"], 1, "TV867"),
+        (["scan", "robot.yaml", "--bus", "virtual:new"], 2, "neither virtual nor"),
+        (["scan", "robot.yaml", "--bus", "sim:nobody"], 3, "TV875"),
+        (["scan", "robot.yaml", "--bus", "socketcan:can77"], 3, "TV875"),
+        (["scan", "robot.yaml", "--bus", "sim:x", "--store", "a"], 2, "for a simulated robot"),
+        (["scan", "good.yaml", "--bus", "virtual", "--store", "robot.yaml"], 2, "robot.yaml"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_few_lines(
+    thorvaldc: Command, robot: Path, arguments: list[str], status: int, says: str
+) -> None:
+    got = thorvaldc("can", *arguments)
+    assert got.status == status, got
+    assert says in got.err
+    assert "Traceback" not in got.err
+    assert not Path("robot.flash.jsonl").exists() or not Path("robot.flash.jsonl").read_bytes()
+
+
+def test_a_second_master_of_this_computer_waits_outside(thorvaldc: Command, robot: Path) -> None:
+    with BusLock("sim:anything"):
+        got = thorvaldc("can", "scan", "robot.yaml", "--bus", "sim:anything")
+    assert got.status == 3
+    assert "TV870" in got.err
+
+
+def test_on_the_bus_of_another_process(
+    thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the clock: flashed, broken off in the middle, gone on with, verified."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "robot.yaml").write_text(ONE, encoding="utf-8")
+    there = ("robot.yaml", "--bus", "sim:bench")
+    journal = tmp_path / "robot.flash.jsonl"
+    with running(tmp_path, "robot.yaml", "--channel", "bench", "--delivered"):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "thorvaldc", "can", "flash", *there, "--apply", "--yes"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        limit = time.monotonic() + 60.0
+        while process.poll() is None and time.monotonic() < limit:
+            if journal.exists() and journal.read_bytes().count(b'"begin"') == 2:
+                break
+            time.sleep(0.005)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+        assert (process.returncode, out) == (130, ""), err
+        assert "go on with --resume" in err.lower()
+        assert '"interrupted"' in journal.read_text().splitlines()[-1]
+        refused = thorvaldc("can", "flash", *there, "--apply", "--yes")
+        assert (refused.status, "TV866" in refused.err) == (1, True)
+        done = thorvaldc("can", "flash", *there, "--resume", "--yes")
+        assert done.status == 0, done.err
+        verified = thorvaldc("can", "verify", *there)
+        assert verified.status == 0, verified.out
