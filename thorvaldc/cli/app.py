@@ -434,7 +434,7 @@ def teleop(
     file: Annotated[
         str,
         typer.Argument(
-            metavar="[FILE]", help="A robot.yaml, or the model.json of a build.", show_default=False
+            metavar="FILE", help="A robot.yaml, or the model.json of a build.", show_default=False
         ),
     ] = "",
     on: Annotated[
@@ -493,10 +493,10 @@ def teleop(
 def call(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of the driver that is run.")],
     service: Annotated[
-        str, typer.Argument(metavar="[SERVICE]", help="Without one, they are listed.")
+        str, typer.Argument(metavar="SERVICE", help="Without one, they are listed.")
     ] = "",
     arguments: Annotated[
-        list[str], typer.Argument(metavar="[ARGUMENT=VALUE]...", help="Values as in JSON, or text.")
+        list[str], typer.Argument(metavar="ARGUMENT=VALUE", help="Values as in JSON, or text.")
     ] = [],  # noqa: B006
     json: Json = False,
 ) -> int:

@@ -15,6 +15,9 @@ from typing import Any
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.runtime.bus.server import BusServer
+from thorvaldc.runtime.bus.timeline import Timeline
+from thorvaldc.runtime.bus.wire import Wire as CanWire
 from thorvaldc.runtime.control.client import ControlClient
 from thorvaldc.runtime.control.driving import driving_services
 from thorvaldc.runtime.control.server import LONGEST_LINE, MOST_CLIENTS, ControlServer, control_path
@@ -250,6 +253,18 @@ def test_a_name_is_run_once_and_free_again_after(running: Running) -> None:
     killed.close()
     server = ControlServer("r", running.services)
     server.close()
+
+
+def test_a_file_of_the_users_is_left_alone(running: Running, tmp_path: Path) -> None:
+    """As where somebody names the robot's file in place of a channel."""
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:
+        file = Path(folder, "robot.yaml")
+        file.write_text("mine")
+        with pytest.raises(OSError, match="is no socket, and is left as it is"):
+            ControlServer(str(file), running.services)
+        with pytest.raises(OSError, match="is no socket, and is left as it is"):
+            BusServer(Timeline(), {str(file): CanWire(Timeline(), 500_000)})
+        assert file.read_text() == "mine"
 
 
 def test_a_path_is_taken_as_it_stands(running: Running, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import sys
+import types
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -210,6 +212,34 @@ def test_a_layout_can_be_changed() -> None:
         with pytest.raises(ParameterError) as refused:
             Layout().changed(text, CODES)
         assert reason in str(refused.value)
+
+
+def test_the_first_joystick_is_found_and_others_are_let_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keys, pad = Device((), (30,)), Device()
+    there = {"/dev/input/event1": keys, "/dev/input/event2": pad}
+
+    def open_device(path: str) -> Device:
+        if path not in there:
+            raise PermissionError(path)
+        return there[path]
+
+    evdev = types.ModuleType("evdev")
+    evdev.list_devices = lambda: ["/dev/input/event2", *reversed(there), "/dev/input/event0"]  # type: ignore[attr-defined]
+    evdev.InputDevice = open_device  # type: ignore[attr-defined]
+    evdev.ecodes = types.SimpleNamespace(ecodes=CODES)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "evdev", evdev)
+    search = js.evdev_search("", "enable=BTN_TOP2")
+    assert search() == (pad, Layout(enable=js.BTN_TOP2))
+    assert keys.closed
+    assert not pad.closed
+    assert js.evdev_search("/dev/input/event0", "")() is None
+    assert js.evdev_search("/dev/input/event1", "")() is None
+    del there["/dev/input/event2"]
+    assert search() is None
+    with pytest.raises(ParameterError):
+        js.evdev_search("", "enable=nothing")
 
 
 def test_the_keyboard_comes_first_beside_a_joystick(hand: Hand) -> None:

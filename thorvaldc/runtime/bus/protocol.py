@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import stat
 import struct
 import tempfile
@@ -101,6 +102,26 @@ def channel_path(channel: str) -> Path:
     if len(os.fsencode(path)) > LONGEST_PATH:
         raise OSError(f"the channel's socket {path} has more than {LONGEST_PATH} bytes")
     return path
+
+
+def free_path(path: Path, what: str) -> None:
+    """Make room for a socket: remove the one that a process that was killed has left.
+
+    Raises ``OSError`` where ``what`` is run there, and where the path is no socket's.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise OSError(f"{path} is no socket, and is left as it is")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink()
+        else:
+            raise OSError(f"{what} is run at {path} already")
 
 
 def _folder() -> Path:

@@ -154,16 +154,7 @@ class BusServer:
     # -- clients ------------------------------------------------------------------------------
 
     def _listen(self, path: Path, wire: Wire) -> None:
-        if path.exists() and not path.is_socket():
-            raise OSError(f"{path} is no socket, and is left as it is")
-        if path.exists():
-            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-                try:
-                    probe.connect(str(path))
-                except OSError:
-                    path.unlink()  # left behind by a process that was killed
-                else:
-                    raise OSError(f"a bus is run at {path} already")
+        protocol.free_path(path, "a bus")
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listeners.append(listener)
         listener.bind(str(path))

@@ -10,7 +10,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.runtime.bus.protocol import channel_path
+from thorvaldc.runtime.bus.protocol import channel_path, free_path
 from thorvaldc.runtime.control.services import ServiceError, Services
 
 LONGEST_LINE = 65536
@@ -49,8 +49,7 @@ class ControlServer:
         self.path = control_path(name)
         self.services = services
         self._clients: list[_Client] = []
-        if self.path.exists():
-            self._take_over()
+        free_path(self.path, "a driver")
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         mask = os.umask(0o177)
         try:
@@ -84,15 +83,6 @@ class ControlServer:
                 self.path.unlink()
 
     # -- inside --------------------------------------------------------------------------------
-
-    def _take_over(self) -> None:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            try:
-                probe.connect(str(self.path))
-            except OSError:
-                self.path.unlink()  # left behind by a process that was killed
-            else:
-                raise OSError(f"a driver is run at {self.path} already")
 
     @staticmethod
     def _ready(stream: socket.socket) -> bool:

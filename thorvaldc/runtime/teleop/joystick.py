@@ -232,9 +232,8 @@ class Joystick:
 class Together:
     """Two operators at once: where the first asks for nothing, the second drives."""
 
-    finished = False
-
     def __init__(self, first: Operator, second: Operator) -> None:
+        self.finished = False
         self._both = (first, second)
 
     @property
