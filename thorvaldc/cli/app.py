@@ -11,6 +11,8 @@ import typer
 
 from thorvaldc.cli.can import can
 from thorvaldc.cli.command import LightCommand, LightGroup, guarded
+from thorvaldc.cli.modules import modules
+from thorvaldc.cli.options import Format, Json, Library
 
 app = typer.Typer(
     cls=LightGroup,
@@ -22,20 +24,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-modules = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(modules, name="modules", help="The hardware modules of the library.")
 app.add_typer(can, name="can", help="Set up, check and watch a robot's CAN bus.")
 
 Files = Annotated[list[str], typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
-Format = Annotated[
-    str, typer.Option("--format", metavar="text|json|github|sarif", help="How faults are shown.")
-]
-Library = Annotated[
-    list[str],
-    typer.Option("--library", metavar="DIR", help="A folder of modules of yours; may be repeated."),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 def _show_version(value: bool) -> None:
@@ -575,44 +568,6 @@ def explain(
     from thorvaldc.cli.listing import explain as show
 
     return show(code)
-
-
-@modules.command("list", cls=LightCommand)
-@guarded
-def modules_list(json: Json = False, library: Library = []) -> int:  # noqa: B006
-    """List the module types."""
-    from thorvaldc.cli.listing import list_modules
-
-    return list_modules(library, json)
-
-
-@modules.command("show", cls=LightCommand)
-@guarded
-def modules_show(
-    type: Annotated[str, typer.Argument(metavar="TYPE", help="drive/standard, for instance.")],
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-) -> int:
-    """Show a module type: its parameters, ports and where its numbers come from."""
-    from thorvaldc.cli.listing import show_module
-
-    return show_module(type, library, json)
-
-
-@modules.command("check", cls=LightCommand)
-@guarded
-def modules_check(
-    folders: Annotated[
-        list[str],
-        typer.Argument(metavar="[DIR]...", help="Library folders.", show_default="the project's"),
-    ] = [],  # noqa: B006
-    format: Format = "text",
-    strict: Annotated[bool, typer.Option("--strict", help="Warnings count as errors.")] = False,
-) -> int:
-    """Report every fault of the modules in library folders."""
-    from thorvaldc.cli.compiling import check_modules
-
-    return check_modules(folders, format, strict)
 
 
 @app.command(cls=LightCommand, hidden=True)

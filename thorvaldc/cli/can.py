@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.command import LightCommand, LightGroup, guarded
+from thorvaldc.cli.options import Json, Library
 
 can = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 
@@ -25,11 +26,6 @@ Store = Annotated[
     typer.Option(
         "--store", metavar="FILE", help="With virtual: where its devices keep their memory."
     ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Library = Annotated[
-    list[str],
-    typer.Option("--library", metavar="DIR", help="A folder of modules of yours; may be repeated."),
 ]
 
 
