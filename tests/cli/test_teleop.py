@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -9,9 +10,10 @@ import subprocess
 import sys
 import tempfile
 import termios
+import threading
 import time
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,9 @@ import pytest
 
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
+from tests.runtime.teleop.test_joystick import Device
+from thorvaldc.runtime.control.client import ControlClient
+from thorvaldc.runtime.teleop.joystick import ABS_Y, BTN_TL
 
 
 def at_teleop(folder: Path, *arguments: str) -> Person:
@@ -251,3 +256,49 @@ def test_without_evdev_it_says_what_to_install(
         3,
         "error: a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'\n",
     )
+
+
+def test_a_joystick_drives_without_a_terminal(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, thorvaldc: Command
+) -> None:
+    """As from a service; the joystick is unplugged on the way, and the robot stands."""
+    pad = Device()
+    pad.button(BTN_TL)
+    pad.axis(ABS_Y, -32768)
+    evdev = types.ModuleType("evdev")
+    evdev.list_devices = lambda: ["/dev/input/event0"] * (not pad.unplugged)  # type: ignore[attr-defined]
+    evdev.InputDevice = lambda path: pad  # type: ignore[attr-defined]
+    evdev.ecodes = types.SimpleNamespace(ecodes={})  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "evdev", evdev)
+    speeds: list[float] = []
+
+    def beside() -> None:
+        try:
+            wait_for(lambda client: client.call("state")["in_force"]["vx"] > 0.7)
+            pad.unplugged = True
+            wait_for(lambda client: client.call("state")["in_force"]["vx"] == 0.0)
+            speeds.append(0.0)
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=beside)
+    thread.start()
+    done = thorvaldc("teleop", "good.yaml", "--on", "ideal", "--joystick", "auto")
+    thread.join()
+    assert (done.status, done.err, speeds) == (0, "", [0.0])
+    assert "Joystick: hold the left shoulder button" in done.out
+    assert "A key drives" not in done.out
+
+
+def wait_for(holds: Callable[[ControlClient], bool]) -> None:
+    limit = time.monotonic() + PATIENCE
+    while time.monotonic() < limit:
+        with contextlib.suppress(OSError):
+            client = ControlClient("good")
+            try:
+                if holds(client):
+                    return
+            finally:
+                client.close()
+        time.sleep(0.02)
+    raise AssertionError("it does not come to that")

@@ -145,7 +145,7 @@ def _drive(
     gc.collect()
     gc.freeze()
     with Terminal(keys, sys.stdout) as terminal:
-        operator: Operator = Keyboard(limits, terminal.read, share)
+        operator: Operator = Keyboard(limits, terminal.read, share, described["parameter_sets"])
         if search is not None:
             operator = Together(operator, Joystick(limits, search, share))
         try:

@@ -143,6 +143,15 @@ def test_services_have_keys(keys: Keys) -> None:
     ]
 
 
+def test_parameter_sets_in_turn() -> None:
+    typed = list("ppp")
+    keyboard = Keyboard(LIMITS, lambda: [typed.pop()] if typed else [], 1.0, ["floor", "rail"])
+    asked = [request for _ in range(3) for request in keyboard.poll(0.0)]
+    assert [request.service for request in asked] == ["set_drive_parameters"] * 3
+    assert [request.arguments["set"] for request in asked] == ["floor", "rail", ""]
+    assert keyboard.message == "parameters: the ordinary ones"
+
+
 def test_a_safety_stop_ends_the_motion_for_after_its_release(keys: Keys) -> None:
     keys.type("i", 0.0)
     keys.type("xX", 0.1)

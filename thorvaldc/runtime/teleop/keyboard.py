@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.teleop.operator import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
@@ -44,7 +44,8 @@ HELP = """\
   m , .    backward                                        space or k: stop
   + -      faster, slower      1..9 0   10..90, 100 % of the top speed
   x        safety stop: all sources; X releases it         r   reset odometry
-  h        home steering       f   reset faults            q   quit
+  h        home steering       f   reset faults            p   next parameter set
+  q        quit
 A key drives while it is held; the robot stops when it is not repeated."""
 
 _SERVICES: dict[str, Request] = {
@@ -60,6 +61,7 @@ class Keyboard:
     """An operator at the keys that ``read`` gives, by their names, since it was last called.
 
     ``read`` raises ``EOFError`` where the terminal is gone; the operator has finished then.
+    ``sets`` are the robot's parameter sets, beside its ordinary values.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Keyboard:
         limits: Limits,
         read: Callable[[], list[str]],
         share: float = FIRST_SHARE,
+        sets: Sequence[str] = (),
         close: Callable[[], None] = lambda: None,
     ) -> None:
         self.limits = limits
@@ -74,6 +77,8 @@ class Keyboard:
         self.message = ""
         self.finished = False
         self.close = close
+        self._sets = ("", *sets)
+        self._set = 0
         self._read = read
         self._motion = ZERO_TWIST
         self._key = ""
@@ -120,6 +125,10 @@ class Keyboard:
             self._set_share(int(key) / 10 or 1.0)
         elif key in ("q", "Q", "ctrl-d", "ctrl-c"):
             self.finished = True
+        elif key == "p":
+            self._set = (self._set + 1) % len(self._sets)
+            requests.append(Request("set_drive_parameters", {"set": self._sets[self._set]}))
+            self.message = f"parameters: {self._sets[self._set] or 'the ordinary ones'}"
         elif key in _SERVICES:
             if key == "x":
                 self._driving = False
