@@ -328,3 +328,17 @@ def test_verify_reads_only_and_tells_what_differs() -> None:
     }
     plan = make_plan(bench.target, bench.scan())
     assert [step.words for step in plan.steps] == ["write 2 values of fl_controller (id 1)"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "says"),
+    [(330, "somebody has the id 1 already"), (420, "at id 1")],
+)
+def test_a_second_node_of_an_id_that_comes_in_the_middle_stops_it(frame: int, says: str) -> None:
+    """Somebody plugs one in: the id is taken, or another answers there than it should."""
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    spare = bench.simulated.clone("fl_controller", "spare", node_id=1)
+    bench.wire.at_frame(bench.wire.frames + frame, spare.power_on)
+    with pytest.raises(RuntimeFault, match=says) as fault:
+        bench.apply()
+    assert fault.value.diagnostic.code.name == "flash-stopped"

@@ -253,6 +253,7 @@ class Flash:
         if mode == APPLY and not plan.steps:
             return plan
         self.session.exclusive = True
+        self.session.surplus.clear()  # what the scan has seen is in the plan
         self.journal.start(mode, plan)
         number = 0
         try:
@@ -311,6 +312,8 @@ class Flash:
             self.journal.done(number, step.node, {"written": len(old)})
         else:
             self._attach(number, step, target)
+        for where in sorted(self.session.surplus):
+            raise StepFailed(f"more answers than requests came from id {where}")
 
     def _check_alone(self, step: AddressStep) -> None:
         """The precondition: nobody has the new id."""

@@ -191,7 +191,12 @@ def _obstacles(target: Target, scan: Scan) -> tuple[list[str], list[str], list[s
                 problems.append(entry.detail)
             continue
         node = target.node(entry.node)
-        if entry.verdict == OK or (node.by_hand and node.sdo):
+        if entry.verdict == OK:
+            doubt = dict(scan.duplicates).get(node.id) if node.canopen else None
+            if doubt:
+                problems.append(f"{node.name} (id {node.id}): a duplicate is suspected, {doubt}")
+            continue
+        if node.by_hand and node.sdo:
             continue
         if entry.verdict == DUPLICATE:
             where = found.id if found is not None and found.id is not None else entry.wanted_id

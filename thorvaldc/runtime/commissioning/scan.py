@@ -32,6 +32,7 @@ LEAST_LISTENING = 0.3
 ROUNDS = 2
 """How often an identity is read."""
 IDENTITY, DEVICE_TYPE = 0x1018, 0x1000
+SURPLUS = "more answers than requests"
 TEXTS = (0x1008, 0x1009, 0x100A)
 
 Step = Callable[[str, int, int], None]
@@ -319,6 +320,8 @@ class Scanner:
     # -- verdicts ---------------------------------------------------------------------------
 
     def _judge(self, values: bool) -> Scan:
+        for where in sorted(self.session.surplus):
+            self._evidence.setdefault(where, SURPLUS)
         placed = self._place()
         entries = [self._verdict(node, placed) for node in self.target.nodes]
         taken = list(placed.values())
@@ -463,17 +466,15 @@ class Scanner:
                 enabled.append((node.name, "it is operational"))
             elif active and entry.verdict in (OK, WRONG, BARE):
                 enabled += [(node.name, word) for word in self._enabled(node, where)]
-        surplus = [
-            (node, "more answers than requests")
-            for node in sorted(self.session.surplus)
-            if node not in self._evidence
-        ]
+        # Of what came while values were read, after the verdicts.
+        late = [(where, SURPLUS) for where in sorted(self.session.surplus)]
+        late = [pair for pair in late if pair[0] not in self._evidence]
         return Scan(
             active,
             tuple(entries),
             tuple(self.session.masters),
             tuple(enabled),
-            (*sorted(self._evidence.items()), *surplus),
+            (*sorted(self._evidence.items()), *late),
             values or {},
             self.session.frames,
         )
