@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag1 import Writer as FirstWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -112,6 +113,18 @@ def test_of_a_bag_a_robot_has_its_own_topic(tmp_path: Path, stamped: bool, mcap:
         assert commands(tmp_path, "{log: bag/bag.mcap}") == found
     chosen = commands(tmp_path, "{log: bag, topic: /joy, robot: other}")
     assert chosen == {"cart": (), "other": found["cart"]}
+
+
+def test_bags_of_the_first_ros_are_read_too(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind, vector = "geometry_msgs/msg/Twist", store.types["geometry_msgs/msg/Vector3"]
+    with FirstWriter(tmp_path / "old.bag") as writer:
+        connection = writer.add_connection("/nav/cmd_vel", kind, typestore=store)
+        for k in range(3):
+            message = store.types[kind](vector(0.4, 0.0, 0.0), vector(0.0, 0.0, 0.2))
+            writer.write(connection, k * 10**8, store.serialize_ros1(message, kind))
+    found = commands(tmp_path, "{log: old.bag, robot: cart}")
+    assert found["cart"][0] == Command(0.0, 0.4, 0.0, 0.2)
 
 
 def test_where_a_robot_was_told_nothing_its_watchdog_stopped_it(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Reads bags of ROS 2, ours and others': MCAP files and folders of ``ros2 bag record``."""
+"""Reads bags, ours and others': MCAP files, folders of ``ros2 bag record``, and those of ROS 1."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TYPES = {
     COMMANDS: "sensor_msgs/msg/JointState",
 }
 """The topics of a robot in our records, without its name space, and their types."""
-SUFFIXES = (".mcap", ".db3")
+SUFFIXES = (".mcap", ".db3", ".bag")
 """Of files; a folder is a bag if it has ``metadata.yaml``."""
 
 
@@ -88,7 +88,7 @@ def read_bag(
         what = " ".join(str(fault).split()).replace(str(path), path.name).rstrip(".")
         report.add(
             "record-unreadable",
-            f"`{display}` cannot be read as a bag of ROS 2: {what or type(fault).__name__}",
+            f"`{display}` cannot be read as a bag of ROS: {what or type(fault).__name__}",
             span,
             hint="if it was cut short, `mcap recover` may mend it" if _is_mcap(path) else None,
         )

@@ -1,4 +1,4 @@
-"""Velocities that were recorded, as the script of a scenario: from CSV files and bags of ROS 2."""
+"""Velocities that were recorded, as the script of a scenario: from CSV files and bags of ROS."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_twists(
         files.update((f"{display}/{f.name}" if path.is_dir() else display, f) for f in inner)
         return _of_bag(path, display, span, robots, topic, report)
     if topic:
-        report.add("script-log", f"`{display}` is no bag of ROS 2: it has no topics", span)
+        report.add("script-log", f"`{display}` is no bag of ROS: it has no topics", span)
         return {}
     found: dict[str, tuple[Command, ...]] = {}
     for name, _ in robots:
