@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.runtime.bus.server import BusServer
@@ -325,3 +327,43 @@ def test_services_are_listed_with_their_arguments() -> None:
     assert services.call("a", {"n": 2}, 0.5) == 2.5
     with pytest.raises(ServiceError, match="a whole number is wanted"):
         services.call("a", {"n": 2.0}, 0.0)
+
+
+# -- whatever is sent ---------------------------------------------------------------------------
+
+TEXTS = st.text('aé\ud800\n"\\', max_size=6)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | TEXTS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner),
+    max_leaves=8,
+)
+NAMES = st.sampled_from(["twist", "lock", "state", "set_drive_parameters", "services", "source"])
+REQUESTS = st.fixed_dictionaries(
+    {},
+    optional={
+        "call": NAMES | VALUES,
+        "arguments": st.dictionaries(
+            st.sampled_from(["source", "vx", "name", "locked", "set", "radii"]), VALUES
+        )
+        | VALUES,
+        "id": VALUES,
+        "more": VALUES,
+    },
+)
+LINES = st.binary(max_size=60).filter(lambda line: b"\n" not in line) | REQUESTS.map(
+    lambda request: json.dumps(request).encode()
+)
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(LINES)
+def test_every_line_has_one_answer(running: Running, line: bytes) -> None:
+    wire = Wire(running)
+    answer = wire.ask(line)
+    assert answer["ok"] in (True, False)
+    if not answer["ok"]:
+        assert answer["error"]
+        assert "\n" not in answer["error"]
+    assert wire.unread == b""
+    wire.stream.close()
+    running.cycles()
