@@ -95,32 +95,35 @@ def test_robots_stand_where_they_stood(
     assert abs(joints.angles[0]) > 0.1
 
 
-def test_plots_and_films_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any]) -> None:
+def test_plots_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any]) -> None:
     thorvaldc("sim", "s.yaml", "--plot", "run.svg")
-    done = thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--plot", "p.svg", "--video", "v.gif")
+    done = thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--plot", "p.svg")
     assert done.status == 0, done.err
-    assert done.err.split() == ["p.svg", "v.gif"]
+    assert done.err == "p.svg\n"
     # The same lines but for the last digits of headings, which went through quaternions.
     played, run = Path("p.svg").read_text().split(), Path("run.svg").read_text().split()
     assert len(played) == len(run)
     assert sum(a != b for a, b in zip(played, run, strict=True)) < len(run) / 100
+
+
+def test_films_and_pictures_show_where_the_robot_was(thorvaldc: Command, tmp_path: Path) -> None:
+    assert thorvaldc("sim", SLIM, "--ideal", "--duration", "1", "--record", "a.mcap").status == 0
+    done = thorvaldc("sim", SLIM, "--replay", "a.mcap", "--video", "v.gif")
+    assert done.status == 0, done.err
     from PIL import Image
 
     with Image.open("v.gif") as film:
-        assert getattr(film, "n_frames", 1) == math.floor(3 * 12.5) + 1
-
-
-def test_a_picture_shows_where_the_robot_was(thorvaldc: Command, recorded: dict[str, Any]) -> None:
-    small = ["--size", "160x120", "--view", "top"]
+        assert getattr(film, "n_frames", 1) == math.floor(12.5) + 1
+    small = ["--size", "64x48", "--view", "top", "--replay", "a.mcap", "-o", "p.png"]
     pictures = []
-    for options in ([], ["--at", "1.5 s"], ["--at", "3"], ["--at", "99"]):
-        done = thorvaldc("render", "s.yaml", *small, "--replay", "a.mcap", *options, "-o", "p.png")
+    for options in ([], ["--at", "0.5 s"], ["--at", "99"]):
+        done = thorvaldc("render", SLIM, *small, *options)
         assert done.status == 0, done.err
         pictures.append(Path("p.png").read_bytes())
-    assert pictures[0] == pictures[2] == pictures[3] != pictures[1]
-    assert thorvaldc("render", "s.yaml", "--at", "1").status == 2
-    assert thorvaldc("render", "s.yaml", "--replay", "a.mcap", "--at", "-1").status == 2
-    assert thorvaldc("render", "s.yaml", "--replay", "none.mcap").status == 1
+    assert pictures[0] == pictures[2] != pictures[1]
+    assert thorvaldc("render", SLIM, "--at", "1").status == 2
+    assert thorvaldc("render", SLIM, "--replay", "a.mcap", "--at", "-1").status == 2
+    assert thorvaldc("render", SLIM, "--replay", "none.mcap").status == 1
 
 
 def test_fleets_are_played_from_a_folder_and_a_file(thorvaldc: Command, tmp_path: Path) -> None:
