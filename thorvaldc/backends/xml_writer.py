@@ -7,6 +7,7 @@ and faster than ``xml.etree``, and a build need not import that.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable, Iterable
 
@@ -29,6 +30,7 @@ class XmlValueError(ValueError):
     """A number that no XML format can carry (not a number, or infinite)."""
 
 
+@functools.lru_cache(maxsize=4096)  # most stand in a robot, and in both formats, several times
 def number(value: Number) -> str:
     """Shortest text that reads back as the same number: ``0``, ``0.1``, ``1e-09``."""
     if value == 0:
@@ -86,7 +88,7 @@ class Element:
         """
         self.attributes += "".join(
             [
-                f' {name.rstrip("_")}="{_format(value)}"'
+                f' {name if name[-1] != "_" else name[:-1]}="{_format(value)}"'
                 for name, value in attributes.items()
                 if value is not None
             ]

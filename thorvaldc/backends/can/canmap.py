@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -145,15 +146,19 @@ def json_text(document: dict[str, Any]) -> str:
 
 
 def _layout(value: Any, depth: int) -> str:
-    pad, inner = "  " * depth, "  " * (depth + 1)
     if type(value) is dict and not all(map(_is_flat, _containers(value.values()))):
-        rows = [f"{inner}{_key(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
-        return "{\n" + ",\n".join(rows) + f"\n{pad}}}"
+        pad = "\n" + "  " * depth
+        rows = [f"{pad}  {_key(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
+        return "{" + ",".join(rows) + pad + "}"
     if type(value) is list and _containers(value):
-        rows = [inner + _layout(v, depth + 1) for v in value]
-        return "[\n" + ",\n".join(rows) + f"\n{pad}]"
+        pad = "\n" + "  " * depth
+        return "[" + ",".join([f"{pad}  {_layout(v, depth + 1)}" for v in value]) + pad + "]"
     # The encoder takes long to begin.
-    return repr(value) if type(value) is int else _ENCODER.encode(value)
+    if value is None:
+        return "null"
+    if type(value) is int or (type(value) is float and math.isfinite(value)):
+        return repr(value)
+    return _ENCODER.encode(value)
 
 
 def _is_flat(container: Any) -> bool:
