@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import posixpath
 from collections.abc import Sequence
@@ -19,13 +18,14 @@ from thorvaldc.model.bus_faults import BusFaults
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.bus_lock import Lock, has_pins, lock_path, lock_text, read_lock
-from thorvaldc.passes.checks import Design, check_robot
+from thorvaldc.passes.checks import check_robot
+from thorvaldc.passes.design import read_design
 from thorvaldc.passes.elaborate import elaborate
-from thorvaldc.passes.fleet import Placements, robots_of
 from thorvaldc.passes.library_check import check_module
 from thorvaldc.passes.resolve import Resolver
 from thorvaldc.passes.scope import Scope
 from thorvaldc.schema.checker import check, sound
+from thorvaldc.schema.kinds import is_fleet, is_other, is_scenario
 from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
 
@@ -96,18 +96,18 @@ def _compile(
     robots: dict[str, Compilation] = {}
     pins = ""
     document = read_file(path, name, shape)
-    if document is not None and _is_other(document, shape):
+    if document is not None and is_other(document, shape):
         document = None
     if document is not None:
-        scenario = _is_scenario(document)
+        scenario = is_scenario(document)
         if scenario and changes:
             from thorvaldc.passes.variations import changed, without_variations  # few runs need it
 
             document = without_variations(changed(document, changes, shape))
-        fleet = not scenario and _is_fleet(document)
+        fleet = not scenario and is_fleet(document)
         check(document, "scenario" if scenario else "fleet" if fleet else "robot", shape)
         modules = document.get("modules")
-        whole = modules is None or not _lies_in(modules.span, shape)
+        whole = modules is None or not shape.has_error_in(modules.span)
         # The next stages go on with what is sound: one run shows the faults of all.
         sound_part = sound(document, shape)
         if fleet or scenario:
@@ -129,7 +129,7 @@ def _compile(
             pins = _pins(model, path, done) if model is not None else ""
             done.model = model
         done.source_sha256 = _sha256(files, robots, pins)
-    for said in (shape, _without_places_of(shape, report)):
+    for said in (shape, report.without_places_of(shape)):
         done.report.extend(done.located(said))
     for shown, file in files.items():
         done.sources[shown if shown.startswith(OWN) else os.path.normpath(file)] = file
@@ -193,7 +193,7 @@ def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | N
         return None
     check(document, "bus_faults", shape)
     script = read_bus_faults(sound(document, shape), robot, said)
-    for found in (shape, _without_places_of(shape, said)):
+    for found in (shape, said.without_places_of(shape)):
         report.extend(found)
     return None if shape.has_errors or said.has_errors else script
 
@@ -245,7 +245,7 @@ def _robot(
     resolver = Resolver(modules, report)
     robot = elaborate(document, resolver, base, report, files, lost, whole=whole, lock=lock)
     files.update(modules.files)
-    design = _design(document, modules, report)
+    design = read_design(document, modules, report)
     if robot is not None:
         check_robot(robot, design, report)
         if robot.calculator != CalculatorChoice():
@@ -256,39 +256,6 @@ def _robot(
 def _module_names(document: Node) -> set[str]:
     modules = document.get("modules")
     return set(modules.value) if modules is not None and isinstance(modules.value, dict) else set()
-
-
-def _design(document: Node, library: Library, report: Report) -> Design:
-    node = document.get("design")
-    if node is None:
-        return Design()
-    scope = Scope(None, {}, library, report, None)
-
-    def angle(key: str, default: float) -> float:
-        found = node.get(key)
-        given = found.value if found is not None else None
-        hint = None
-        if isinstance(given, int | float) and not isinstance(given, bool):
-            value, hint = float(given), f"write `{given:g} deg` if degrees are meant"
-        else:
-            value = scope.quantity(found, "angle", default)
-        if found is None or 0.0 <= value < math.pi / 2:
-            return value
-        report.add(
-            "number-out-of-range",
-            f"`{key}` is {math.degrees(value):.6g} deg; it must be from 0 to less than 90 deg",
-            found.span,
-            hint=hint,
-        )
-        return default
-
-    slope, tip_over = node.get("slope"), node.get("minimum_tip_over_angle")
-    return Design(
-        angle("slope", 0.0) if slope is not None else None,
-        angle("minimum_tip_over_angle", Design().tip_over_angle),
-        slope.where if slope is not None else None,
-        tip_over.where if tip_over is not None else None,
-    )
 
 
 def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
@@ -311,6 +278,8 @@ def _fleet(
     compiled: dict[str, Compilation],
 ) -> Fleet:
     """The fleet; ``compiled`` gathers what became of each robot file that it names."""
+    from thorvaldc.passes.fleet import Placements  # which few files need
+
     scope = Scope(None, {}, Library(), report, None)
     placements = Placements(report)
     robots = document.get("robots")
@@ -323,7 +292,7 @@ def _fleet(
         if not os.path.isfile(file):
             report.add("fleet-robot-missing", f"there is no file `{named}`", file_node.span)
             continue
-        if named not in compiled and _is_fleet(read_file(file, file.name, Report())):
+        if named not in compiled and is_fleet(read_file(file, file.name, Report())):
             # Before it is compiled: a fleet might name itself.
             report.add(
                 "fleet-in-fleet",
@@ -349,7 +318,8 @@ def _scenario(
     robot: Path | str | None,
 ) -> Scenario | None:
     """The scenario with its robots, or with ``robot`` in their place; ``None`` without any."""
-    from thorvaldc.passes.scenario import read_scenario  # which few files need
+    from thorvaldc.passes.fleet import robots_of  # which few files need
+    from thorvaldc.passes.scenario import read_scenario
 
     named = document.get("fleet")
     own = document.get("robots")
@@ -374,7 +344,7 @@ def _scenario(
     if robot is None and not os.path.isfile(file):
         report.add("fleet-robot-missing", f"there is no file `{shown}`", span)
         return None
-    if _is_scenario(read_file(file, shown, Report())):
+    if is_scenario(read_file(file, shown, Report())):
         report.add("fleet-in-fleet", f"`{shown}` is a scenario; a robot or a fleet is wanted", span)
         return None
     done = compiled[shown] = _compile(file, shown, path.parent, library)
@@ -411,6 +381,8 @@ def _with_log(
 
 def _stand_in(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:
     """The robot under the name and in the place of the one entry that the scenario has."""
+    from thorvaldc.passes.fleet import Placements
+
     entries = robots.value if robots is not None else None
     if not isinstance(entries, dict) or len(entries) != 1:
         return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
@@ -418,60 +390,6 @@ def _stand_in(robot: Robot, robots: Node | None, report: Report) -> tuple[Placem
     for name, node in entries.items():
         placements.add(name, node, robot)
     return tuple(placements.placed)
-
-
-def _is_scenario(document: Node | None) -> bool:
-    return document is not None and document.get("scenario") is not None
-
-
-# Files that may be taken for a robot's, by a key that only they have.
-_OTHERS = (
-    (
-        "motor_drives",
-        "a configuration file of the original system",
-        "`thorvaldc import FILE -o robot.yaml` makes a robot of it",
-    ),
-    ("thorvaldc_lock", "a lock file", "name the robot's own file"),
-    ("links", "a module document", "`thorvaldc modules check` checks a folder of modules"),
-    ("params", "a module document", "`thorvaldc modules check` checks a folder of modules"),
-)
-
-
-def _is_other(document: Node, report: Report) -> bool:
-    """Whether the document is another thing altogether, which is all that is said of it."""
-    if document.get("name") is None:
-        for key, what, hint in _OTHERS:
-            node = document.get(key)
-            if node is not None:
-                message = f"this is {what}; a robot, fleet or scenario document is wanted"
-                report.add("other-document", message, node.where, hint=hint)
-                return True
-    return False
-
-
-def _is_fleet(document: Node | None) -> bool:
-    return document is not None and document.get("robots") is not None
-
-
-def _lies_in(span: Span, report: Report) -> bool:
-    """Whether a value in that place is at fault."""
-    start, end = (span.line, span.column), (span.end_line, span.end_column)
-    return any(
-        d.span is not None
-        and d.code.name != "unknown-key"
-        and start <= (d.span.line, d.span.column) < end
-        for d in report.errors
-    )
-
-
-def _without_places_of(earlier: Report, report: Report) -> Report:
-    """What is said of places that nothing was said of before."""
-    known = {d.span for d in earlier.errors if d.span is not None}
-    out = Report()
-    for diagnostic in report:
-        if diagnostic.span not in known:
-            out.put(diagnostic)
-    return out
 
 
 def _sha256(files: dict[str, Path], robots: dict[str, Compilation], pins: str) -> str:

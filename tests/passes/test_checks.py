@@ -12,7 +12,8 @@ from tests.robots import FOUR_STEERED, make_robot
 from tests.workshop import CART, Workshop
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.passes.checks import Design, check_robot, feasible_twists
+from thorvaldc.passes.checks import check_robot, feasible_twists
+from thorvaldc.passes.design import Design
 from thorvaldc.pipeline import compile_file
 
 SQUARE = [(0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)]

@@ -131,3 +131,22 @@ class Report:
         """By file, line and column; faults without a place last."""
         last = Span("\U0010ffff")
         return sorted(self, key=lambda d: (d.span or last, d.code.number))
+
+    def has_error_in(self, span: Span) -> bool:
+        """Whether a value in that place is at fault; a key that is too many is none."""
+        start, end = (span.line, span.column), (span.end_line, span.end_column)
+        return any(
+            d.span is not None
+            and d.code.name != "unknown-key"
+            and start <= (d.span.line, d.span.column) < end
+            for d in self.errors
+        )
+
+    def without_places_of(self, earlier: Report) -> Report:
+        """What is said of places that ``earlier`` had no errors in."""
+        known = {d.span for d in earlier.errors if d.span is not None}
+        out = Report()
+        for diagnostic in self:
+            if diagnostic.span not in known:
+                out.put(diagnostic)
+        return out

@@ -1,9 +1,9 @@
 """The intermediate model (IR): what a robot is, independent of any format."""
 
+from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
-    Block,
     Box,
     Bus,
     CalculatorChoice,
@@ -11,9 +11,7 @@ from thorvaldc.model.robot import (
     Collision,
     Cylinder,
     DriverSettings,
-    Fleet,
     Frame,
-    Ground,
     Joint,
     Link,
     Mesh,
@@ -22,7 +20,6 @@ from thorvaldc.model.robot import (
     Node,
     ObjectValue,
     ParameterSet,
-    Placement,
     Robot,
     Scalar,
     Sensor,
@@ -33,8 +30,6 @@ from thorvaldc.model.robot import (
     TwistInput,
     Visual,
     Wheel,
-    World,
-    Zone,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.robot import Fleet
+from thorvaldc.model.fleet import Fleet
 
 GROUPS = ("odometry", "truth", "twist", "joints")
 """Groups of columns that a record can hold."""

@@ -14,7 +14,8 @@ from typing import Any, TypeVar, cast
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import robot as _robot
 from thorvaldc.model.element import values_getter
-from thorvaldc.model.robot import Fleet, Robot
+from thorvaldc.model.fleet import Fleet
+from thorvaldc.model.robot import Robot
 
 FORMAT = "thorvaldc-model"
 VERSION = 1

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.passes.base import GRAVITY, Tree, contact_point
+from thorvaldc.passes.design import Design
 
 WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
-DEFAULT_TIP_OVER = math.radians(15)
-
-
-class Design(NamedTuple):
-    """What the file asks: ``slope`` to climb, ``tip_over_angle`` to keep, rad; and where."""
-
-    slope: float | None = None
-    tip_over_angle: float = DEFAULT_TIP_OVER
-    slope_place: Span | None = None
-    tip_over_place: Span | None = None
 
 
 def check_robot(robot: Robot, design: Design, report: Report) -> None:

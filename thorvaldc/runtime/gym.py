@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.model import Robot
-from thorvaldc.model.robot import Fleet
+from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.contacts import Contacts
 from thorvaldc.runtime.driver import BaseDriver
