@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
     from thorvaldc.runtime.commissioning.plan import Plan
     from thorvaldc.runtime.commissioning.plan import Step as PlanStep
-    from thorvaldc.runtime.commissioning.scan import Scan, Scanner
+    from thorvaldc.runtime.commissioning.scan import Scan
+    from thorvaldc.runtime.commissioning.scanner import Scanner
     from thorvaldc.runtime.commissioning.session import Session
     from thorvaldc.runtime.commissioning.target import Target
 
@@ -166,6 +167,7 @@ def _write(
             book,
             operator=place.operator(yes),
             progress=place.step,
+            scanning=place.progress,
         )
         if plan is not None:
             done = flash.apply(expected or plan.hash)
@@ -207,7 +209,7 @@ class Place:
     bar: Progress
 
     def scanner(self) -> Scanner:
-        from thorvaldc.runtime.commissioning.scan import Scanner
+        from thorvaldc.runtime.commissioning.scanner import Scanner
 
         return Scanner(self.session, self.target, self.progress)
 

@@ -16,7 +16,8 @@ from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
 from thorvaldc.runtime.commissioning.flash import Flash, Operator
 from thorvaldc.runtime.commissioning.journal import Journal
 from thorvaldc.runtime.commissioning.plan import Plan, make_plan
-from thorvaldc.runtime.commissioning.scan import Scan, Scanner
+from thorvaldc.runtime.commissioning.scan import Scan
+from thorvaldc.runtime.commissioning.scanner import Scanner
 from thorvaldc.runtime.commissioning.session import Session, Timing
 from thorvaldc.runtime.commissioning.target import Target, target_of
 

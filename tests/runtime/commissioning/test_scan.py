@@ -12,7 +12,8 @@ from tests.runtime.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four
 from tests.runtime.commissioning.robots import without_serials
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.commissioning.plan import make_plan
-from thorvaldc.runtime.commissioning.scan import Scan, Scanner
+from thorvaldc.runtime.commissioning.scan import Scan
+from thorvaldc.runtime.commissioning.scanner import Scanner
 from thorvaldc.runtime.faults import RuntimeFault
 
 

@@ -8,7 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 from thorvaldc.model.bus import Bus
-from thorvaldc.runtime.commissioning.scan import OK, Scan, Scanner
+from thorvaldc.runtime.commissioning.scan import OK, Scan
+from thorvaldc.runtime.commissioning.scanner import Scanner
 from thorvaldc.runtime.commissioning.session import HEARTBEAT, Session
 from thorvaldc.runtime.commissioning.target import Target
 
