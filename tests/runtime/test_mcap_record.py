@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from thorvaldc.model import Fleet, Robot
@@ -127,9 +128,9 @@ def test_covariances_are_those_of_the_frames_of_ros(robot: Robot, tmp_path: Path
 def test_a_reader_that_is_not_of_rosbags_finds_profile_schemas_and_index(
     robot: Robot, tmp_path: Path
 ) -> None:
-    drive(robot, tmp_path / "a.mcap")
+    samples = drive(robot, tmp_path / "a.mcap")[robot.name]
     with (tmp_path / "a.mcap").open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
         assert summary is not None
@@ -141,6 +142,10 @@ def test_a_reader_that_is_not_of_rosbags_finds_profile_schemas_and_index(
         times = [message.log_time for _, _, message in reader.iter_messages()]
         assert len(times) == summary.statistics.message_count == 51 * 7 + 1
         assert times == sorted(times)
+        # Decoded by the definitions in the file alone.
+        decoded = [m for *_, m in reader.iter_decoded_messages(topics=["/odom"])]
+        found = [(m.pose.pose.position.x, m.twist.twist.angular.z) for m in decoded]
+        assert found == [(s.pose_estimated.x, s.estimated.wz) for s in samples]
 
 
 def test_robots_of_a_fleet_have_their_name_spaces(tmp_path: Path) -> None:
