@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.robot import Robot
-from thorvaldc.runtime.can_base.controller import Axis, Intent, Message, MotorController
+from thorvaldc.runtime.can_base.controller import STANDING, Axis, Intent, Message, MotorController
 
 DRIVE, HOME, DECOUPLED = 0, 1, 2
 REPEAT = 1.0
@@ -19,6 +19,10 @@ QUICK = 100
 """ms between two frames of constants while the script is looked at, in place of seconds."""
 STOP_TIME = 2.0
 """s after which a stopped controller gets no torque, whatever it tells."""
+STRAY_TIME = 0.5
+"""s for which a motor may do something else than it is told: the script confirms nothing."""
+STRAY_SHARE, STRAY_SPEED, STRAY_ANGLE = 0.5, 0.3, 0.2
+"""Of the speed told and rad/s, whichever is more; rad of a steering that stands."""
 HOMED, HOMING = 0x01, 0x02
 """Bits of the configuration in TPDO4."""
 _CHECKED = (0x1017, 0x1018)
@@ -41,6 +45,7 @@ class RoboteqScript(MotorController):
         self._homing_failed = False
         self._stopped_at: float | None = None
         self._home_count = 0
+        self._astray: dict[str, float] = {}
         channels: list[Axis | None] = [self.axis_of(channel.name) for channel in node.channels]
         self._first, self._second = (*channels, None, None)[:2]
         for name, take in (
@@ -122,6 +127,11 @@ class RoboteqScript(MotorController):
             said = ["controller not ok"]
         if self._homing_failed:
             said.append("the home switch was not found")
+        said += [
+            f"the {axis.channel} does not do what it is told"
+            for axis in self.axes
+            if axis.time - self._astray.get(axis.channel, math.inf) > STRAY_TIME
+        ]
         if self.error_code:
             said.append(f"emergency {self.error_code:#06x}")
         return ", ".join(said)
@@ -183,6 +193,20 @@ class RoboteqScript(MotorController):
         self.error_code = 0
         self._homing_failed = False
 
+    def _watch(self, follows: bool) -> None:
+        """Since when each motor has done something else than it is told."""
+        for axis in self.axes:
+            if axis.steering:
+                off = abs(axis.position - axis.target) > STRAY_ANGLE
+                strays = off and abs(axis.velocity) < STANDING
+            else:
+                allowed = max(STRAY_SHARE * abs(axis.target), STRAY_SPEED)
+                strays = abs(axis.velocity - axis.target) > allowed
+            if follows and strays:
+                self._astray.setdefault(axis.channel, axis.time)
+            else:
+                self._astray.pop(axis.channel, None)
+
     # -- commands ----------------------------------------------------------------------------------
 
     def cyclic(self, intent: Intent, now: float) -> list[Message]:
@@ -192,6 +216,7 @@ class RoboteqScript(MotorController):
         elif self._stopped_at is None:
             self._stopped_at = now
             self.hold()
+        self._watch(follows and self._modes == (DRIVE, DRIVE))
         self._sequence = self._sequence % 0x7FFFFFFF + 1
         messages = [self._speed("rpdo1", self._first, follows)]
         second = self._second

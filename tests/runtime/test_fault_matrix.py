@@ -1,0 +1,29 @@
+"""Each fault in each phase: the promised reaction in time, and the page that tells of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.runtime.fault_matrix import BEGIN, CASES, END, PAGE, PHASES, ROBOTS, Case, react, row
+from thorvaldc.runtime.can_base.supervisor import State
+
+
+@pytest.mark.parametrize("drives", ROBOTS)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.what)
+def test_reaction(case: Case, drives: str) -> None:
+    robot = ROBOTS[drives]()
+    found = {phase: react(robot, phase, case.fault) for phase in PHASES}
+    for phase, reaction in found.items():
+        limit = case.reaction[phase]
+        if limit is None:
+            assert reaction.state in (None, State.FAULT), phase
+        else:
+            assert reaction.state is State.FAULT, phase
+            assert reaction.after is not None
+            assert reaction.after <= limit, phase
+        if reaction.state is not None or phase != "driving":
+            assert reaction.rest is not None, f"{phase}: it still moves"
+            assert reaction.rest <= case.rest, phase
+    table = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
+    line = row(case, drives, found)
+    assert line in table.splitlines(), f"{line}\n(python -m tests.runtime.fault_matrix writes it)"
