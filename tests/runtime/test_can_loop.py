@@ -499,9 +499,12 @@ def test_the_safety_stop_stops_at_once_and_takes_three_things_to_leave(make: Mak
     rig.twist = ZERO_TWIST
     rig.run(0.05)
     rig.runner.reset()
-    rig.ready()
+    rig.twist = FORWARD  # too early: it is not what it was reset for
+    rig.until(lambda: rig.state is State.READY)
     rig.run(1.0)
     assert rig.speed() == 0.0
+    rig.twist = ZERO_TWIST
+    rig.run(0.05)
     rig.drive()
 
 
