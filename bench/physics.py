@@ -169,7 +169,7 @@ def _minimal(robot: Robot) -> Any:
     """A body on steered, driven wheels with the same joints and contacts, and no more."""
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.005
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 100
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE

@@ -228,7 +228,11 @@ class _Check:
         self.same("gravity", m.opt.gravity, (0, 0, -9.81))
         self.same("cone", int(m.opt.cone), int(mujoco.mjtCone.mjCONE_ELLIPTIC))
         self.same("impratio", m.opt.impratio, 100.0)
-        self.same("integrator", int(m.opt.integrator), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+        damped = max(h / i for h, i in self.servos(m))
+        explicit = damped * m.opt.timestep <= 1.5
+        integrators = mujoco.mjtIntegrator
+        wanted = integrators.mjINT_EULER if explicit else integrators.mjINT_IMPLICITFAST
+        self.same("integrator", int(m.opt.integrator), int(wanted))
         touched: dict[str, tuple[Any, float]] = {}
         for contact in d.contact:
             # The force that this penetration gives where nothing moves.
@@ -287,6 +291,17 @@ class _Check:
             self.same(
                 f"{name}: rolling loss", m.dof_frictionloss[joint.dofadr[0]], loss, tolerance=1e-5
             )
+
+    def servos(self, m: Any) -> list[tuple[float, float]]:
+        """Damping of every servo in the scene and the inertia of its joint alone."""
+        d = mujoco.MjData(m)
+        mujoco.mj_forward(m, d)
+        full = np.zeros((m.nv, m.nv))
+        mujoco.mj_fullM(m, full, d.qM) if hasattr(d, "qM") else mujoco.mj_fullM(m, d, full)
+        dofs = m.jnt_dofadr[m.actuator_trnid[:, 0]]
+        return [
+            (-float(m.actuator_biasprm[i, 2]), float(full[dof, dof])) for i, dof in enumerate(dofs)
+        ] or [(0.0, 1.0)]
 
     def bits(self, m: Any) -> None:
         """Collision shapes meet the world and other things, never one another; visuals nothing."""

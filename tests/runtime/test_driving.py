@@ -13,7 +13,7 @@ from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.pipeline import compile_file, emit
 from thorvaldc.runtime.manoeuvre import Segment
-from thorvaldc.runtime.meter import RobotRun
+from thorvaldc.runtime.meter import Meter, RobotRun
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.simulation import Simulation
 
@@ -118,3 +118,27 @@ def test_the_fleet_drives_without_meeting() -> None:
     for run in result.robots:
         assert run.path_true > 5.0
         assert run.end_error < 0.01 * run.path_true
+
+
+def test_a_wheel_that_must_turn_around_does_so_while_the_robot_stands() -> None:
+    """Backwards in a curve, then one in which a wheel would pass its limit of 176 deg."""
+    made = simulation("6wd6ws_asymmetric")
+    plan = [Segment(0.0, Twist(-0.92, 0.52, 0.24)), Segment(4.0, Twist(0.96, 0.23, -0.18))]
+    slips: list[float] = [0.0]
+    stops: list[bool] = []
+
+    def watch(meter: Meter) -> None:
+        sample, state = meter.sample(), meter.driver.state
+        if state.command is not None and state.joints is not None:
+            stops.append(state.command.must_stop)
+            for wheel, angle in zip(meter.robot.wheels, state.joints.angles, strict=True):
+                vx, vy, wz = sample.true
+                c, s = math.cos(wheel.heading + angle), math.sin(wheel.heading + angle)
+                slips.append(abs(c * (vy + wz * wheel.x) - s * (vx - wz * wheel.y)))
+
+    run = made.run(12.0, plan, None, watch).robots[0]
+    assert any(stops[200:400])
+    assert not any(stops[400:])
+    # Without the stop a wheel is dragged across at 0.5 m/s, over and over again.
+    assert max(slips) < 0.06
+    assert run.end_error < 0.02

@@ -12,10 +12,9 @@ from thorvaldc.runtime.base import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.parameters import Parameters
+from thorvaldc.runtime.ramp import Ramp
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 
-LEAD = 0.1
-"""Speed (m/s, of the wheels) by which the ramp may be ahead of what the wheels do."""
 BEYOND = 1e9
 """Twist (m/s, rad/s) that nobody can have meant."""
 _SLACK = 1e-9
@@ -94,7 +93,9 @@ class BaseDriver:
         self._staged: tuple[Parameters, BaseCalculator] | None = None
         self._asked = ZERO_TWIST
         self._asked_at = -math.inf
-        self._ramped = ZERO_TWIST
+        geometry = self.calculator.geometry
+        self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
+        self._stops = False
         self.odometry = Odometry(self.calculator, self._fastest)
         self.state = DriverState(
             -math.inf,
@@ -171,6 +172,7 @@ class BaseDriver:
             made.resume(self.calculator)
             self.calculator = self.odometry.calculator = made
             self.odometry.fastest = self._fastest
+            self._ramp.settings = self.settings
 
     def reset_pose(self, pose: Pose2 = ORIGIN) -> None:
         """Set the odometry pose; its covariance starts again at zero."""
@@ -209,24 +211,23 @@ class BaseDriver:
         infeasible = ZERO_TWIST
         if held:
             # It stands, or stops by itself: afterwards the ramp starts from rest.
-            self._ramped = ZERO_TWIST
+            self._ramp.restart(ZERO_TWIST)
         if fault:
             # What the wheels do is unknown: ramp down by the commands alone.
-            self._ramped = self._ramp(ZERO_TWIST, period)
-            command = self.calculator.command(self._ramped, None, period)
+            command = self.calculator.command(self._ramped(ZERO_TWIST, period), None, period)
         else:
             if starts or held:
                 self.calculator.reset(joints)
             allowed = self.calculator.allowed(asked)
             infeasible = Twist(asked.vx - allowed.vx, asked.vy - allowed.vy, asked.wz - allowed.wz)
-            self._ramped = self._ramp(self._limited(allowed), period)
-            command = self.calculator.command(self._ramped, joints, period)
+            ramped = self._ramped(self._limited(allowed), period)
+            command = self.calculator.command(ramped, joints, period)
         self.base.write(command.joints, now)
         self.state = DriverState(
             now,
             mode,
             asked,
-            self._ramped,
+            self._ramp.twist,
             infeasible,
             command,
             odometry.joints,
@@ -249,7 +250,7 @@ class BaseDriver:
             if self._asked_at == -math.inf:
                 return DriveMode.IDLE, ZERO_TWIST
             return DriveMode.TIMED_OUT, ZERO_TWIST
-        if self._asked == ZERO_TWIST and self._ramped == ZERO_TWIST:
+        if self._asked == ZERO_TWIST and self._ramp.twist == ZERO_TWIST:
             return DriveMode.IDLE, ZERO_TWIST
         return DriveMode.DRIVING, self._asked
 
@@ -263,41 +264,12 @@ class BaseDriver:
             scale = settings.max_angular_velocity / abs(twist.wz)
         return twist.scaled(scale) if scale < 1.0 else twist
 
-    def _ramp(self, goal: Twist, dt: float) -> Twist:
-        """One step from the twist of the last tick straight towards ``goal``.
-
-        Straight in the space of twists: from rest and to rest the centre of
-        rotation, and with it the steering, stays.
-        """
-        now = self._ramped
-        if self.state.command is not None:
-            now = self._within_reach(now, self.state.command)
-        dv = math.hypot(goal.vx - now.vx, goal.vy - now.vy)
-        dw = abs(goal.wz - now.wz)
-        share = 1.0
-        if dv > self.settings.max_linear_acceleration * dt:
-            share = self.settings.max_linear_acceleration * dt / dv
-        if dw * share > self.settings.max_angular_acceleration * dt:
-            share = self.settings.max_angular_acceleration * dt / dw
-        if share >= 1.0:
-            return goal
-        return Twist(
-            now.vx + share * (goal.vx - now.vx),
-            now.vy + share * (goal.vy - now.vy),
-            now.wz + share * (goal.wz - now.wz),
-        )
-
-    def _within_reach(self, ramped: Twist, command: BaseCommand) -> Twist:
-        """``ramped``, drawn back to what the wheels do where it has run ahead of them.
-
-        Wheels that still turn, or are at their limits, make the robot slower than
-        the ramp; without this it would jump once they are through.
-        """
-        doing = command.twist
-        dx, dy, dw = ramped.vx - doing.vx, ramped.vy - doing.vy, ramped.wz - doing.wz
-        lever = self.calculator.geometry.length
-        ahead = math.sqrt(dx * dx + dy * dy + lever * lever * dw * dw)
-        if ahead <= LEAD:
-            return ramped
-        share = LEAD / ahead
-        return Twist(doing.vx + share * dx, doing.vy + share * dy, doing.wz + share * dw)
+    def _ramped(self, goal: Twist, dt: float) -> Twist:
+        """One step of the ramp towards ``goal``; to rest first, where a wheel must turn around."""
+        last, ramp = self.state.command, self._ramp
+        if last is not None:
+            if last.must_stop != self._stops:
+                self._stops = last.must_stop
+                ramp.restart(last.twist)
+            ramp.draw_back(last.twist)
+        return ramp.step(ZERO_TWIST if self._stops else goal, dt)

@@ -17,6 +17,8 @@ from thorvaldc.runtime.se2 import Pose2, Twist
 SCENE = "mjcf/scene.xml"
 HOME = "home"
 Prepare = Callable[[Any], None] | None
+LONGEST_STEP = 0.2
+"""Time (s) between two commands beyond which they are no longer steps of one motion."""
 _OUT_OF_BOUNDS = 1e4
 """Speed (m/s, rad/s) that nothing on a robot has."""
 
@@ -201,6 +203,11 @@ class MujocoBase(SimulatedBase):
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
             self._open_loops()
+        # What the servos lag behind set points that move (s): their damping over stiffness.
+        self._drives = tuple((i, m, self._lag(m)) for i, m in self._drive_motors)
+        self._steerings = tuple((i, m, self._lag(m)) for i, m in self._steering_motors)
+        self._asked: JointCommands | None = None
+        self._asked_at = 0.0
 
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
@@ -218,13 +225,35 @@ class MujocoBase(SimulatedBase):
         return JointStates(self.scene.time, speeds, angles, rates, positions)
 
     def write(self, commands: JointCommands, now: float) -> None:
+        """Servos with their set points' rates fed forward, as motor controllers have them.
+
+        Without, drives follow a ramp 0.1 s later and steering 0.02 s: while a robot turns
+        into a curve its wheels would roll at speeds of one motion in the directions of another.
+        """
         ctrl = self.scene.data.ctrl
-        for i, motor in self._drive_motors:
-            ctrl[motor] = commands.speeds[i] * self._ratios[i]
-        for i, motor in self._steering_motors:
-            ctrl[motor] = commands.angles[i] + self._offsets[i]
+        speeds, angles, ratios, offsets = (
+            commands.speeds,
+            commands.angles,
+            self._ratios,
+            self._offsets,
+        )
+        before, dt = self._asked, now - self._asked_at
+        self._asked, self._asked_at = commands, now
+        if before is None or not 0.0 < dt <= LONGEST_STEP:
+            before, dt = commands, 1.0
+        last_speeds, last_angles = before.speeds, before.angles
+        for i, motor, lag in self._drives:
+            v = speeds[i]
+            ctrl[motor] = (v + lag / dt * (v - last_speeds[i])) * ratios[i]
+        for i, motor, lag in self._steerings:
+            a = angles[i]
+            ctrl[motor] = a + lag / dt * (a - last_angles[i]) + offsets[i]
         for i, joint, slope in self._voltages:
             self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
+
+    def _lag(self, motor: int) -> float:
+        _, stiffness, damping = self.scene.model.actuator_biasprm[motor, :3].tolist()
+        return damping / stiffness if stiffness else 0.0
 
     def _open_loops(self) -> None:
         """Make dampers of the drives' servos; ``write`` adds the torque of the voltage."""

@@ -109,7 +109,7 @@ def wire(running: Running) -> Iterator[Wire]:
 def test_a_client_drives_and_reads_the_state(running: Running, wire: Wire) -> None:
     twist = b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}, "id": 7}'
     assert wire.ask(twist) == {"ok": True, "result": None, "id": 7}
-    running.cycles(20)
+    running.cycles(23)
     state = wire.ask(b'{"call": "state"}')["result"]
     assert state["source"] == "auto_nav"
     assert state["in_force"]["vx"] == pytest.approx(0.4)
@@ -121,7 +121,7 @@ def test_a_client_that_dies_lets_its_twist_time_out(running: Running, wire: Wire
     wire.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
     wire.send(b'{"call": "twist", "argum')  # in the middle of a line
     wire.stream.close()
-    running.cycles(20)
+    running.cycles(23)
     assert running.driver.state.ramped.vx == pytest.approx(0.4)
     running.cycles(60)
     assert running.multiplexer.select(running.now).source == ""

@@ -33,6 +33,8 @@ class BaseCommand:
     leave no angle for the twist; they stand.  ``required_rates`` (rad/s, per
     wheel): how fast its steering would have to turn to be at its angle at the end
     of the tick; beyond its limit the wheel is late.  0 without a time step.
+    ``must_stop``: a wheel that rolls has to turn around, which it does once the robot stands;
+    until then all hold their angles, and whoever drives ramps down to rest.
     """
 
     joints: JointCommands
@@ -42,6 +44,7 @@ class BaseCommand:
     scale: float
     unreachable: tuple[int, ...]
     required_rates: Sequence[float] = ()
+    must_stop: bool = False
 
 
 @dataclass(frozen=True, slots=True)

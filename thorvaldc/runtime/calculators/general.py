@@ -18,6 +18,13 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW = 0.01
 """Weight of following the command against not scrubbing while wheels turn."""
+_MOVING = 0.05
+"""Speed (m/s) from which a wheel scrubs much if it does not point where it moves."""
+_FURTHEST = math.pi / 4.0
+"""The furthest (rad) that a wheel turns at once while it moves; the robot stops for more."""
+_TRIES = 3
+_STANDING = 1e-6
+"""Square of the speed (m/s) at which a robot counts as standing."""
 _ALIGNED = math.radians(1.0)
 """Misalignment up to which wheels count as at their angles: what servos leave costs no speed."""
 
@@ -135,6 +142,9 @@ class General(BaseCalculator):
         return None
 
     def reset(self, states: JointStates | None = None) -> None:
+        self._before = ZERO_TWIST
+        self._stops = False
+        self._follows = True
         for steering in self._steering:
             steering.reset(states.angles[steering.wheels[0]] if states else 0.0)
         angles = list(self._standing)
@@ -150,6 +160,7 @@ class General(BaseCalculator):
         for steering, its in zip(self._steering, before._steering, strict=True):
             steering.resume(its)
         self._angles = before._angles
+        self._before, self._stops, self._follows = before._before, before._stops, before._follows
         self._motors.resume(before._motors)
 
     def allowed(self, twist: Twist) -> Twist:
@@ -163,17 +174,28 @@ class General(BaseCalculator):
         if not self._free:
             target = self._fixed.allowed(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
-        vx, vy, wz = target
         angles: Sequence[float] = self._angles
         speeds: Sequence[float] = self._standing
         if states is not None:
             angles, speeds = states.angles, states.speeds
+        doing = self._motors.twist
+        must_stop = self._stops and self._size(doing) > _STANDING
+        rates: Sequence[float] = self._standing
         unreachable: tuple[int, ...] = ()
-        for steering, i, x, y, radius in self._joints:
-            steering.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
-            if steering.unreachable:
-                unreachable += steering.wheels
-        rates = self._move_steering(dt)
+        if not must_stop:
+            unreachable = self._choose(target, angles, speeds)
+            rates, late, aligned = self._lateness(dt)
+            if late == math.inf and self._follows:
+                must_stop = True
+                self._choose(self._before, angles, speeds)
+            else:
+                self._follows = aligned
+            if 1.0 < late < math.inf:
+                target, unreachable = self._slower(target, late, angles, speeds, dt)
+            if not must_stop:
+                self._before = target
+        self._stops = must_stop
+        self._move_steering(dt)
         commanded = self._angles
         asked, scale = self._speeds_at_targets(target)
         if scale < 1.0:
@@ -183,31 +205,95 @@ class General(BaseCalculator):
             angles = commanded
         if dt is not None or states is not None:
             away = self._away(angles)
-            if away > _ALIGNED:
+            if must_stop:
+                slower = target if self._size(target) < self._size(doing) else ZERO_TWIST
+                now, asked = self._speeds_on_the_way(slower, angles, math.inf)
+            elif away > _ALIGNED:
                 now, asked = self._speeds_on_the_way(target, angles, away)
         now, reached = self._motors.reached(now, asked, dt)
         joints = JointCommands(reached, commanded)
-        return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
+        return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates, must_stop)
+
+    def _size(self, twist: Twist) -> float:
+        """Square of the mean speed of wheels, m^2/s^2."""
+        vx, vy, wz = twist
+        return vx * vx + vy * vy + self._length2 * wz * wz
 
     # -- steering -----------------------------------------------------------------
 
-    def _move_steering(self, dt: float | None) -> Sequence[float]:
-        """Move the joints; the rates (rad/s) at which each would be at its angle in this tick."""
+    def _choose(
+        self, twist: Twist, angles: Sequence[float], speeds: Sequence[float]
+    ) -> tuple[int, ...]:
+        """Have every joint choose its angle for ``twist``; the wheels that have none."""
+        vx, vy, wz = twist
+        unreachable: tuple[int, ...] = ()
+        for steering, i, x, y, radius in self._joints:
+            steering.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
+            if steering.unreachable:
+                unreachable += steering.wheels
+        return unreachable
+
+    def _lateness(self, dt: float | None) -> tuple[Sequence[float], float, bool]:
+        """The rates (rad/s) at which each joint would be at its angle in this tick.
+
+        Also the ticks that the slowest of the wheels that move needs for that, infinitely
+        many where it would have to turn further than a wheel may that moves; and
+        whether no wheel, be it that it moves or stands, would have to turn that far.
+        """
+        if dt is None:
+            return self._standing, 0.0, True
+        rates = list(self._standing)
+        late, aligned = 0.0, True
+        vx, vy, wz = self._motors.twist
+        for steering, _, x, y, _ in self._joints:
+            gap = steering.target - steering.angle
+            for i in steering.wheels:
+                rates[i] = gap / dt
+            if steering.held:
+                continue
+            far = not -_FURTHEST <= gap <= _FURTHEST
+            if far:
+                aligned = False
+            ux, uy = vx - wz * y, vy + wz * x
+            if ux * ux + uy * uy >= _MOVING * _MOVING:
+                late = max(late, math.inf if far else abs(gap) * steering.seconds_per_rad / dt)
+        return rates, late, aligned
+
+    def _slower(
+        self,
+        target: Twist,
+        late: float,
+        angles: Sequence[float],
+        speeds: Sequence[float],
+        dt: float | None,
+    ) -> tuple[Twist, tuple[int, ...]]:
+        """A twist on the way from the last one to ``target`` with which all wheels keep up."""
+        before, share = self._before, 1.0
+        slower = target
+        unreachable: tuple[int, ...] = ()
+        for _ in range(_TRIES):
+            share /= late
+            slower = Twist(
+                before.vx + share * (target.vx - before.vx),
+                before.vy + share * (target.vy - before.vy),
+                before.wz + share * (target.wz - before.wz),
+            )
+            unreachable = self._choose(slower, angles, speeds)
+            _, late, _ = self._lateness(dt)
+            if not 1.0 < late < math.inf:
+                break
+        return slower, unreachable
+
+    def _move_steering(self, dt: float | None) -> None:
+        """Move the joints towards their targets."""
         angles = list(self._standing)
         if dt is None:
             for i, steering in self._turned:
                 angles[i] = steering.angle = steering.target
                 steering.rate = 0.0
             self._angles = (*angles,)
-            return self._standing
-        rates = list(self._standing)
-        slowest = 0.0
-        for i, steering in self._turned:
-            error = steering.target - steering.angle
-            rates[i] = error / dt
-            time = abs(error) * steering.seconds_per_rad
-            if time > slowest:
-                slowest = time
+            return
+        slowest = max((s.time_to_target() for s in self._steering), default=0.0)
         # A wheel that follows within a tick or two need not wait for the others.
         together = slowest > 2.0 * dt and self.options.arrive_together
         for steering in self._steering:
@@ -215,7 +301,6 @@ class General(BaseCalculator):
         for i, steering in self._turned:
             angles[i] = steering.angle
         self._angles = (*angles,)
-        return rates
 
     def _away(self, angles: Sequence[float]) -> float:
         """How far (rad) the worst wheel is from the direction that the motion asks of it."""

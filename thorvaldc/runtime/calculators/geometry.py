@@ -139,6 +139,16 @@ class BaseGeometry:
         speeds = [w.max_speed * w.radius for w in self.wheels if w.driven]
         return max((v for v in speeds if math.isfinite(v)), default=1.5)
 
+    @property
+    def steering_time(self) -> float:
+        """Time (s) in which every steering joint reaches its rate; 0 where nothing steers."""
+        times = [
+            w.max_rate / w.max_rate_change
+            for w in self.wheels
+            if w.steered and w.max_rate_change > 0.0
+        ]
+        return max((t for t in times if math.isfinite(t)), default=0.0)
+
 
 def _wheel_geometry(robot: Robot, wheel: Wheel, radii: str | None) -> WheelGeometry:
     spin = robot.actuator_of(wheel.spin_joint) if wheel.driven else None

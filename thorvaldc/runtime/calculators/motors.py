@@ -25,11 +25,11 @@ class Motors:
     def reset(self, states: JointStates | None = None, twist: Twist = ZERO_TWIST) -> None:
         """Start from the speeds of ``states``, which are those of ``twist``; from rest without."""
         self._speeds: tuple[float, ...] = self._standing if states is None else (*states.speeds,)
-        self._twist = twist
+        self.twist = twist
 
     def resume(self, before: Motors) -> None:
         """Go on from what those of ``before`` were commanded."""
-        self._speeds, self._twist = before._speeds, before._twist
+        self._speeds, self.twist = before._speeds, before.twist
 
     def sharing(self, speeds: list[float]) -> list[float]:
         """Wheels on one motor have one speed, the mean of theirs (in place)."""
@@ -68,9 +68,9 @@ class Motors:
                     share = most / abs(change)
             if share < 1.0:
                 speeds = [b + share * (v - b) for v, b in zip(speeds, before, strict=True)]
-                (vx, vy, wz), (bx, by, bw) = twist, self._twist
+                (vx, vy, wz), (bx, by, bw) = twist, self.twist
                 twist = Twist(
                     bx + share * (vx - bx), by + share * (vy - by), bw + share * (wz - bw)
                 )
-        self._twist, self._speeds = twist, (*speeds,)
+        self.twist, self._speeds = twist, (*speeds,)
         return twist, self._speeds

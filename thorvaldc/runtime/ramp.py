@@ -1,0 +1,81 @@
+"""The twist on its way to the one asked for: within the accelerations, and smoothly."""
+
+from __future__ import annotations
+
+import math
+
+from thorvaldc.model import DriverSettings
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+
+LEAD = 0.1
+"""Speed (m/s, of the wheels) by which the ramp may be ahead of what the wheels do."""
+LONGEST_SMOOTHING = 0.5
+"""Time (s) over which a ramp is smoothed at the most."""
+
+
+class Ramp:
+    """Straight in the space of twists: from rest and to rest the centre of rotation stays.
+
+    A straight ramp has corners: where it begins, wheels that steer along with it would have to
+    turn at their rate at once.  ``twist`` is its mean over the last ``smoothing`` s, the time
+    in which steering reaches its rate, so that wheels can follow and keep agreeing.
+    ``length`` (m) is the lever between linear and angular speed.
+    """
+
+    def __init__(self, settings: DriverSettings, length: float, smoothing: float) -> None:
+        self.settings = settings
+        self.twist = ZERO_TWIST
+        self._length = length
+        count = 1 + round(min(smoothing, LONGEST_SMOOTHING) * settings.rate)
+        self._corners = [ZERO_TWIST] * count
+
+    def step(self, goal: Twist, dt: float) -> Twist:
+        """Go on for ``dt`` s towards ``goal``."""
+        corners, settings = self._corners, self.settings
+        now = corners[-1]
+        if goal == now:
+            if corners[0] == now and corners.count(now) == len(corners):
+                self.twist = now  # exactly, where a mean of many may round
+                return now
+            after = now
+        else:
+            dv = math.hypot(goal.vx - now.vx, goal.vy - now.vy)
+            dw = abs(goal.wz - now.wz)
+            share = 1.0
+            if dv > settings.max_linear_acceleration * dt:
+                share = settings.max_linear_acceleration * dt / dv
+            if dw * share > settings.max_angular_acceleration * dt:
+                share = settings.max_angular_acceleration * dt / dw
+            after = goal if share >= 1.0 else _between(now, goal, share)
+        del corners[0]
+        corners.append(after)
+        n = len(corners)
+        vx, vy, wz = map(sum, zip(*corners, strict=True))
+        self.twist = Twist(vx / n, vy / n, wz / n)
+        return self.twist
+
+    def draw_back(self, doing: Twist) -> None:
+        """Be no further than ``LEAD`` ahead of what the wheels do.
+
+        Wheels that still turn, or are at their limits, make the robot slower than
+        the ramp; without this it would jump once they are through.
+        """
+        vx, vy, wz = self.twist
+        dx, dy, dw = vx - doing.vx, vy - doing.vy, self._length * (wz - doing.wz)
+        ahead = dx * dx + dy * dy + dw * dw
+        if ahead <= LEAD * LEAD:
+            return
+        share = LEAD / math.sqrt(ahead)
+        self.twist = _between(doing, self.twist, share)
+        self._corners = [_between(doing, corner, share) for corner in self._corners]
+
+    def restart(self, twist: Twist) -> None:
+        """Be at ``twist``, as if it had been so for long."""
+        self.twist = twist
+        self._corners = [twist] * len(self._corners)
+
+
+def _between(a: Twist, b: Twist, share: float) -> Twist:
+    return Twist(
+        a.vx + share * (b.vx - a.vx), a.vy + share * (b.vy - a.vy), a.wz + share * (b.wz - a.wz)
+    )
