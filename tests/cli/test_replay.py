@@ -166,7 +166,7 @@ def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path)
     assert thorvaldc("sim", SLIM, "--twist", "0.5,0,0", "--record", "a.mcap").status == 0
     whole = Path("a.mcap").read_bytes()
     broken = bytearray(whole)
-    broken[len(whole) // 2 : len(whole) // 2 + 64] = bytes(64)
+    broken[len(whole) // 4 : len(whole) // 2] = bytes(len(whole) // 2 - len(whole) // 4)
     for name, content, said in (
         ("cut", whole[: len(whole) // 2], "mcap recover"),
         ("broken", bytes(broken), "mcap recover"),
