@@ -66,6 +66,18 @@ def test_from_new_drives_to_a_verified_robot_and_back(thorvaldc: Command, robot:
     assert "8 differences" in differs.out
 
 
+def test_a_builds_model_is_all_that_is_needed(thorvaldc: Command, robot: Path) -> None:
+    thorvaldc("build", "robot.yaml", "--target", "can")
+    there = ("build/with_cia402/model.json", *NEW[1:])
+    assert thorvaldc("can", "flash", *there, "--apply", "--yes").status == 0
+    assert Path("with_cia402.flash.jsonl").exists(), "not in the build, which is replaced"
+    assert thorvaldc("can", "verify", *NEW).status == 0, "the file itself says the same"
+    undone = thorvaldc(
+        "can", "flash", *NEW, "--rollback", "--yes", "--journal", "with_cia402.flash.jsonl"
+    )
+    assert undone.status == 0, undone.err
+
+
 def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
     scan = thorvaldc("can", "scan", "robot.yaml", "--bus", "virtual", "--json")
     assert scan.status == 0

@@ -11,7 +11,9 @@ from thorvaldc.cli.options import Json, Library
 
 can = typer.Typer(cls=LightGroup, no_args_is_help=True, rich_markup_mode=None)
 
-File = Annotated[str, typer.Argument(metavar="FILE", help="The robot's robot.yaml.")]
+File = Annotated[
+    str, typer.Argument(metavar="FILE", help="A robot.yaml, or the model.json of a build.")
+]
 BusOption = Annotated[
     str,
     typer.Option(

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, count, message
 from thorvaldc.cli.operator import Person, VirtualOperator
@@ -22,7 +21,6 @@ from thorvaldc.cli.progress import Progress
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
     from thorvaldc.model.bus import Bus
-    from thorvaldc.pipeline import Compilation
     from thorvaldc.runtime.bus.port import Port
     from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
     from thorvaldc.runtime.commissioning.plan import Plan
@@ -105,9 +103,11 @@ def flash_bus(
 
 
 def default_journal(file: str, place: Place) -> str:
-    """Beside the robot's file; of several buses one each."""
+    """Beside the robot's file, of several buses one each; never in a build, which is replaced."""
     path = Path(file)
     bus = f".{place.bus.name}" if len(place.robot.buses) > 1 else ""
+    if path.suffix == ".json":
+        return f"{place.robot.name}{bus}.flash.jsonl"
     return str(path.with_name(f"{path.stem}{bus}.flash.jsonl"))
 
 
@@ -247,16 +247,14 @@ def _on_bus(
     file: str, spec: str, store: str, library: Sequence[str], work: Callable[[Place], int]
 ) -> int:
     """Compile, open the bus, do it; a fault of the runtime is told as any other."""
-    done = compile_one(file, library)
+    from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
-    from thorvaldc.model import Robot
     from thorvaldc.runtime.faults import RuntimeFault
 
-    robot = done.model
-    if robot is None:
+    loaded = load_robot(file, library)
+    if loaded is None:
         return INPUT
-    if not isinstance(robot, Robot):
-        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
+    robot, sources, located = loaded
     gc.enable()
     try:
         with _open(robot, spec, store) as place:
@@ -267,13 +265,9 @@ def _on_bus(
     except RuntimeFault as fault:
         report = Report()
         report.put(fault.diagnostic)
-        return _tell(done, report)
-
-
-def _tell(done: Compilation, report: Any) -> int:
-    shown = Faults("text", sys.stderr)
-    shown.add(done.located(report), done.sources)
-    return shown.finish()
+        shown = Faults("text", sys.stderr)
+        shown.add(located(report), sources)
+        return shown.finish()
 
 
 @contextlib.contextmanager
