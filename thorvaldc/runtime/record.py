@@ -72,7 +72,7 @@ class Digest:
         self._hash = hashlib.sha256()
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
-        numbers = list(_numbers(sample, commands))
+        numbers = _numbers(sample, commands)
         self._hash.update(robot.encode() + struct.pack(f"<{len(numbers)}d", *numbers))
 
     def close(self) -> None:
@@ -82,21 +82,24 @@ class Digest:
         return self._hash.hexdigest()
 
 
-def _numbers(sample: Sample, commands: JointCommands | None) -> Iterator[float]:
-    yield sample.time
-    for part in (sample.asked, sample.aimed, sample.estimated, sample.true):
-        yield from part
-    yield from sample.pose_estimated
-    yield from sample.pose_true
+def _numbers(sample: Sample, commands: JointCommands | None) -> list[float]:
+    numbers = [
+        sample.time,
+        *sample.asked,
+        *sample.aimed,
+        *sample.estimated,
+        *sample.true,
+        *sample.pose_estimated,
+        *sample.pose_true,
+    ]
     joints = sample.joints
     if joints is not None:
-        for values in (joints.speeds, joints.angles, joints.angle_rates, joints.positions or ()):
-            yield from values
+        numbers += [*joints.speeds, *joints.angles, *joints.angle_rates, *(joints.positions or ())]
         if joints.yaw_rate is not None:
-            yield joints.yaw_rate
+            numbers.append(joints.yaw_rate)
     if commands is not None:
-        yield from commands.speeds
-        yield from commands.angles
+        numbers += [*commands.speeds, *commands.angles]
+    return numbers
 
 
 _TWIST = ("vx", "vy", "wz")

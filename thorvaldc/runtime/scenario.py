@@ -139,6 +139,11 @@ class ScenarioSimulation(Simulation):
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()
+        # By robot the parameter sets of its script, and from when on.
+        self._changes = {
+            name: [(c.time, c.parameters) for c in commands if c.parameters]
+            for name, commands in scenario.commands
+        }
 
     def play(
         self,
@@ -163,10 +168,10 @@ class ScenarioSimulation(Simulation):
             found = observers.get(meter.name)
             if found is None:
                 found = observers[meter.name] = Observer(meter, contacts)
-            found.tick()
-            self._change_parameters(meter)
             command = meter.driver.state.command
             sample, joints = meter.sample(), None if command is None else command.joints
+            found.tick(sample.true)
+            self._change_parameters(meter)
             for recorder in everywhere:
                 recorder.record(meter.name, sample, joints)
             if watch is not None:
@@ -202,13 +207,10 @@ class ScenarioSimulation(Simulation):
 
     def _change_parameters(self, meter: Meter) -> None:
         """Switch to the sets of the script; what is staged now is in force with the next tick."""
-        for name, commands in self.scenario.commands:
-            if name == meter.name:
-                before, now = meter.driver.state.time, meter.next
-                for command in commands:
-                    due = before < command.time - 1e-9 <= now or (command.time == before == 0.0)
-                    if command.parameters and due:
-                        meter.driver.use(command.parameters)
+        before, now = meter.driver.state.time, meter.next
+        for start, parameters in self._changes.get(meter.name, ()):
+            if before < start - 1e-9 <= now or start == before == 0.0:
+                meter.driver.use(parameters)
 
     def _base(self, name: str, robot: Robot) -> BaseHandle:
         if self.scene is None:
@@ -226,11 +228,13 @@ class Observer:
         base = meter.base
         if not isinstance(base, FaultyBase):
             raise TypeError("only robots of a scenario are observed")
+        import numpy
+
         self.meter = meter
         self.base = base
         self.contacts = contacts
         self.wheels = BaseGeometry.from_robot(meter.robot).wheels
-        self.motors = base.motors()
+        self.motors = numpy.array(base.motors(), dtype=int)
         rings = any(wheel.treads for wheel in meter.robot.wheels)
         self.rings = Rings(meter.robot, base.scene) if rings else None
         self.time = 0.0
@@ -241,24 +245,23 @@ class Observer:
         self.limit_hits = 0
         self.at_limit = [False] * len(self.wheels)
 
-    def tick(self) -> None:
+    def tick(self, twist: Twist) -> None:
+        """Look at what the last tick left; ``twist`` is the true one."""
         data = self.base.scene.data
         now = self.meter.driver.state.time
         dt, self.time = now - self.time, now
-        for motor in self.motors:
-            power = float(data.actuator_force[motor]) * float(data.actuator_velocity[motor])
+        forces, speeds = data.actuator_force[self.motors], data.actuator_velocity[self.motors]
+        for power in (forces * speeds).tolist():
             if power > 0.0:
                 self.energy += power * dt
-        twist = self.base.true_twist()
+        vx, vy, wz = twist
         joints = self.base.actual
         radii = self.rings.radii() if self.rings is not None else None
         for i, wheel in enumerate(self.wheels):
             angle, rate = joints.angles[i], joints.angle_rates[i]
             if wheel.driven and not wheel.swivel:
-                along, across = (
-                    row[0] * twist.vx + row[1] * twist.vy + row[2] * twist.wz
-                    for row in wheel.rows(angle)
-                )
+                (l1, l2, l3), (t1, t2, t3) = wheel.rows(angle)
+                along, across = l1 * vx + l2 * vy + l3 * wz, t1 * vx + t2 * vy + t3 * wz
                 # The contact moves about the steering axis too, where it lies beside it.
                 turning = wheel.sign * rate
                 radius = wheel.radius if radii is None else radii[i]
