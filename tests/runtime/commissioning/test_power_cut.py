@@ -51,6 +51,7 @@ def undisturbed(library: bool = False) -> tuple[str, int, int, dict[str, Any], b
 def cut_power(bench: Bench) -> None:
     """Of all that is on the robot, its computer too."""
     bench.client.dead = True
+    bench.client.controller.switch_off()
     bench.simulated.power_off()
 
 
