@@ -108,7 +108,7 @@ def test_what_cannot_be_done_is_said_in_a_few_lines(
     assert got.status == status, got
     assert says in got.err
     assert "Traceback" not in got.err
-    assert not Path("robot.flash.jsonl").exists() or not Path("robot.flash.jsonl").read_bytes()
+    assert not Path("robot.flash.jsonl").exists()
 
 
 def test_a_second_master_of_this_computer_waits_outside(thorvaldc: Command, robot: Path) -> None:

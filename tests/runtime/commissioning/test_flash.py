@@ -273,6 +273,7 @@ def test_controllers_that_only_their_makers_tool_addresses() -> None:
 
     bench.run(lambda f: f.apply(), operator=Counting(bench.simulated))
     assert count == 4
+    assert bench.store.data.count(b'"set_by":"the operator","says":["FBL2360","1.0","1.0"]') == 4
     assert [bench.devices()[n].node_id for n in NODES] == [3, 2, 4, 1]
 
 

@@ -42,7 +42,8 @@ class FileStore:
     def __init__(self, path: Path) -> None:
         """Raises ``OSError``, and ``RuntimeFault`` (``bus-locked``) where another has it open."""
         self.name = str(path)
-        fresh = not path.exists()
+        self._path = path
+        self._fresh = not path.exists()
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -53,7 +54,7 @@ class FileStore:
                 f"another flash writes the journal {path}",
                 hint="wait until it has finished",
             ) from None
-        if fresh:
+        if self._fresh:
             folder = os.open(path.parent, os.O_RDONLY)
             try:
                 os.fsync(folder)
@@ -73,6 +74,9 @@ class FileStore:
         os.fsync(self._file)
 
     def close(self) -> None:
+        """A file that was made for nothing is taken away."""
+        if self._fresh and os.fstat(self._file).st_size == 0:
+            self._path.unlink(missing_ok=True)
         os.close(self._file)
 
 

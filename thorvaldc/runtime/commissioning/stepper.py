@@ -191,7 +191,7 @@ class Stepper:
         if not self.operator.attach(step, words):
             raise StepFailed("it was put off by the operator")
         one = dataclasses.replace(target, nodes=(node,))
-        scan = Scanner(self.session, one).active(values=False, texts=False)
+        scan = Scanner(self.session, one).active(values=False)
         answering = [e for e in scan.entries if e.found is not None]
         if len(answering) != 1 or scan.duplicates:
             many = "nobody answers" if not answering else "more than one device answers"
@@ -200,10 +200,8 @@ class Stepper:
         if entry.verdict in (MISSING, DUPLICATE) or entry.node != node.name:
             where = None if entry.found is None else entry.found.id
             raise StepFailed(f"a device answers at id {where}, not at {step.after} as {node.name}")
-        read = {
-            "id": step.after,
-            "seen": "by its answers; set by the operator, not by this program",
-        }
+        texts = [] if entry.found is None else list(entry.found.texts)
+        read = {"id": step.after, "set_by": "the operator", "says": texts}
         self.journal.done(number, step.node, read)
 
     def bring_back(self, plan: Plan, number: int) -> None:
