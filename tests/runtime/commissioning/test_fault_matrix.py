@@ -7,7 +7,6 @@ import pytest
 from tests.runtime.commissioning.fault_matrix import BEGIN, END, LONGEST, PAGE, found, row
 from tests.runtime.fault_matrix import CASES, Case
 
-
 STOPS = ("bus-error", "flash-stopped", "plan-impossible", "plan-changed")
 
 
