@@ -19,7 +19,8 @@ LEAST = 32
 class Crowd:
     """Reads the bases of robots of which there are many, and does their odometry at once.
 
-    Each keeps its own driver, whose tick then goes on from there.
+    Each keeps its own driver, whose tick then goes on from there.  ``kinds``: the numbers of the
+    robots of each kind of which there are many, and what does their odometry.
     """
 
     def __init__(self, drivers: Sequence[BaseDriver]) -> None:
@@ -30,14 +31,14 @@ class Crowd:
                 kinds.setdefault(kind, []).append(number)
         self._drivers = drivers
         self._calculators = [driver.calculator for driver in drivers]
-        self._kinds: list[tuple[list[int], OdometryBatch]] = []
+        self.kinds: list[tuple[list[int], OdometryBatch]] = []
         for numbers in kinds.values():
             if len(numbers) >= LEAST:
                 from thorvaldc.runtime.odometry_batch import OdometryBatch  # and numpy
 
                 odometries = [drivers[k].odometry for k in numbers]
                 batch = OdometryBatch(self._calculators[numbers[0]], odometries)
-                self._kinds.append((numbers, batch))
+                self.kinds.append((numbers, batch))
 
     def sense(self, now: float, due: Sequence[int]) -> dict[int, JointStates]:
         """Read those of which there are many, if all of a kind are ``due``.
@@ -45,7 +46,7 @@ class Crowd:
         Their joints by number, taken in by their odometry where that is usual.
         """
         found: dict[int, JointStates] = {}
-        for numbers, batch in self._kinds:
+        for numbers, batch in self.kinds:
             # With other parameters, robots are of a kind no more.
             if not set(numbers) <= set(due) or any(
                 self._drivers[k].calculator is not self._calculators[k] for k in numbers

@@ -54,7 +54,7 @@ class RobotRun:
     tipped: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Sample:
     """What a tick of a robot saw: time in s, twists of ``base_link`` in itself, its poses.
 

@@ -55,6 +55,8 @@ class Odometry:
         if before is None:
             self.take(joints, now, self.calculator.odometry(joints), self.pose, self.known)
             return
+        if joints is before and now == self._at:
+            return  # taken in already, with those of other robots
         elapsed = joints.time - before.time
         if elapsed == 0.0:
             self.calculator.estimator.check(joints)

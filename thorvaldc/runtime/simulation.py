@@ -135,7 +135,7 @@ class Simulation:
             now, number = due[0]
             if now > duration + 1e-9:
                 break
-            if now > simulated:
+            if crowd.kinds and now > simulated:
                 joints = crowd.sense(now, [k for at, k in due if at == now])
             simulated = now
             meter = meters[number]

@@ -256,7 +256,9 @@ class General(BaseCalculator):
                 aligned = False
             ux, uy = vx - wz * y, vy + wz * x
             if ux * ux + uy * uy >= _MOVING * _MOVING:
-                late = max(late, math.inf if far else abs(gap) * steering.seconds_per_rad / dt)
+                ticks = math.inf if far else abs(gap) * steering.seconds_per_rad / dt
+                if ticks > late:
+                    late = ticks
         return rates, late, aligned
 
     def _slower(
@@ -293,7 +295,11 @@ class General(BaseCalculator):
                 steering.rate = 0.0
             self._angles = (*angles,)
             return
-        slowest = max((s.time_to_target() for s in self._steering), default=0.0)
+        slowest = 0.0
+        for steering in self._steering:
+            time = abs(steering.target - steering.angle) * steering.seconds_per_rad
+            if time > slowest:
+                slowest = time
         # A wheel that follows within a tick or two need not wait for the others.
         together = slowest > 2.0 * dt and self.options.arrive_together
         for steering in self._steering:
