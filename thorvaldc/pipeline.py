@@ -14,8 +14,6 @@ from thorvaldc import backends
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.library import OWN, Library
 from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
-from thorvaldc.model.bus_faults import BusFaults
-from thorvaldc.model.scenario import Scenario
 from thorvaldc.model.serialize import to_json
 from thorvaldc.passes.bus_lock import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.passes.checks import check_robot
@@ -29,7 +27,9 @@ from thorvaldc.schema.kinds import is_fleet, is_other, is_scenario
 from thorvaldc.source.node import Node
 from thorvaldc.source.reader import read_file
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # few files need them, and to make their classes takes milliseconds
+    from thorvaldc.model.bus_faults import BusFaults
+    from thorvaldc.model.scenario import Scenario
     from thorvaldc.passes.variations import Change
 
 MODEL_FILE = "model.json"

@@ -20,7 +20,8 @@ def lost_texts(bus: Bus) -> Iterator[Diagnostic]:
         texts = [frame.description]
         for signal in frame.signals:
             texts += (signal.description, signal.unit)
-        lost = [c for c in dict.fromkeys("".join(texts)) if not _in_dbc(c)]
+        text = "".join(texts)
+        lost = [] if text.isascii() else [c for c in dict.fromkeys(text) if not _in_dbc(c)]
         if lost:
             yield Diagnostic(
                 CODES["dbc-text"],
