@@ -14,7 +14,9 @@ import pytest
 
 from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
-from tests.runtime.bus.robots import CIA402
+from tests.runtime.bus.robots import CIA402, compiled
+from tests.runtime.bus.slcan_adapter import SlcanAdapter
+from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
 from thorvaldc.runtime.commissioning.lock import BusLock
 
 ONE = """
@@ -151,3 +153,34 @@ def test_on_the_bus_of_another_process(
         assert done.status == 0, done.err
         verified = thorvaldc("can", "verify", *there)
         assert verified.status == 0, verified.out
+
+
+def test_through_a_serial_adapter(
+    thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with hardware: python-can's slcan over a terminal, and what was never tried is said."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "robot.yaml").write_text(ONE, encoding="utf-8")
+    simulated = SimulatedRobot(compiled(ONE), delivered=True)
+    adapter = SlcanAdapter(simulated)
+    simulated.power_on()
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "thorvaldc", "can", "flash", "robot.yaml"),
+            *("--bus", f"slcan:{adapter.path}", "--apply", "--yes"),
+        ],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        adapter.serve(lambda: process.poll() is not None, 60.0)
+        out, err = process.communicate(timeout=10)
+    finally:
+        process.kill()
+        adapter.close()
+    assert (process.returncode, out) == (0, "one_drive: done, 2 steps\n"), err
+    assert "never tried on physical hardware" in err
+    assert simulated.devices["fl_controller"].kept["node_id"] == 1
