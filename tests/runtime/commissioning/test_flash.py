@@ -16,7 +16,7 @@ from thorvaldc.cli.operator import VirtualOperator
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.commissioning.flash import Flash
 from thorvaldc.runtime.commissioning.journal import FileStore, Journal
-from thorvaldc.runtime.commissioning.plan import AddressStep, make_plan
+from thorvaldc.runtime.commissioning.plan import AddressStep, AttachStep, make_plan
 from thorvaldc.runtime.commissioning.target import from_json, to_json
 from thorvaldc.runtime.commissioning.verify import verify
 from thorvaldc.runtime.faults import RuntimeFault
@@ -288,6 +288,26 @@ def test_what_the_operator_did_not_do_is_noticed() -> None:
     with pytest.raises(RuntimeFault, match="more than one device answers"):
         bench.run(lambda f: f.apply(), operator=operator)
     assert fault_of(lambda: bench.run(lambda f: f.resume())) == "flash-stopped", "nobody to ask"
+
+
+def test_modules_set_by_hand_are_gone_on_with() -> None:
+    """The operator goes home after two of four; the next day the other two are asked for."""
+    bench = Bench(example_robot("4wd4ws_wide"), {name: {"node_id": 1} for name in NODES})
+    asked: list[str] = []
+
+    class Tired(VirtualOperator):
+        def attach(self, step: AttachStep, words: str) -> bool:
+            asked.append(step.node)
+            return len(asked) != 3 and super().attach(step, words)
+
+    operator = Tired(bench.simulated)
+    with pytest.raises(RuntimeFault, match="put off by the operator"):
+        bench.run(lambda f: f.apply(), operator=operator)
+    bench.simulated.power_on()
+    bench.simulated.run(0.3)
+    bench.run(lambda f: f.resume(), operator=operator)
+    assert asked == [*NODES[:3], *NODES[2:]]
+    assert [bench.devices()[n].node_id for n in NODES] == [3, 2, 4, 1]
 
 
 # -- the journal's file, and verify --------------------------------------------------------

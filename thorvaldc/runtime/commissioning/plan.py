@@ -123,6 +123,8 @@ class Plan:
         for step in self.steps:
             if isinstance(step, AddressStep):
                 found.setdefault(step.node, set()).update((step.before, step.after))
+            elif isinstance(step, AttachStep) and step.node in found:
+                found[step.node].add(step.after)
         return found
 
 
