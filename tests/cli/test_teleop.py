@@ -59,8 +59,8 @@ def test_keys_drive_and_a_service_is_called_beside(
 ) -> None:
     teleop.type("9")
     teleop.until("drives: teleop_joy", typing="i")
-    teleop.until("x 0.3", typing="i")
-    assert state(thorvaldc)["pose"]["x"] > 0.25
+    teleop.until("x 1.", typing="i")
+    assert state(thorvaldc)["pose"]["x"] >= 1.0
     assert thorvaldc("call", "good", "safety-stop").status == 0
     teleop.until("locked: safety_stop")
     assert state(thorvaldc)["locks"] == ["safety_stop"]
