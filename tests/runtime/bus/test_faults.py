@@ -16,9 +16,9 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults
 from thorvaldc.pipeline import read_faults
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.faults import Faults
 from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-from thorvaldc.runtime.bus.wire import ErrorState
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "bus_faults" / "bad_day.yaml"
 FL = "fl_controller"

@@ -23,12 +23,13 @@ from tests.robots import SPAN
 from tests.runtime.bus.robots import cia402_robot
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.port import PythonCanPort, open_port, open_ports
 from thorvaldc.runtime.bus.remote import RemoteClient
 from thorvaldc.runtime.bus.server import serving
 from thorvaldc.runtime.bus.timeline import Timeline
-from thorvaldc.runtime.bus.wire import ErrorState, Wire
+from thorvaldc.runtime.bus.wire import Wire
 from thorvaldc.runtime.faults import RuntimeFault
 
 HEARTBEAT = CanFrame(0x701, b"\x05")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.runtime.bus.client import Client
+from thorvaldc.runtime.bus.controller import Controller, ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame, frame_bits
 from thorvaldc.runtime.bus.timeline import Timeline
-from thorvaldc.runtime.bus.wire import Controller, ErrorState, Wire
+from thorvaldc.runtime.bus.wire import Wire
 
 RATE = 500_000
 BIT = 2000  # ns

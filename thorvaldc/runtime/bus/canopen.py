@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from thorvaldc.runtime.bus import lss
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.device import BITRATE, Device
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.object_dictionary import (
@@ -21,7 +22,7 @@ from thorvaldc.runtime.bus.object_dictionary import (
 )
 from thorvaldc.runtime.bus.pdo import PdoSet
 from thorvaldc.runtime.bus.sdo_server import SdoServer
-from thorvaldc.runtime.bus.wire import ErrorState, Wire
+from thorvaldc.runtime.bus.wire import Wire
 
 BOOT_TIME = 0.1
 """s from power to the boot-up message, and up to a tenth more."""

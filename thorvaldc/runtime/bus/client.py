@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
+from thorvaldc.runtime.bus.controller import Controller, ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.timeline import NEVER, to_ns
-from thorvaldc.runtime.bus.wire import Controller, ErrorState, Wire
+from thorvaldc.runtime.bus.wire import Wire
 
 SEND_LIMIT = 32
 RECEIVE_LIMIT = 1024

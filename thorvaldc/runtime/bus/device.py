@@ -6,9 +6,10 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from thorvaldc.runtime.bus.controller import Controller
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.timeline import NANOSECONDS, Action, Event, to_ns
-from thorvaldc.runtime.bus.wire import Controller, Wire
+from thorvaldc.runtime.bus.wire import Wire
 
 LATENCY = 100e-6
 """Least time (s) from the end of a frame to a device's reaction; half of it more at random."""

@@ -18,10 +18,11 @@ import can.interfaces
 import can.util
 
 from thorvaldc.runtime.bus.client import Client, Received
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.remote import RemoteClient
 from thorvaldc.runtime.bus.timeline import Event, to_ns
-from thorvaldc.runtime.bus.wire import ErrorState, Wire
+from thorvaldc.runtime.bus.wire import Wire
 
 NAME = "thorvaldc_sim"
 PATIENCE = 1.0

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 from thorvaldc.model.bus import Bus
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.bus.client import Received
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.remote import RemoteClient
 from thorvaldc.runtime.bus.timeline import to_ns
-from thorvaldc.runtime.bus.wire import ErrorState
 from thorvaldc.runtime.faults import RuntimeFault
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import Any
 
 from thorvaldc.runtime.bus import protocol
 from thorvaldc.runtime.bus.client import RECEIVE_LIMIT, SEND_LIMIT, Received
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.timeline import NANOSECONDS, NEVER, to_ns
-from thorvaldc.runtime.bus.wire import ErrorState
 
 ANSWER_TIME = 5.0
 """s to wait for the server's welcome."""

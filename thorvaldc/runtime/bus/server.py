@@ -14,9 +14,10 @@ from typing import Any
 
 from thorvaldc.runtime.bus import protocol
 from thorvaldc.runtime.bus.client import SEND_LIMIT
+from thorvaldc.runtime.bus.controller import Controller, ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.timeline import NEVER, Timeline
-from thorvaldc.runtime.bus.wire import Controller, ErrorState, Wire
+from thorvaldc.runtime.bus.wire import Wire
 
 LONGEST_WAIT = 0.5
 LONGEST_WORK = 20_000_000

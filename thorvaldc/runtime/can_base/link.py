@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from thorvaldc.model.bus import Bus, Frame, Node
 from thorvaldc.model.robot import Robot
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.port import Port
-from thorvaldc.runtime.bus.wire import ErrorState
 from thorvaldc.runtime.can_base.controller import (
     MASTER,
     Intent,

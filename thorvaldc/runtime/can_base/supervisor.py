@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from thorvaldc.runtime.bus.wire import ErrorState
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.can_base.controller import Intent, MotorController
 from thorvaldc.runtime.can_base.link import (
     OPERATIONAL,

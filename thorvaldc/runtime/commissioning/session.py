@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from thorvaldc.model.bus import Bus
+from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame, worst_case_bits
 from thorvaldc.runtime.bus.port import Port
 from thorvaldc.runtime.bus.timeline import NANOSECONDS
-from thorvaldc.runtime.bus.wire import ErrorState
 from thorvaldc.runtime.faults import RuntimeFault
 
 MASTER = "master"
