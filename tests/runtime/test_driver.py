@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -244,3 +245,19 @@ def test_settings_of_the_robot_are_the_default() -> None:
     assert run(driver, Twist(1.0, 0.0, 0.0), 0.0, 2.0)[-1].ramped.vx == pytest.approx(0.3)
     states = run(driver, None, 2.0, 2.4)
     assert states[-1].mode is DriveMode.TIMED_OUT
+
+
+def test_wheels_that_must_go_the_long_way_round_arrive() -> None:
+    """At 135 deg, and asked for 177: past the limit, so that they turn back by nearly half a turn.
+
+    Drawn to where the wheels happen to point, the ramp once called them back half way, for ever.
+    """
+    driver = BaseDriver(ROBOT, SimBase(ROBOT))
+    for i, (vx, vy) in enumerate(((0.0, 0.4), (-0.3, 0.3))):
+        run(driver, Twist(vx, vy, 0.0), 4.0 * i, 4.0 * i + 4.0)
+    turned = run(driver, Twist(-0.4, 0.02, 0.0), 8.0, 12.0)
+    angles = [s.joints.angles[0] for s in turned if s.joints is not None]
+    travel = sum(abs(b - a) for a, b in pairwise(angles))
+    assert travel < 4.5
+    assert turned[-1].odometry.twist.vx == pytest.approx(-0.4, abs=0.01)
+    assert turned[-1].odometry.twist.vy == pytest.approx(0.02, abs=0.01)

@@ -46,6 +46,11 @@ def test_it_waits_for_the_wheels() -> None:
     ramp.draw_back(Twist(0.2, 0.0, 0.0))
     ahead = math.hypot(ramp.twist.vx - 0.2, 2.0 * ramp.twist.wz)
     assert ahead == pytest.approx(LEAD)
+    steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
+    ramp.draw_back(Twist(0.2, 0.0, 0.0), aligned=False)
+    size = math.hypot(ramp.twist.vx, 2.0 * ramp.twist.wz)
+    assert size == pytest.approx(0.2 * ramp.twist.vx / size + LEAD)
+    assert ramp.twist.wz / ramp.twist.vx == pytest.approx(0.4)
     following = ramp.step(Twist(1.0, 0.0, 0.4), DT)
     assert following.vx - ramp.twist.vx < 1.5 * DT + 1e-9
     ramp.restart(ZERO_TWIST)

@@ -59,6 +59,13 @@ class BaseHandle(abc.ABC):
     def write(self, commands: JointCommands, now: float) -> None:
         """Ask these of the joints from ``now`` on."""
 
+    def take_single_commands(self) -> None:
+        """From now on ``write`` is called whenever one joint's command changes.
+
+        It tells nothing of the rates of set points then: its times are nobody's cycle.
+        """
+        return
+
     def close(self) -> None:
         """Let go of what the base holds.  The last commands are no longer followed."""
         return

@@ -271,5 +271,5 @@ class BaseDriver:
             if last.must_stop != self._stops:
                 self._stops = last.must_stop
                 ramp.restart(last.twist)
-            ramp.draw_back(last.twist)
+            ramp.draw_back(last.twist, last.aligned)
         return ramp.step(ZERO_TWIST if self._stops else goal, dt)

@@ -54,13 +54,18 @@ class Ramp:
         self.twist = Twist(vx / n, vy / n, wz / n)
         return self.twist
 
-    def draw_back(self, doing: Twist) -> None:
+    def draw_back(self, doing: Twist, aligned: bool = True) -> None:
         """Be no further than ``LEAD`` ahead of what the wheels do.
 
         Wheels that still turn, or are at their limits, make the robot slower than
-        the ramp; without this it would jump once they are through.
+        the ramp; without this it would jump once they are through.  Where wheels have far to
+        turn (not ``aligned``) the direction stays: drawn to theirs, it would call back wheels
+        that turn the long way round, past a limit of their steering, and they never arrive.
         """
         vx, vy, wz = self.twist
+        if not aligned:
+            self._slow_down(doing)
+            return
         dx, dy, dw = vx - doing.vx, vy - doing.vy, self._length * (wz - doing.wz)
         ahead = dx * dx + dy * dy + dw * dw
         if ahead <= LEAD * LEAD:
@@ -68,6 +73,18 @@ class Ramp:
         share = LEAD / math.sqrt(ahead)
         self.twist = _between(doing, self.twist, share)
         self._corners = [_between(doing, corner, share) for corner in self._corners]
+
+    def _slow_down(self, doing: Twist) -> None:
+        vx, vy, wz = self.twist
+        lever = self._length * self._length
+        size = math.sqrt(vx * vx + vy * vy + lever * wz * wz)
+        if size <= LEAD:
+            return
+        along = (vx * doing.vx + vy * doing.vy + lever * wz * doing.wz) / size
+        share = (max(along, 0.0) + LEAD) / size
+        if share < 1.0:
+            self.twist = self.twist.scaled(share)
+            self._corners = [corner.scaled(share) for corner in self._corners]
 
     def restart(self, twist: Twist) -> None:
         """Be at ``twist``, as if it had been so for long."""

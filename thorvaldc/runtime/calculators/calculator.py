@@ -35,6 +35,7 @@ class BaseCommand:
     of the tick; beyond its limit the wheel is late.  0 without a time step.
     ``must_stop``: a wheel that rolls has to turn around, which it does once the robot stands;
     until then all hold their angles, and whoever drives ramps down to rest.
+    ``aligned``: no wheel has further to turn than one may that rolls.
     """
 
     joints: JointCommands
@@ -45,6 +46,7 @@ class BaseCommand:
     unreachable: tuple[int, ...]
     required_rates: Sequence[float] = ()
     must_stop: bool = False
+    aligned: bool = True
 
 
 @dataclass(frozen=True, slots=True)

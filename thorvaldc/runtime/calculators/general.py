@@ -212,7 +212,17 @@ class General(BaseCalculator):
                 now, asked = self._speeds_on_the_way(target, angles, away)
         now, reached = self._motors.reached(now, asked, dt)
         joints = JointCommands(reached, commanded)
-        return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates, must_stop)
+        return BaseCommand(
+            joints,
+            target,
+            now,
+            infeasible,
+            scale,
+            unreachable,
+            rates,
+            must_stop,
+            self._follows,
+        )
 
     def _size(self, twist: Twist) -> float:
         """Square of the mean speed of wheels, m^2/s^2."""

@@ -6,6 +6,7 @@ Two channels, propulsion and steering or two propulsions.  CANopen framing, not 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 
 from thorvaldc.model.bus import Bus, Node, ObjectValue
@@ -20,9 +21,11 @@ QUICK = 100
 STOP_TIME = 2.0
 """s after which a stopped controller gets no torque, whatever it tells."""
 STRAY_TIME = 0.5
-"""s for which a motor may do something else than it is told: the script confirms nothing."""
+"""s by which a motor may be late to do what it is told: the script confirms nothing."""
+STRAY_CONFIRMED = 0.1
+"""s for which a wheel's speed must be none of those: a bump is over sooner."""
 STRAY_SHARE, STRAY_SPEED, STRAY_ANGLE = 0.5, 0.3, 0.2
-"""Of the speed told and rad/s, whichever is more; rad of a steering that stands."""
+"""Of the speeds told in that time and rad/s, whichever is more; rad of a steering that stands."""
 HOMED, HOMING = 0x01, 0x02
 """Bits of the configuration in TPDO4."""
 _CHECKED = (0x1017, 0x1018)
@@ -46,6 +49,7 @@ class RoboteqScript(MotorController):
         self._stopped_at: float | None = None
         self._home_count = 0
         self._astray: dict[str, float] = {}
+        self._told_speeds: dict[str, deque[tuple[float, float]]] = {}
         channels: list[Axis | None] = [self.axis_of(channel.name) for channel in node.channels]
         self._first, self._second = (*channels, None, None)[:2]
         for name, take in (
@@ -193,17 +197,33 @@ class RoboteqScript(MotorController):
         self.error_code = 0
         self._homing_failed = False
 
-    def _watch(self, follows: bool) -> None:
-        """Since when each motor has done something else than it is told."""
+    def _watch(self, follows: bool, now: float) -> None:
+        """Since when each motor has done something else than it is told.
+
+        A wheel may do whatever it was told within ``STRAY_TIME``: it ramps, and is late.
+        """
         for axis in self.axes:
+            if not follows:
+                self._astray.pop(axis.channel, None)
+                self._told_speeds.pop(axis.channel, None)
+                continue
+            since = axis.time
             if axis.steering:
                 off = abs(axis.position - axis.target) > STRAY_ANGLE
                 strays = off and abs(axis.velocity) < STANDING
             else:
-                allowed = max(STRAY_SHARE * abs(axis.target), STRAY_SPEED)
-                strays = abs(axis.velocity - axis.target) > allowed
-            if follows and strays:
-                self._astray.setdefault(axis.channel, axis.time)
+                told = self._told_speeds.setdefault(axis.channel, deque())
+                told.append((now, axis.target))
+                while told[0][0] < now - STRAY_TIME:
+                    told.popleft()
+                speeds = [speed for _, speed in told]
+                least, most = min(speeds), max(speeds)
+                low = least - max(STRAY_SHARE * abs(least), STRAY_SPEED)
+                high = most + max(STRAY_SHARE * abs(most), STRAY_SPEED)
+                strays = not low <= axis.velocity <= high
+                since -= STRAY_TIME - STRAY_CONFIRMED  # it was late already
+            if strays:
+                self._astray.setdefault(axis.channel, since)
             else:
                 self._astray.pop(axis.channel, None)
 
@@ -216,7 +236,7 @@ class RoboteqScript(MotorController):
         elif self._stopped_at is None:
             self._stopped_at = now
             self.hold()
-        self._watch(follows and self._modes == (DRIVE, DRIVE))
+        self._watch(follows and self._modes == (DRIVE, DRIVE), now)
         self._sequence = self._sequence % 0x7FFFFFFF + 1
         messages = [self._speed("rpdo1", self._first, follows)]
         second = self._second
