@@ -201,11 +201,13 @@ def _obstacles(target: Target, scan: Scan) -> tuple[list[str], list[str], list[s
         if node.by_hand and node.sdo:
             continue
         if entry.verdict == DUPLICATE:
-            where = found.id if found is not None and found.id is not None else entry.wanted_id
-            known = found is not None and found.identity is not None
-            if not (node.lss and known and at[where or 0] > 1):  # serial numbers tell them apart
+            known = node.lss and found is not None and found.identity is not None
+            where = {node.id} if found is None else {node.id, found.id}
+            # Where serial numbers tell those apart that share an id, it is no riddle.
+            if not known or any(i in where and at[i] < 2 for i, _ in scan.duplicates):
+                shared = found.id if found is not None and found.id is not None else node.id
                 problems.append(
-                    f"{node.name} (id {where}): a duplicate is suspected, {entry.detail}"
+                    f"{node.name} (id {shared}): a duplicate is suspected, {entry.detail}"
                 )
         elif found is None and node.lss:
             problems.append(f"{node.name} is not there: {entry.detail}")
