@@ -97,7 +97,8 @@ class Meter:
         self.base = base
         self.manoeuvre = manoeuvre
         self.ticks = 0
-        self.start = base.true_pose() if isinstance(base, SimulatedBase) else se2.ORIGIN
+        self._simulated = base if isinstance(base, SimulatedBase) else None
+        self.start = se2.ORIGIN if self._simulated is None else self._simulated.true_pose()
         self.true = self.start
         self.turned = 0.0
         self.commanded = self.path = self.estimated = 0.0
@@ -140,15 +141,16 @@ class Meter:
                 self.unreachable_twist = state.asked
 
     def _measure_truth(self) -> None:
-        if not isinstance(self.base, SimulatedBase):
+        base = self._simulated
+        if base is None:
             return
-        pose = self.base.true_pose()
+        pose = base.true_pose()
         turn = math.remainder(pose.yaw - self.true.yaw, math.tau)
         self.turned += turn
         chord = math.hypot(pose.x - self.true.x, pose.y - self.true.y)
         self.path += chord / se2.chord_over_arc(turn)
         self.true = pose
-        upright = self.base.uprightness()
+        upright = base.uprightness()
         if upright < self.upright:
             self.upright = upright
 
@@ -158,10 +160,10 @@ class Meter:
         estimated, pose = state.odometry.twist, self.start.moved(state.pose)
         true, pose_true = estimated, pose
         posture = (0.0, 0.0, 0.0)
-        if isinstance(self.base, SimulatedBase):
-            true = self.base.true_twist()
+        if self._simulated is not None:
+            true = self._simulated.true_twist()
             pose_true = Pose2(self.true.x, self.true.y, self.start.yaw + self.turned)
-            posture = self.base.posture()
+            posture = self._simulated.posture()
         aimed = ZERO_TWIST if state.command is None else state.command.target
         return Sample(
             state.time,
@@ -185,7 +187,7 @@ class Meter:
         robot = self.robot
         odometry = self.driver.state.pose
         true, path = odometry, self.estimated
-        if isinstance(self.base, SimulatedBase):
+        if self._simulated is not None:
             x, y, _ = self.true.relative_to(self.start)
             true, path = Pose2(x, y, self.turned), self.path
         return RobotRun(

@@ -233,7 +233,18 @@ class Observer:
         self.meter = meter
         self.base = base
         self.contacts = contacts
-        self.wheels = BaseGeometry.from_robot(meter.robot).wheels
+        wheels = BaseGeometry.from_robot(meter.robot).wheels
+        self.rolling = [(i, w) for i, w in enumerate(wheels) if w.driven and not w.swivel]
+        # Between which angles each steering joint is not at its limits.
+        self.limits = [
+            (
+                i,
+                -math.inf if w.lower is None else w.lower + _AT_LIMIT,
+                math.inf if w.upper is None else w.upper - _AT_LIMIT,
+            )
+            for i, w in enumerate(wheels)
+            if w.steered
+        ]
         self.motors = numpy.array(base.motors(), dtype=int)
         rings = any(wheel.treads for wheel in meter.robot.wheels)
         self.rings = Rings(meter.robot, base.scene) if rings else None
@@ -241,9 +252,9 @@ class Observer:
         self.energy = 0.0
         self.slip_squares = 0.0
         self.slips = 0
-        self.largest_slip = 0.0
+        self.largest_square = 0.0
         self.limit_hits = 0
-        self.at_limit = [False] * len(self.wheels)
+        self.at_limit = [False] * len(wheels)
 
     def tick(self, twist: Twist) -> None:
         """Look at what the last tick left; ``twist`` is the true one."""
@@ -257,27 +268,23 @@ class Observer:
         vx, vy, wz = twist
         joints = self.base.actual
         radii = self.rings.radii() if self.rings is not None else None
-        for i, wheel in enumerate(self.wheels):
-            angle, rate = joints.angles[i], joints.angle_rates[i]
-            if wheel.driven and not wheel.swivel:
-                (l1, l2, l3), (t1, t2, t3) = wheel.rows(angle)
-                along, across = l1 * vx + l2 * vy + l3 * wz, t1 * vx + t2 * vy + t3 * wz
-                # The contact moves about the steering axis too, where it lies beside it.
-                turning = wheel.sign * rate
-                radius = wheel.radius if radii is None else radii[i]
-                along -= wheel.lateral * turning + radius * joints.speeds[i]
-                across += wheel.trail * turning
-                square = along * along + across * across
-                self.slip_squares += square
-                self.slips += 1
-                self.largest_slip = max(self.largest_slip, math.sqrt(square))
-            if wheel.steered:
-                upper, lower = wheel.upper, wheel.lower
-                hit = (upper is not None and angle > upper - _AT_LIMIT) or (
-                    lower is not None and angle < lower + _AT_LIMIT
-                )
-                self.limit_hits += hit and not self.at_limit[i]
-                self.at_limit[i] = hit
+        for i, wheel in self.rolling:
+            turning = wheel.sign * joints.angle_rates[i]
+            (l1, l2, l3), (t1, t2, t3) = wheel.rows(joints.angles[i])
+            along, across = l1 * vx + l2 * vy + l3 * wz, t1 * vx + t2 * vy + t3 * wz
+            # The contact moves about the steering axis too, where it lies beside it.
+            radius = wheel.radius if radii is None else radii[i]
+            along -= wheel.lateral * turning + radius * joints.speeds[i]
+            across += wheel.trail * turning
+            square = along * along + across * across
+            self.slip_squares += square
+            if square > self.largest_square:
+                self.largest_square = square
+        self.slips += len(self.rolling)
+        for i, least, most in self.limits:
+            hit = not least <= joints.angles[i] <= most
+            self.limit_hits += hit and not self.at_limit[i]
+            self.at_limit[i] = hit
         self.contacts.look()
 
 
@@ -290,7 +297,7 @@ def _metrics(run: RobotRun, observer: Observer, contacts: Contacts) -> dict[str,
         "length_ratio": run.path_true / run.path_odometry if known else 1.0,
         "tilt": run.largest_tilt,
         "slip": math.sqrt(observer.slip_squares / max(observer.slips, 1)),
-        "largest_slip": observer.largest_slip,
+        "largest_slip": math.sqrt(observer.largest_square),
         "steering_limit_hits": float(observer.limit_hits),
         "collisions": float(contacts.collisions[run.name]),
         "energy": observer.energy,
