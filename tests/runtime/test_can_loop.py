@@ -301,6 +301,22 @@ def test_a_node_that_restarts_is_a_fault_and_unhomed(make: Make) -> None:
     rig.drive()
 
 
+def test_a_driver_that_was_held_up_does_not_blame_others() -> None:
+    """Its own pause of 80 ms is no silence of the nodes; silence after it is."""
+    rig = Rig(four_wheels())
+    rig.drive()
+    drain = rig.base.links[0].receiver.drain
+    rig.simulated.run(0.08)
+    rig.base.links[0].receiver.drain = list  # type: ignore[method-assign]
+    rig.run(PERIOD)  # the thread that receives has not come to it yet
+    rig.base.links[0].receiver.drain = drain  # type: ignore[method-assign]
+    rig.run(0.5)
+    assert rig.state is State.ACTIVE
+    device(rig).power_off()
+    rig.simulated.run(0.08)
+    rig.until(lambda: rig.state is State.FAULT, 0.1)
+
+
 def test_a_node_that_leaves_operational_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()

@@ -156,7 +156,7 @@ class Session:
             begun = time.monotonic() - clock.now
             self.runner.pace = lambda at: time.sleep(max(begun + at - time.monotonic(), 0.0))
         self._shown_at = -math.inf
-        self._status = ""
+        self._status = False
 
     def play(self, shows: bool) -> Diagnostic | None:
         """Run it; returns what ended it before its time, if anything did."""
@@ -240,16 +240,15 @@ class Session:
 
     def _show(self, text: str) -> None:
         width = max(os.get_terminal_size(sys.stderr.fileno()).columns - 1, 20)
-        text = text[:width]
-        sys.stderr.write("\r" + text.ljust(len(self._status)))
+        sys.stderr.write("\r" + text[:width] + "\x1b[K")  # and nothing behind it
         sys.stderr.flush()
-        self._status = text
+        self._status = True
 
     def _clear(self) -> None:
         if self._status:
-            sys.stderr.write("\r" + " " * len(self._status) + "\r")
+            sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()
-            self._status = ""
+            self._status = False
 
     def line(self) -> str:
         """State, speed, pose and how the loop does, in a line."""

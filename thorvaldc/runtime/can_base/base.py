@@ -97,7 +97,7 @@ class CanBase(BaseHandle):
         ``time`` is the mean of the times at which the motors were measured.
         """
         for link in self.links:
-            link.take()
+            link.take(now)
         self.supervisor.update(now)
         if not self.supervisor.state.drives:
             self.armed = False

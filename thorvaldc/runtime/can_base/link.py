@@ -31,6 +31,8 @@ START, PRE_OPERATION, RESET_NODE = 0x01, 0x80, 0x81
 NMT_COB_ID = 0x000
 MISS, MISSES = 1.5, 2
 """Periods after which a report is missed, and misses in a row that are a fault."""
+BLIND = 2
+"""Late cycles in a row in which nobody is said to be silent: what has come was not taken yet."""
 HEARTBEATS = 3.0
 """Periods of silence after which a node is lost."""
 AT_REST, DRIVING = 8, 1
@@ -90,6 +92,8 @@ class BusLink:
         self.failures_in_a_row = 0
         self.checks: dict[str, ObjectCheck] = {}
         self._watched_from = math.inf
+        self._taken_at = math.inf
+        self._late = 0
         self._turn = 0
         own = {c.node.name: c for c in self.controllers}
         self._heartbeat_frames = {
@@ -140,8 +144,11 @@ class BusLink:
 
     # -- what comes --------------------------------------------------------------------------------
 
-    def take(self) -> None:
+    def take(self, now: float) -> None:
         """Drain and decode: events in their order, then the newest of every report."""
+        late = now - self._taken_at > MISS * self.bus.sync_period
+        self._late = self._late + 1 if late else 0
+        self._taken_at = now
         for time, cob_id, data in self.receiver.drain():
             self._event(time, cob_id, data)
         latest, seen = self.receiver.latest, self._seen
@@ -219,7 +226,7 @@ class BusLink:
     def _overdue(self, controller: MotorController, now: float) -> str:
         name = controller.node.name
         since = self._watched_from
-        if since == math.inf:
+        if since == math.inf or 0 < self._late <= BLIND:
             return ""
         frame = self._beats(controller.node)
         if frame is not None and frame.period is not None:
