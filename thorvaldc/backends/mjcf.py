@@ -58,7 +58,9 @@ STEERING_STIFFNESS = 4000.0  # N m/rad
 # a robot that gathers speed runs ahead of its wheels by 5 ms of it.  The explicit one does
 # not, and is taken where it is stable: where the damping of no servo takes more than so
 # much of the speed of its joint, without load, in a step (1: all; from 2 on it explodes).
+# Wheels that must slide have no other load than friction, and at more than 1 chatter on it.
 EXPLICIT_DAMPING = 1.5
+SAME_AXLE = 1e-3  # m and rad
 
 WORLD = "world"  # the body that MuJoCo itself has
 
@@ -179,10 +181,11 @@ class _Writer:
             balanceinertia=False,
         )
         # MuJoCo takes dense matrices for fewer than 60 freedoms; the wheels' rows are mostly zeros.
+        explicit = self.damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
         root.add(
             "option",
             timestep=TIMESTEP,
-            integrator="Euler" if self.damping <= EXPLICIT_DAMPING else "implicitfast",
+            integrator="Euler" if explicit else "implicitfast",
             cone="elliptic",
             impratio=100,
             jacobian="sparse",
@@ -447,6 +450,17 @@ class _RobotWriter:
     def _damped(self, damping: float, inertia: float) -> None:
         taken = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
         self.writer.damping = max(self.writer.damping, taken)
+
+
+def _slides(robot: Robot) -> bool:
+    """Whether wheels that do not turn stand on several axles, so that they slide when it turns."""
+    fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
+    for wheel in fixed[1:]:
+        c, s = math.cos(fixed[0].heading), math.sin(fixed[0].heading)
+        along = c * (wheel.x - fixed[0].x) + s * (wheel.y - fixed[0].y)
+        if abs(along) > SAME_AXLE or abs(math.sin(wheel.heading - fixed[0].heading)) > SAME_AXLE:
+            return True
+    return False
 
 
 def _positive(value: object) -> TypeGuard[float]:
