@@ -43,7 +43,8 @@ def agrees(row: tuple[str, float, float, float, float]) -> None:
     assert values[:2] == pytest.approx([true, odometry], abs=0.05)
     # The last millimetres are the machine's.
     assert values[2] == pytest.approx(end_error, rel=0.1, abs=0.01)
-    assert values[3] == pytest.approx(pairs, rel=0.2, abs=0.1)
+    # So are some decimetres of pairs drawn at random.
+    assert values[3] == pytest.approx(pairs, abs=0.5)
 
 
 def test_with_ideal_sensors_odometry_ends_within_50_mm_of_80_m(experiment: ModuleType) -> None:

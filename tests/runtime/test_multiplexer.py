@@ -147,7 +147,7 @@ def test_a_lock_stops_the_robot_at_once_and_silence_after_the_time_out(mux: Mult
     mode = {round(now, 2): mode for now, mode, _ in seen}
     assert speed[0.98] == pytest.approx(0.2)
     assert 0.0 < speed[1.0] < 0.2  # by the ramp
-    assert speed[1.36] == 0.0
+    assert speed[1.3] == 0.0
     assert mode[1.68] is DriveMode.IDLE
     assert speed[2.1] == pytest.approx(0.2)
     assert speed[2.48] == pytest.approx(0.2)

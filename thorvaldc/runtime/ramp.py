@@ -18,7 +18,8 @@ class Ramp:
 
     A straight ramp has corners: where it begins, wheels that steer along with it would have to
     turn at their rate at once.  ``twist`` is its mean over the last ``smoothing`` s, the time
-    in which steering reaches its rate, so that wheels can follow and keep agreeing.
+    in which steering reaches its rate, so that wheels can follow and keep agreeing.  On the
+    way to rest they keep their directions, and nothing is smoothed: a stop begins at once.
     ``length`` (m) is the lever between linear and angular speed.
     """
 
@@ -31,7 +32,11 @@ class Ramp:
 
     def step(self, goal: Twist, dt: float) -> Twist:
         """Go on for ``dt`` s towards ``goal``."""
-        corners, settings = self._corners, self.settings
+        corners = self._corners
+        if goal == ZERO_TWIST:
+            if self.twist != ZERO_TWIST:
+                self.restart(self._straight(self.twist, goal, dt))
+            return self.twist
         now = corners[-1]
         if goal == now:
             if corners[0] == now and corners.count(now) == len(corners):
@@ -39,20 +44,24 @@ class Ramp:
                 return now
             after = now
         else:
-            dv = math.hypot(goal.vx - now.vx, goal.vy - now.vy)
-            dw = abs(goal.wz - now.wz)
-            share = 1.0
-            if dv > settings.max_linear_acceleration * dt:
-                share = settings.max_linear_acceleration * dt / dv
-            if dw * share > settings.max_angular_acceleration * dt:
-                share = settings.max_angular_acceleration * dt / dw
-            after = goal if share >= 1.0 else _between(now, goal, share)
+            after = self._straight(now, goal, dt)
         del corners[0]
         corners.append(after)
         n = len(corners)
         vx, vy, wz = map(sum, zip(*corners, strict=True))
         self.twist = Twist(vx / n, vy / n, wz / n)
         return self.twist
+
+    def _straight(self, now: Twist, goal: Twist, dt: float) -> Twist:
+        """``dt`` s further towards ``goal``, at what the accelerations allow."""
+        settings, share = self.settings, 1.0
+        dv = math.hypot(goal.vx - now.vx, goal.vy - now.vy)
+        dw = abs(goal.wz - now.wz)
+        if dv > settings.max_linear_acceleration * dt:
+            share = settings.max_linear_acceleration * dt / dv
+        if dw * share > settings.max_angular_acceleration * dt:
+            share = settings.max_angular_acceleration * dt / dw
+        return goal if share >= 1.0 else _between(now, goal, share)
 
     def draw_back(self, doing: Twist, aligned: bool = True) -> None:
         """Be no further than ``LEAD`` ahead of what the wheels do.

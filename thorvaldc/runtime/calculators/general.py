@@ -22,7 +22,8 @@ _MOVING = 0.05
 """Speed (m/s) from which a wheel scrubs much if it does not point where it moves."""
 _FURTHEST = math.pi / 4.0
 """The furthest (rad) that a wheel turns at once while it moves; the robot stops for more."""
-_TRIES = 3
+_LEAST = 0.1
+"""Share of the way to a twist that a wheel can go; below, it is at its end."""
 _STANDING = 1e-6
 """Square of the speed (m/s) at which a robot counts as standing."""
 _ALIGNED = math.radians(1.0)
@@ -184,14 +185,9 @@ class General(BaseCalculator):
         unreachable: tuple[int, ...] = ()
         if not must_stop:
             unreachable = self._choose(target, angles, speeds)
-            rates, late, aligned = self._lateness(dt)
-            if late == math.inf and self._follows:
-                must_stop = True
-                self._choose(self._before, angles, speeds)
-            else:
-                self._follows = aligned
-            if 1.0 < late < math.inf:
-                target, unreachable = self._slower(target, late, angles, speeds, dt)
+            rates, late, self._follows = self._lateness(dt, self._follows)
+            if late > 1.0:
+                target, unreachable, must_stop = self._slower(target, late, angles, speeds, dt)
             if not must_stop:
                 self._before = target
         self._stops = must_stop
@@ -243,12 +239,12 @@ class General(BaseCalculator):
                 unreachable += steering.wheels
         return unreachable
 
-    def _lateness(self, dt: float | None) -> tuple[Sequence[float], float, bool]:
+    def _lateness(self, dt: float | None, followed: bool) -> tuple[Sequence[float], float, bool]:
         """The rates (rad/s) at which each joint would be at its angle in this tick.
 
         Also the ticks that the slowest of the wheels that move needs for that, infinitely
-        many where it would have to turn further than a wheel may that moves; and
-        whether no wheel, be it that it moves or stands, would have to turn that far.
+        many where it would have to turn further than a wheel may that moves, if all have
+        ``followed``; and whether no wheel, moving or standing, would have to turn that far.
         """
         if dt is None:
             return self._standing, 0.0, True
@@ -278,23 +274,34 @@ class General(BaseCalculator):
         angles: Sequence[float],
         speeds: Sequence[float],
         dt: float | None,
-    ) -> tuple[Twist, tuple[int, ...]]:
-        """A twist on the way from the last one to ``target`` with which all wheels keep up."""
+    ) -> tuple[Twist, tuple[int, ...], bool]:
+        """As far from the last twist to ``target`` as all wheels keep up; no further where one
+        is behind already.  With it whether a wheel is at an end, and must turn around.
+        """
         before, share = self._before, 1.0
+        smaller = self._size(target) / max(self._size(before), 1e-12)
+        if smaller < 1.0:  # whoever has to wait for wheels slows down all the same
+            before = before.scaled(math.sqrt(smaller))
+        unreachable = self._choose(before, angles, speeds)
+        _, behind, _ = self._lateness(dt, True)
+        if behind >= 1.0:
+            return before, unreachable, False
         slower = target
-        unreachable: tuple[int, ...] = ()
-        for _ in range(_TRIES):
-            share /= late
+        while late > 1.0:
+            # Far on the way alone is nothing that moves gradually would not reach.
+            share *= 0.5 if late == math.inf else (1.0 - behind) / (late - behind)
+            if late == math.inf and share < _LEAST:
+                return before, self._choose(before, angles, speeds), True
             slower = Twist(
                 before.vx + share * (target.vx - before.vx),
                 before.vy + share * (target.vy - before.vy),
                 before.wz + share * (target.wz - before.wz),
             )
             unreachable = self._choose(slower, angles, speeds)
-            _, late, _ = self._lateness(dt)
-            if not 1.0 < late < math.inf:
+            if late < math.inf:
                 break
-        return slower, unreachable
+            _, late, _ = self._lateness(dt, True)
+        return slower, unreachable, False
 
     def _move_steering(self, dt: float | None) -> None:
         """Move the joints towards their targets."""
