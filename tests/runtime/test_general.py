@@ -216,7 +216,7 @@ def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
     states = JointStates(0.0, [0.0] * 3, angles, [0.0] * 3)
     made.reset(states)
     worst = 0.0
-    for k in range(150):
+    for k in range(250):
         twist = Twist(0.3, 0.0, 0.0) if k < 60 else Twist(0.0, 0.3, 0.2)
         command = made.command(twist, states, dt)
         rates = [(b - a) / dt for a, b in zip(angles, command.joints.angles, strict=True)]
