@@ -120,6 +120,10 @@ def test_the_world_comes_out_as_single_things(tmp_path: Path) -> None:
         ("expect: {tilt: {min: 2, max: 1}}", "out-of-range", 6),
         ("expect: {tilt: {max: 1 m}}", "wrong-dimension", 6),
         ("fleet: x.yaml", "conflicting-keys", 6),
+        ("variations:\n  vary:\n    world.friction: [0.3,\n      -1]", "out-of-range", 9),
+        ("variations:\n  vary:\n    world.friktion: [0.3]", "unknown-key", 8),
+        ("variations:\n  vary:\n    noise.gyro: {min: 0, max: 1 m}", "wrong-dimension", 8),
+        ("variations:\n  vary:\n    script:\n      - []\n      - [{vx: 1}]", "missing-key", 10),
     ],
 )
 def test_what_is_said_of_wrong_ones(tmp_path: Path, text: str, code: str, line: int) -> None:

@@ -43,7 +43,36 @@ _QUANTITIES = {
 
 
 def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
-    """The scenario; its ``fleet`` is the given one in the document's world."""
+    """The scenario; its ``fleet`` is the given one in the document's world.
+
+    The values of its variations are tried as well.
+    """
+    found = _read(document, fleet, report)
+    if document.get("variations") is not None:
+        _try_variations(document, fleet, report)
+    return found
+
+
+def _try_variations(document: Node, fleet: Fleet, report: Report) -> None:
+    """What is wrong with single values, each in the place of the document's own."""
+    from thorvaldc.passes.variations import changed, read_variations, without_variations
+    from thorvaldc.schema.checker import check, sound
+
+    variations = read_variations(document, (), None, None, report)
+    if report.has_errors:
+        return
+    for change in variations.single():
+        if change.path.partition(".")[0] in ("robots", "fleet"):
+            continue  # which would be other robots
+        shape, said = Report(), Report()
+        tried = without_variations(changed(document, [change], said))
+        check(tried, "scenario", shape)
+        _read(sound(tried, shape), fleet, said)
+        for fault in (*shape.errors, *said.errors):
+            report.put(fault)
+
+
+def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
     scope = Scope(None, {}, Library(), report, None)
     numbers = Numbers(scope, report)
     mu = friction(document, numbers)
@@ -56,10 +85,6 @@ def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
         fleet, name=name, description=description, world=read_world(document, numbers, report)
     )
     check_starts(fleet, document, report)
-    if document.get("variations") is not None:
-        from thorvaldc.passes.variations import read_variations  # which few documents have
-
-        read_variations(document, (), None, None, report)
     reader = _Reader(fleet, numbers, report)
     record = document.get("record")
     return Scenario(
