@@ -1,0 +1,161 @@
+"""How far odometry is off after the paper's drive and after random ones, and by what."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from itertools import pairwise
+from typing import Any
+from unittest import mock
+
+import mujoco
+
+from bench.figure import ROOT, Figure
+from bench.robots import built, example
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+from thorvaldc.pipeline import compile_file, emit
+from thorvaldc.runtime import driver
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.manoeuvre import Manoeuvre, Segment
+from thorvaldc.runtime.meter import Meter, Sample
+from thorvaldc.runtime.mujoco_base import MujocoBase
+from thorvaldc.runtime.ramp import Ramp
+from thorvaldc.runtime.scenario import ScenarioSimulation
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.simulation import Simulation
+
+SECONDS = 77.0
+RUNS, ABLATED = 20, 8
+CHANGING = 1.5
+"""Time (s) after a new command that counts as going over to it."""
+Prepare = Callable[[Simulation], None]
+
+
+def figures() -> Iterator[Figure]:
+    yield _paper()
+    robot, files = built(example("6wd6ws_asymmetric"))
+    runs = [_run(robot, files, seed) for seed in range(RUNS)]
+    ends = [end for end, _ in runs]
+    said = f"{RUNS} random drives of 77 s, some 70 m each, ideal sensors"
+    yield Figure("random drives, end error", _rms(ends), "m", 0.05, "lower", f"rms of {said}")
+    yield Figure("random drives, worst end error", max(ends), "m", None, "lower", said)
+    parts = [_parts(samples, seed) for seed, (_, samples) in enumerate(runs)]
+    for name, how in (
+        ("turned while going over", "heading that was lost while the motion changed"),
+        ("turned while steady", "heading that was lost in steady motion"),
+        ("shifted", "way that was lost: creep of the contacts"),
+    ):
+        sizes = [part[name] for part in parts]
+        yield Figure(f"random drives, {name}", _rms(sizes), "m", None, "lower", f"of it: {how}")
+    whole = _rms(ends[:ABLATED])
+    for name, patch, prepare in _ablations():
+        with patch:
+            end = _rms([_run(robot, files, seed, prepare)[0] for seed in range(ABLATED)])
+        yield Figure(
+            f"random drives, {name}",
+            end,
+            "m",
+            None,
+            "lower",
+            f"rms of the first {ABLATED}, which as it is have {whole:.3f} m",
+        )
+
+
+def _rms(values: list[float]) -> float:
+    return math.sqrt(sum(v * v for v in values) / len(values))
+
+
+def _paper() -> Figure:
+    scenario = compile_file(ROOT / "examples" / "odometry_experiment" / "ideal.yaml").scenario
+    if scenario is None:
+        raise SystemExit("the experiment does not compile")
+    files = emit(scenario.fleet, ["mjcf"], Report())
+    run = ScenarioSimulation(scenario, files).play(Report()).run.robots[0]
+    how = f"ideal sensors, {run.path_true:.2f} m, by odometry {run.path_odometry:.2f} m"
+    return Figure("the paper's drive, end error", run.end_error, "m", 0.05, "lower", how)
+
+
+def random_drive(seed: int) -> Manoeuvre:
+    """Twists of all directions, one every 4 to 9 s, with sudden changes between them."""
+    chance = random.Random(seed)
+    time, drive = 0.0, []
+    while time < 70.0:
+        length, speed = chance.uniform(4.0, 9.0), chance.uniform(0.9, 1.3)
+        angle = chance.uniform(-math.pi, math.pi)
+        twist = Twist(speed * math.cos(angle), speed * math.sin(angle), chance.uniform(-0.4, 0.4))
+        drive.append(Segment(time, twist))
+        time += length
+    return [*drive, Segment(SECONDS - 3.0, ZERO_TWIST)]
+
+
+def _run(
+    robot: Robot, files: dict[str, bytes], seed: int, prepare: Prepare | None = None
+) -> tuple[float, list[Sample]]:
+    simulation = Simulation(robot, files)
+    if prepare is not None:
+        prepare(simulation)
+    samples: list[Sample] = []
+
+    def watch(meter: Meter) -> None:
+        samples.append(meter.sample())
+
+    run = simulation.run(SECONDS, random_drive(seed), None, watch).robots[0]
+    return run.end_error, samples
+
+
+def _parts(samples: list[Sample], seed: int) -> dict[str, float]:
+    """Parts of the end error (m): of what each tick loses, what it makes at the end."""
+    starts = [segment.start for segment in random_drive(seed)]
+    end = samples[-1].pose_estimated
+    names = ("turned while going over", "turned while steady", "shifted")
+    parts = {name: [0.0, 0.0] for name in names}
+    for a, b in pairwise(samples):
+        true = b.pose_true.relative_to(a.pose_true)
+        told = b.pose_estimated.relative_to(a.pose_estimated)
+        dx, dy, turn = (t - o for t, o in zip(true, told, strict=True))
+        c, s = math.cos(a.pose_estimated.yaw), math.sin(a.pose_estimated.yaw)
+        shifted = parts["shifted"]
+        shifted[0] += c * dx - s * dy
+        shifted[1] += s * dx + c * dy
+        changing = any(0.0 <= b.time - start < CHANGING for start in starts)
+        turned = parts["turned while going over" if changing else "turned while steady"]
+        turned[0] -= turn * (end.y - b.pose_estimated.y)
+        turned[1] += turn * (end.x - b.pose_estimated.x)
+    return {name: math.hypot(*part) for name, part in parts.items()}
+
+
+# -- what holds the error down, undone ---------------------------------------------------------
+
+
+def _ablations() -> Iterator[tuple[str, AbstractContextManager[Any], Prepare | None]]:
+    yield "servos without feed-forward", mock.patch.object(MujocoBase, "_lag", _no_lag), None
+    yield "ramps with corners", mock.patch.object(driver, "Ramp", _corners), None
+    yield "late wheels not waited for", mock.patch.object(General, "_lateness", _never), None
+    yield "implicit integration", nullcontext(), _implicit
+    yield "steps of 1 ms", nullcontext(), _fine
+
+
+def _no_lag(base: MujocoBase, motor: int) -> float:
+    return 0.0
+
+
+def _corners(settings: Any, length: float, smoothing: float) -> Ramp:
+    return Ramp(settings, length, 0.0)
+
+
+def _never(calculator: General, dt: float | None, followed: bool) -> Any:
+    return (0.0,) * len(calculator.geometry.wheels), 0.0, True
+
+
+def _implicit(simulation: Simulation) -> None:
+    if simulation.scene is not None:
+        integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        simulation.scene.model.opt.integrator = integrator
+
+
+def _fine(simulation: Simulation) -> None:
+    if simulation.scene is not None:
+        simulation.scene.model.opt.timestep = simulation.scene.timestep = 0.001
