@@ -14,7 +14,7 @@ help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make bench     measure; prints a table and writes bench.json"
-	@echo "make golden    rewrite the golden files of the tests (review the diff)"
+	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
 	@echo "make pictures  render the examples' pictures"
 	@echo "make lint, make types, make clean, make distclean"
 
@@ -58,6 +58,8 @@ bench: $(READY)
 
 golden: $(READY)
 	$(BIN)/python -m tests.golden.rewrite
+	$(BIN)/python -m tests.runtime.fault_matrix
+	$(BIN)/python -m tests.runtime.commissioning.fault_matrix
 
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python tools/render_examples.py

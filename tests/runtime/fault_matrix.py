@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -91,7 +92,7 @@ CASES = (
     Case("power of a drive cut", _fault("power_cut"), _always(REPORTS), 0.8),
     Case("power of all cut", _fault("power_cut", None), _always(REPORTS), 0.8),
     Case("drive is mute", _fault("mute"), _always(REPORTS), 0.8),
-    Case("drive's heartbeat stops", _fault("heartbeat_stop"), _always(0.36), 1.1),
+    Case("drive's heartbeat stops", _fault("heartbeat_stop"), _always(0.4), 1.1),
     Case("drive takes another's id", _fault("duplicate_id", id=2), _always(REPORTS), 0.8),
     Case(
         "drive babbles, most urgent frames",
@@ -99,7 +100,7 @@ CASES = (
         _always(REPORTS),
         1.3,
     ),
-    Case("emergency of a drive", _fault("emcy", code=0x2310, register=1), _always(0.06), 0.8),
+    Case("emergency of a drive", _fault("emcy", code=0x2310, register=1), _always(REPORTS), 0.8),
     Case(
         "encoder of a wheel freezes",
         _fault("frozen_encoder", channel="propulsion"),
@@ -115,7 +116,7 @@ CASES = (
     Case(
         "drive at another bitrate", _fault("wrong_bitrate", bitrate=250_000), _always(REPORTS), 1.3
     ),
-    Case("drive is off the bus (bus-off)", _fault("bus_off"), _always(0.06), 0.8),
+    Case("drive is off the bus (bus-off)", _fault("bus_off"), _always(REPORTS), 0.8),
     Case(
         "drive hears nothing any more",
         _fault("lost_frames", share=1.0),
@@ -139,7 +140,7 @@ class Reaction(NamedTuple):
     def __str__(self) -> str:
         if self.state is None:
             return "goes on"
-        return f"{self.state.value}, {1000 * (self.after or 0.0):.0f} ms"
+        return f"{self.state.value} in {_tenths(self.after)}"
 
 
 def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
@@ -195,10 +196,15 @@ def row(case: Case, drives: str, found: Found) -> str:
     """The line of a case with one kind of drive."""
     cells = [str(found[phase]) for phase in PHASES]
     rest = found["driving"].rest
-    cells.append("" if rest is None else f"{rest:.2f} s")
+    cells.append("" if rest is None else _tenths(rest))
     most = max((time for time in case.reaction.values() if time is not None), default=None)
-    cells.append("" if most is None else f"{1000 * most:.0f} ms, {case.rest:.1f} s")
+    cells.append("" if most is None else f"{_tenths(most)}, {case.rest:.1f} s")
     return f"| {case.what} | {drives} | {' | '.join(cells)} |"
+
+
+def _tenths(seconds: float | None) -> str:
+    """Rounded up: the table does not change with every cycle more or less."""
+    return f"{math.ceil(10.0 * (seconds or 0.0) - 1e-6) / 10:.1f} s"
 
 
 def table() -> Iterator[str]:

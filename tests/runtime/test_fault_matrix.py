@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tests.runtime.fault_matrix import BEGIN, CASES, END, PAGE, PHASES, ROBOTS, Case, react, row
@@ -24,6 +26,15 @@ def test_reaction(case: Case, drives: str) -> None:
         if reaction.state is not None or phase != "driving":
             assert reaction.rest is not None, f"{phase}: it still moves"
             assert reaction.rest <= case.rest, phase
-    table = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
+    lines = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0].splitlines()
     line = row(case, drives, found)
-    assert line in table.splitlines(), f"{line}\n(python -m tests.runtime.fault_matrix writes it)"
+    assert any(same(line, other) for other in lines), f"{line}\n(make golden writes it)"
+
+
+def same(line: str, other: str) -> bool:
+    """Whether two lines of the table say the same: times may differ by a few control cycles."""
+    number = re.compile(r"[0-9]+\.[0-9]+")
+    if number.sub("", line) != number.sub("", other):
+        return False
+    pairs = zip(number.findall(line), number.findall(other), strict=True)
+    return all(abs(float(a) - float(b)) < 0.31 for a, b in pairs)
