@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+
+import pytest
 
 from bench.odometry import MANUAL
 from tests.runtime.can_base_rig import Rig
-from tests.runtime.test_can_base import example
+from tests.runtime.test_can_base import drives, example, four_wheels
+from thorvaldc.model import Robot
 from thorvaldc.pipeline import emit
+from thorvaldc.runtime.can_base.supervisor import State
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.manoeuvre import Segment, twist_at
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
@@ -50,3 +55,18 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     assert abs(math.remainder(true.yaw - found.yaw, math.tau)) < 0.02
     assert rig.base.incomplete == 0
     rig.runner.shutdown()
+
+
+@pytest.mark.parametrize("make", [drives, four_wheels], ids=["cia402", "roboteq"])
+def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> None:
+    """Motors with a load are late: neither a drive nor the driver takes that for a fault."""
+    robot = make()
+    rig = Rig(robot, base=MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"]))), seed=3)
+    rig.ready()
+    top, turn = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
+    for vx, vy, wz in ((top, 0, 0), (-top, 0, 0), (0, top, 0), (0, 0, turn), (0, -top, -turn)):
+        rig.twist = Twist(vx, vy, wz)
+        rig.run(2.0)
+        assert rig.state is State.ACTIVE, rig.reason
+    rig.twist = None  # and the longest ramp that there is, to rest
+    rig.until(lambda: rig.state is State.READY, 5.0)

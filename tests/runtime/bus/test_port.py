@@ -199,6 +199,26 @@ def test_own_frames_that_come_back_are_left_out() -> None:
     assert [f.frame.data for f in found if f is not None] == [b"\x05", b"\x7f"]
 
 
+def test_frames_over_udp_between_two_programs(bus: Bus) -> None:
+    """Each has the other's, and not its own that multicast gives back."""
+    try:
+        one, other = opened("udp:239.74.163.77", bus), opened("udp:239.74.163.77", bus)
+    except RuntimeFault as fault:
+        pytest.skip(f"no multicast here: {fault}")
+    try:
+        if not one.send(HEARTBEAT) or (found := other.receive(1.0)) is None:
+            pytest.skip("multicast does not come back here")
+        assert found.frame == HEARTBEAT
+        assert one.receive(0.1) is None
+        assert other.send(ALL_KINDS[2])
+        back = one.receive(1.0)
+        assert back is not None
+        assert back.frame == ALL_KINDS[2]
+    finally:
+        one.close()
+        other.close()
+
+
 # -- slcan through a pair of pseudo-terminals -------------------------------------------------
 
 

@@ -26,6 +26,8 @@ from thorvaldc.runtime.bus.object_dictionary import Entry, Later, ObjectDictiona
 BRAKE_TIME = 0.02
 """s that a brake takes to open."""
 NO_WINDOW = 0xFFFFFFFF
+SERVO_LAG = 0.15
+"""s by which a motor with a load may be late in a ramp."""
 VELOCITY_ERROR_TIME = 0.3
 """s for which a motor may differ from its set-point by a tenth of its top speed."""
 
@@ -82,6 +84,7 @@ class Axis:
         self._moves_from = math.inf
         self._free = False
         self._off_since: float | None = None
+        self._late_speed = 0.0
 
     # -- objects ---------------------------------------------------------------------------
 
@@ -321,7 +324,7 @@ class Axis:
             goal = motion.velocity(self._speed(0xFF), self.position, bounds, dt)
             self.motor.turn(motion.move.speed, now)
             motion.reached = profiled and abs(goal - self.velocity) <= self._speed(0x6D)
-            self._check_velocity(now)
+            self._check_velocity(now, dt)
         elif motion.mode == HOMING:
             self._home(now, dt)
 
@@ -376,8 +379,10 @@ class Axis:
         allowed = math.inf if window == NO_WINDOW else window / self.settings.position_units
         self._check(error <= allowed, self.number(0x66) / 1000.0, FOLLOWING_ERROR, now)
 
-    def _check_velocity(self, now: float) -> None:
-        error = abs(self.motion.move.speed - self.velocity)
+    def _check_velocity(self, now: float, dt: float) -> None:
+        speed = self.motion.move.speed
+        self._late_speed += (speed - self._late_speed) * dt / (SERVO_LAG + dt)
+        error = min(abs(speed - self.velocity), abs(self._late_speed - self.velocity))
         fits = error <= 0.1 * self.settings.max_velocity
         self._check(fits, VELOCITY_ERROR_TIME, VELOCITY_ERROR, now)
 
