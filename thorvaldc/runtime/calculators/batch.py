@@ -22,6 +22,8 @@ from thorvaldc.runtime.faults import NotFiniteError
 
 Array = NDArray[np.float64]
 _PIECE = 8192
+BEYOND = 1e9
+"""Joints and twists (SI) that nobody can have meant."""
 
 
 class Batch:
@@ -38,7 +40,8 @@ class Batch:
         Each twist for itself, as the calculator's command after a reset, without joint
         states: the choice of angles is that of joints at 0.  Raises ``ValueError`` for
         arrays of other shapes and for wheels with their contact ahead of or behind
-        their axis, ``NotFiniteError`` for twists that are not finite; nothing is written then.
+        their axis, ``NotFiniteError`` for twists that are not finite or beyond 1e9; nothing
+        is written then.
         """
         n = self._size(twists)
         for array in (speeds, angles):
@@ -215,8 +218,11 @@ def _check(array: Array, shape: tuple[int, ...]) -> None:
 
 
 def _check_finite(array: Array, what: str) -> None:
+    if not array.size or max(float(array.max()), -float(array.min())) < BEYOND:
+        return
     if not np.isfinite(array).all():
         raise NotFiniteError(f"the {what} are not all finite")
+    raise NotFiniteError(f"the {what} are not all below {BEYOND:g}")
 
 
 def _piece(

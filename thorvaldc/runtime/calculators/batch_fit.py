@@ -22,6 +22,9 @@ from thorvaldc.runtime.calculators.fit import (
 Array = NDArray[np.float64]
 Value = Array | float
 
+_SINGULAR = 1e-250
+"""A determinant that only underflow makes differ from 0."""
+
 
 class Reading(NamedTuple):
     """What a wheel says in each state; see ``fit.Reading``.  Plain numbers where all are alike."""
@@ -265,12 +268,12 @@ def chi_squares(found: Fit, result: Array) -> None:
 def _inverse(
     a11: Array, a12: Array, a13: Array, a22: Array, a23: Array, a33: Array
 ) -> tuple[tuple[Array, Array, Array, Array, Array, Array], Array]:
-    """Of symmetric matrices, by cofactors; and their determinants (1 where that is 0)."""
+    """Of symmetric matrices, by cofactors (the adjugate where singular); and determinants."""
     p11 = a22 * a33 - a23 * a23
     p12 = a13 * a23 - a12 * a33
     p13 = a12 * a23 - a13 * a22
     det = a11 * p11 + a12 * p12 + a13 * p13
-    d = 1.0 / np.where(det == 0.0, 1.0, det)
+    d = 1.0 / np.where(np.abs(det) < _SINGULAR, 1.0, det)
     p22 = (a11 * a33 - a13 * a13) * d
     p23 = (a12 * a13 - a11 * a23) * d
     p33 = (a11 * a22 - a12 * a12) * d

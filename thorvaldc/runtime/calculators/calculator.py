@@ -66,7 +66,8 @@ def bounded(odometry: Odometry) -> Odometry:
             found = odometry(self, states)
         except (ZeroDivisionError, OverflowError):
             raise NotFiniteError("the joint states are out of all bounds") from None
-        if not math.isfinite(sum(found.twist) + sum(map(sum, found.covariance))):
+        told = sum(found.twist) + sum(map(sum, found.covariance)) + sum(found.chi_squares)
+        if not math.isfinite(told):
             raise NotFiniteError("the joint states are out of all bounds")
         return found
 

@@ -397,7 +397,7 @@ class TwistEstimator:
                 p22 - 2.0 * xm * p23 + xm * xm * p33,
             )
             p13, p23 = p13 + ym * p33, p23 - xm * p33
-        if not math.isfinite(vx + vy + wz + p11 + p22 + p33):
+        if not math.isfinite(vx + vy + wz + p11 + p22 + p33 + sum(tests)):
             raise NotFiniteError(_UNBOUNDED)
         if growth != 1.0:
             p11, p12, p13 = growth * p11, growth * p12, growth * p13

@@ -63,15 +63,20 @@ class Noise:
 
     @property
     def squares(self) -> Squares:
-        """The squares of all but the last, in their order."""
+        """The squares of all but the last, in their order; of what can be reckoned with."""
         return (
-            self.speed_ratio**2,
-            self.angle**2,
-            self.speed_floor**2,
-            self.slip_floor**2,
-            self.skid_ratio**2,
-            self.gyro**2,
+            _square(self.speed_ratio),
+            _square(self.angle),
+            _square(self.speed_floor),
+            _square(self.slip_floor),
+            _square(self.skid_ratio),
+            _square(self.gyro),
         )
+
+
+def _square(noise: float) -> float:
+    """Within bounds: their products and quotients are numbers, too."""
+    return min(max(noise, 1e-12), 1e12) ** 2
 
 
 class Row(NamedTuple):

@@ -1,0 +1,89 @@
+"""Any finite numbers, however large, small or contradictory: finite results or an error."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conformance.wheels import wheel
+from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry, Noise
+from thorvaldc.runtime.calculators.batch import Batch
+from thorvaldc.runtime.calculators.general import General, GeneralOptions
+from thorvaldc.runtime.faults import NotFiniteError
+from thorvaldc.runtime.se2 import Twist
+
+SQUARE = ((0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4))
+STATES = 5
+ROBOTS = {
+    "four steered": [wheel(f"w{i}", x, y, "steered") for i, (x, y) in enumerate(SQUARE)],
+    "beside their axes": [
+        wheel(f"w{i}", x, y, "steered", lateral=0.1) for i, (x, y) in enumerate(SQUARE)
+    ],
+    "two steered, two fixed": [
+        wheel(f"w{i}", x, y, "steered" if x > 0.0 else "fixed") for i, (x, y) in enumerate(SQUARE)
+    ],
+}
+NOISE = ("speed_ratio", "angle", "speed_floor", "slip_floor", "gyro")
+
+
+def value(chance: random.Random, largest: float) -> float:
+    """Ordinary, zero, next to nothing, or of any size."""
+    kind = chance.randrange(4)
+    if kind == 0:
+        return chance.uniform(-5.0, 5.0)
+    if kind == 1:
+        return chance.choice([0.0, -0.0, 1e-300, 5e-324, 1e-155, 1e-30])
+    return chance.choice([1.0, -1.0]) * 10.0 ** chance.uniform(-320.0, largest)
+
+
+@pytest.mark.parametrize("largest", [308.0, 8.9, 3.0])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_results_are_finite_or_refused(name: str, largest: float) -> None:
+    chance = random.Random(f"{name} {largest}")
+    geometry = BaseGeometry.from_wheels(ROBOTS[name])
+    n = len(geometry.wheels)
+
+    def joints(count: int) -> list[float]:
+        return [value(chance, largest) for _ in range(count)]
+
+    for trial in range(60):
+        noise = Noise()
+        if trial % 2:
+            size = {key: 10.0 ** chance.uniform(-320.0, 308.0) or 1.0 for key in NOISE}
+            noise = replace(noise, **size)
+        made = General(geometry, GeneralOptions(polish=2 * (trial % 3)), noise)
+        states = JointStates(0.0, joints(n), joints(n), [0.0] * n)
+        try:
+            told = made.odometry(states)
+            numbers = (*told.twist, *sum(told.covariance, ()), *told.chi_squares)
+            assert all(map(math.isfinite, numbers))
+        except NotFiniteError:
+            pass
+        try:
+            command = made.command(Twist(*joints(3)), states, 0.02)
+            numbers = (*command.joints.speeds, *command.joints.angles, *command.twist)
+            assert all(map(math.isfinite, numbers))
+        except NotFiniteError:
+            pass
+        # Warnings are errors in tests: numpy's of overflow and division, too.
+        batch = Batch(made)
+        speeds, angles = np.array([joints(STATES) for _ in range(2 * n)]).reshape(2, n, STATES)
+        twists, covariances = np.empty((3, STATES)), np.empty((6, STATES))
+        for estimate in (batch.weighted, batch.estimate):
+            try:
+                estimate(speeds, angles, twists, covariances)
+                assert np.isfinite(twists).all()
+                assert np.isfinite(covariances).all()
+            except NotFiniteError:
+                pass
+        try:
+            batch.inverse(np.array([joints(STATES) for _ in range(3)]), speeds, angles)
+            assert np.isfinite(speeds).all()
+            assert np.isfinite(angles).all()
+        except NotFiniteError:
+            pass
