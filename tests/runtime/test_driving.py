@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backends.plans import ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.model import Fleet, Robot
@@ -144,3 +145,13 @@ def test_a_wheel_that_must_turn_around_does_so_while_the_robot_stands() -> None:
     # Without the stop a wheel is dragged across at 0.5 m/s, over and over again.
     assert max(slips) < 0.06
     assert run.end_error < 0.02
+
+
+@pytest.mark.parametrize("twist", [Twist(0.0, 0.0, 0.5), Twist(0.5, 0.0, 0.3)])
+def test_wheels_that_lean_turn_the_robot_as_their_encoders_say(twist: Twist) -> None:
+    """Wheels tilted by 6 and 9 deg; what is left is their torsional friction."""
+    robot = ROBOTS["cambered"]
+    plan = [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]
+    run = Simulation(robot, Mjcf().emit(robot)).run(10.0, plan).robots[0]
+    assert abs(run.pose_odometry.yaw) > 2.0
+    assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-3)
