@@ -7,16 +7,15 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.odometry import MANUAL
 from tests.runtime.can_base_rig import Rig
-from tests.runtime.test_can_base import drives, example, four_wheels
+from tests.runtime.test_can_base import EXAMPLES, drives, four_wheels
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import emit
+from thorvaldc.pipeline import compile_file, emit
 from thorvaldc.runtime.can_base.supervisor import State
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.manoeuvre import Segment, twist_at
 from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
-from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.se2 import Twist
 
 
 def test_the_odometry_experiment_over_the_bus() -> None:
@@ -25,15 +24,15 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     All that is known of the joints are the controllers' frames: whole revolutions per minute
     and whole counts, at times that nothing keeps together.
     """
-    robot = example("6wd6ws_asymmetric")
+    scenario = compile_file(EXAMPLES / "odometry_experiment" / "ideal.yaml").scenario
+    assert scenario is not None
+    robot = scenario.fleet.placements[0].robot
     base = MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"])))
     rig = Rig(robot, base=base)
     rig.ready()
-    plan, at = [], rig.now
-    for seconds, *twist in MANUAL:
-        plan.append(Segment(at, Twist(*twist)))
-        at += seconds
-    plan.append(Segment(at - 2.0, ZERO_TWIST))
+    commands = scenario.commands[0][1]
+    plan = [Segment(rig.now + c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
+    at = rig.now + scenario.duration
 
     def feed(driver: BaseDriver, now: float) -> None:
         driver.command(twist_at(plan, now), now)
