@@ -166,7 +166,10 @@ def test_who_is_ended_leaves_a_record_that_can_be_read(
         while time.monotonic() < deadline and _written() < 100_000:
             time.sleep(0.02)
         process.send_signal(number)
-        out, err = process.communicate(timeout=60)
+        try:
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert (process.returncode, out, err) == (status, "", said)
     assert not list(Path().glob(".*"))
     done = thorvaldc("sim", path, "--replay", record, "--json")
