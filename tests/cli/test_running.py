@@ -176,35 +176,25 @@ def test_a_signal_stops_the_robot_and_lets_it_go(number: int, tmp_path: Path) ->
     assert "Traceback" not in err
 
 
-def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
-    (tmp_path / "good.yaml").write_text(GOOD)
-    with running(tmp_path, "good.yaml") as (bus, said):
-        process = started(
-            tmp_path,
-            *("good.yaml", "--bus", f"sim:{said['channel']}", "--twist", "0.4,0,0"),
-            *("--duration", "2 s", "--json"),
-        )
-        out, err = process.communicate(timeout=60)
-        assert process.returncode == 0, err
-        found = json.loads(out)
-        assert found["pose"]["x"] > 0.3
-        assert "hardware" not in err
-        end(bus)
+ATTEMPTS = 3
 
 
-def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
-    """slcan on a pair of pseudo-terminals: the same frames, and the wheels turn."""
-    path = tmp_path / "good.yaml"
-    path.write_text(GOOD)
-    robot = compile_file(path).model
-    assert isinstance(robot, Robot)
+def held_up(status: int, err: str) -> bool:
+    """A machine with much to do may let the simulated bus wait: then nodes are silent, truly."""
+    return status != 0 and any(word in err for word in ("no tpdo", "no heartbeat", "no sign"))
+
+
+def over_slcan(
+    robot: Robot, folder: Path
+) -> tuple[int, str, str, SlcanAdapter, dict[int, bytes], float]:
+    """Run the command on a serial line: status, output, the adapter, frames, the fastest wheel."""
     simulated = SimulatedRobot(robot)
     simulated.power_on()
     adapter = SlcanAdapter(simulated)
     seen: dict[int, bytes] = {}
     simulated.wire().observers.append(lambda _, frame, __: seen.update({frame.id: frame.data}))
     process = started(
-        tmp_path,
+        folder,
         *("good.yaml", "--bus", f"slcan:{adapter.path}", "--twist", "0.4,0,0"),
         *("--duration", "3 s", "--json"),
     )
@@ -222,7 +212,42 @@ def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
     adapter.serve(over, 60.0)
     out, err = process.communicate(timeout=10)
     adapter.close()
-    assert process.returncode == 0, err
+    return process.returncode, out, err, adapter, seen, fastest
+
+
+def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
+    (tmp_path / "good.yaml").write_text(GOOD)
+    with running(tmp_path, "good.yaml") as (bus, said):
+        for _ in range(ATTEMPTS):
+            process = started(
+                tmp_path,
+                *("good.yaml", "--bus", f"sim:{said['channel']}", "--twist", "0.4,0,0"),
+                *("--duration", "2 s", "--json"),
+            )
+            out, err = process.communicate(timeout=60)
+            if not held_up(process.returncode, err):
+                break
+        assert process.returncode == 0, err
+        found = json.loads(out)
+        assert found["pose"]["x"] > 0.3
+        assert "hardware" not in err
+        end(bus)
+
+
+def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
+    """slcan on a pair of pseudo-terminals: the same frames, and the wheels turn."""
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD)
+    robot = compile_file(path).model
+    assert isinstance(robot, Robot)
+    for attempt in range(ATTEMPTS):
+        state = tmp_path / f"attempt{attempt}"
+        state.mkdir()
+        (state / "good.yaml").write_text(GOOD)
+        status, out, err, adapter, seen, fastest = over_slcan(robot, state)
+        if not held_up(status, err):
+            break
+    assert status == 0, err
     found = json.loads(out)
     assert "never tried on physical hardware" in err
     assert adapter.commands[:3] == ["C", "S6", "O"]
