@@ -106,7 +106,7 @@ def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -
     [
         (("--bus", "sim:nobody"), 3, "no bus is run at"),
         (("--bus", "virtual"), 2, "a virtual bus is the own process's alone"),
-        (("--bus", "sim:x", "--of", "left"), 2, "there is no bus 'left'; there are main"),
+        (("--bus", "left=sim:x"), 3, "`left=sim:x`"),
         (("--bus", "sim:x", "--duration", "soon"), 2, "'--duration'"),
         (("--bus", "sim:x", "--interval", "0"), 2, "not between 0.05 and 86400 s"),
         ((), 2, "Missing option '--bus'"),

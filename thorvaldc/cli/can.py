@@ -122,23 +122,16 @@ def verify(
 @can.command(cls=LightCommand)
 @guarded
 def monitor(
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="A robot.yaml, or the model.json of a build.")
-    ],
+    file: File,
     bus: Annotated[
         str,
         typer.Option(
             "--bus",
             metavar="BUS",
-            help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can.",
+            help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
+            " of a robot with several buses NAME=BUS.",
         ),
     ],
-    of: Annotated[
-        str,
-        typer.Option(
-            "--of", metavar="NAME", help="Which of the robot's buses.", show_default="the first"
-        ),
-    ] = "",
     duration: Annotated[
         str, typer.Option("--duration", metavar="TIME", help="To listen for: 10 s.")
     ] = "",
@@ -152,12 +145,9 @@ def monitor(
         ),
     ] = "",
     json: Annotated[bool, typer.Option("--json", help="A line of JSON for each interval.")] = False,
-    library: Annotated[
-        list[str],
-        typer.Option("--library", metavar="DIR", help="A folder of modules of yours."),
-    ] = [],  # noqa: B006
+    library: Library = [],  # noqa: B006
 ) -> int:
     """Watch a robot's bus: frames decoded by its map, load, states, emergencies.  Sends nothing."""
     from thorvaldc.cli.monitoring import monitor as watch
 
-    return watch(file, bus, of, duration, interval, json, library)
+    return watch(file, bus, duration, interval, json, library)

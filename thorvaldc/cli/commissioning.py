@@ -16,6 +16,7 @@ import typer
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, count, message
 from thorvaldc.cli.operator import Person, VirtualOperator
+from thorvaldc.cli.options import bus_of
 from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -275,11 +276,8 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
     from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
     from thorvaldc.runtime.commissioning.session import Session
     from thorvaldc.runtime.commissioning.target import target_of
-    from thorvaldc.runtime.faults import RuntimeFault
 
-    if not robot.buses:
-        raise RuntimeFault("bus-missing", f"{robot.name} has no devices, and so no bus")
-    bus, spec = _chosen(robot, spec)
+    bus, spec = bus_of(robot, spec)
     name, _, how = spec.partition(":")
     if name == VIRTUAL:
         if how not in ("", "delivered"):
@@ -314,20 +312,6 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
             yield Place(robot, bus, target_of(robot, bus), session, None, Progress(1.0, ""))
         finally:
             port.close()
-
-
-def _chosen(robot: Robot, spec: str) -> tuple[Bus, str]:
-    """The bus that is meant, and where it is: ``left=socketcan:can0`` of several."""
-    names = {bus.name: bus for bus in robot.buses}
-    name, given, rest = spec.partition("=")
-    if given and name in names:
-        return names[name], rest
-    if len(names) == 1:
-        return robot.buses[0], spec
-    raise typer.BadParameter(
-        f"the robot has the buses {', '.join(names)}; say which: {robot.buses[0].name}={spec}",
-        param_hint="'--bus'",
-    )
 
 
 def _agrees(question: str) -> bool:

@@ -15,6 +15,7 @@ import typer
 
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, finite
+from thorvaldc.cli.options import bus_of, seconds_of
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -23,12 +24,13 @@ if TYPE_CHECKING:
 
 LIVE_INTERVAL = 0.25
 INTERVAL = 1.0
+SHORTEST = 0.05
+"""s between two views."""
 
 
 def monitor(
     file: str,
     bus: str,
-    of: str,
     duration: str,
     interval: str,
     json: bool,
@@ -36,9 +38,9 @@ def monitor(
 ) -> int:
     """Until its time is over, ``q`` is typed, or it is interrupted or terminated."""
     live = sys.stdout.isatty() and not json
-    seconds = _time(duration, "--duration") if duration else math.inf
+    seconds = seconds_of(duration, "--duration", SHORTEST) if duration else math.inf
     default = LIVE_INTERVAL if live else INTERVAL
-    period = _time(interval, "--interval") if interval else default
+    period = seconds_of(interval, "--interval", SHORTEST) if interval else default
     from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.faults import RuntimeFault
@@ -48,8 +50,8 @@ def monitor(
         return INPUT
     robot, sources, located = loaded
     try:
-        watched = _bus_of(robot, of)
-        port = _open(bus, watched)
+        watched, spec = bus_of(robot, bus)
+        port = _open(spec, watched)
     except RuntimeFault as fault:
         report = Report()
         report.put(fault.diagnostic)
@@ -147,23 +149,6 @@ def _print_json(found: Mapping[str, Any]) -> None:
     print(json_format.dumps(finite(found), ensure_ascii=False), flush=True)
 
 
-def _bus_of(robot: Robot, name: str) -> Bus:
-    from thorvaldc.runtime.faults import RuntimeFault
-
-    if not robot.buses:
-        raise RuntimeFault(
-            "bus-missing",
-            f"{robot.name} has no devices, and so no bus",
-            robot.origin,
-            hint="give its motors controllers, as the assemblies of the library have",
-        )
-    for bus in robot.buses:
-        if name in ("", bus.name):
-            return bus
-    names = ", ".join(bus.name for bus in robot.buses)
-    raise typer.BadParameter(f"there is no bus {name!r}; there are {names}", param_hint="'--of'")
-
-
 def _open(spec: str, bus: Bus) -> Port:
     from thorvaldc.runtime.bus.port import open_port
 
@@ -173,17 +158,3 @@ def _open(spec: str, bus: Bus) -> Port:
             param_hint="'--bus'",
         )
     return open_port(spec, bus, listen_only=True)
-
-
-def _time(text: str, option: str) -> float:
-    from thorvaldc.source.units import UnitError, parse_quantity
-
-    try:
-        seconds = parse_quantity(text, "time")
-    except UnitError as fault:
-        raise typer.BadParameter(f"{text!r}: {fault}", param_hint=f"'{option}'") from None
-    if not 0.05 <= seconds <= 86400.0:
-        raise typer.BadParameter(
-            f"{text!r} is not between 0.05 and 86400 s", param_hint=f"'{option}'"
-        )
-    return seconds

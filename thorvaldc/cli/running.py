@@ -18,6 +18,7 @@ import typer
 from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.faults import Faults, finite, message
+from thorvaldc.cli.options import seconds_of
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Diagnostic, Report
@@ -53,7 +54,7 @@ def run(
     library: Sequence[str],
 ) -> int:
     """Until its time is over, a fault ends it, or it is interrupted or terminated."""
-    seconds = _seconds(duration) if duration else math.inf
+    seconds = seconds_of(duration, "--duration") if duration else math.inf
     virtual = bus == VIRTUAL
     if physics not in ("ideal", "mujoco"):
         raise typer.BadParameter(
@@ -416,20 +417,6 @@ def _number(text: str) -> int:
         return int(text, 0)
     except ValueError:
         raise typer.BadParameter(f"{text!r} is no whole number", param_hint="'--seed'") from None
-
-
-def _seconds(text: str) -> float:
-    from thorvaldc.source.units import UnitError, parse_quantity
-
-    try:
-        seconds = parse_quantity(text, "time")
-    except UnitError as fault:
-        raise typer.BadParameter(f"{text!r}: {fault}", param_hint="'--duration'") from None
-    if not 0.0 < seconds <= 86400.0:
-        raise typer.BadParameter(
-            f"{text!r} is not between 0 and 86400 s", param_hint="'--duration'"
-        )
-    return seconds
 
 
 def _tell(report: Report, sources: Mapping[str, Path]) -> int:

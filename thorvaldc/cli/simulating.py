@@ -15,6 +15,7 @@ import typer
 from thorvaldc.cli.compiling import compile_one
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.faults import Faults, finite, message
+from thorvaldc.cli.options import seconds_of
 from thorvaldc.cli.picturing import RunPictures
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
@@ -76,7 +77,7 @@ def simulate(
     named beside.  The joint states go to ``log`` where it is named.  With ``replay`` nothing is
     simulated: it is a record, which goes through the same outputs.
     """
-    seconds = _seconds(duration) if duration else 0.0
+    seconds = seconds_of(duration, "--duration") if duration else 0.0
     given: dict[str, str | bool]
     changes: Sequence[Change] = ()
     robot = file if scenario else None
@@ -164,17 +165,3 @@ def simulate(
         message(recorded(record, simulation.robots))
     pictures.write(done.model, simulation.robots, files)
     return faults.finish()
-
-
-def _seconds(text: str) -> float:
-    from thorvaldc.source.units import UnitError, parse_quantity
-
-    try:
-        seconds = parse_quantity(text, "time")
-    except UnitError as fault:
-        raise typer.BadParameter(f"{text!r}: {fault}", param_hint="'--duration'") from None
-    if not 0.0 < seconds <= 86400.0:
-        raise typer.BadParameter(
-            f"{text!r} is not between 0 and 86400 s", param_hint="'--duration'"
-        )
-    return seconds

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from thorvaldc.diagnostics import CODES, Diagnostic, Span
+
+if TYPE_CHECKING:
+    from thorvaldc.model.robot import Robot
 
 
 class RuntimeFault(Exception):
@@ -25,3 +30,14 @@ class NotFiniteError(ValueError):
 
 class ParameterError(ValueError):
     """A parameter cannot have that value; nothing was changed."""
+
+
+def require_bus(robot: Robot) -> None:
+    """Raises ``RuntimeFault`` (``bus-missing``) for a robot without a bus."""
+    if not robot.buses:
+        raise RuntimeFault(
+            "bus-missing",
+            f"{robot.name} has no devices, and so no bus",
+            robot.origin,
+            hint="give its motors controllers, as the assemblies of the library have",
+        )

@@ -26,7 +26,7 @@ from thorvaldc.runtime.bus.controller import ErrorState
 from thorvaldc.runtime.bus.frame import CanFrame
 from thorvaldc.runtime.bus.remote import RemoteClient
 from thorvaldc.runtime.bus.timeline import to_ns
-from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.faults import RuntimeFault, require_bus
 
 if TYPE_CHECKING:
     import can
@@ -315,14 +315,8 @@ def open_ports(spec: str, robot: Robot) -> dict[str, Port]:
     Of a robot with several buses ``spec`` names one for each, ``left=socketcan:can0,
     right=socketcan:can1``; or it is ``sim:NAME``, whose channels are ``NAME.left``, ``NAME.right``.
     """
+    require_bus(robot)
     names = [bus.name for bus in robot.buses]
-    if not names:
-        raise RuntimeFault(
-            "bus-missing",
-            f"{robot.name} has no devices, and so no bus",
-            robot.origin,
-            hint="give its motors controllers, as the assemblies of the library have",
-        )
     specs = _specs(spec, names)
     ports: dict[str, Port] = {}
     try:

@@ -14,7 +14,7 @@ from thorvaldc.runtime.bus.device import Device
 from thorvaldc.runtime.bus.motors import BaseMotors, MotorModel, ideal_motor
 from thorvaldc.runtime.bus.timeline import Timeline, to_ns
 from thorvaldc.runtime.bus.wire import Wire
-from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.faults import require_bus
 
 
 class SimulatedRobot:
@@ -40,13 +40,7 @@ class SimulatedRobot:
 
         Raises ``RuntimeFault`` (``bus-missing``) for a robot without a bus.
         """
-        if not robot.buses:
-            raise RuntimeFault(
-                "bus-missing",
-                f"{robot.name} has no devices, and so no bus",
-                robot.origin,
-                hint="give its motors controllers, as the assemblies of the library have",
-            )
+        require_bus(robot)
         self.robot = robot
         self.seed = seed
         self.timeline = Timeline()

@@ -11,7 +11,7 @@ from thorvaldc.runtime.bus.port import Port
 from thorvaldc.runtime.can_base.controller import Intent
 from thorvaldc.runtime.can_base.link import MISS, MISSES, BusLink, unconnected
 from thorvaldc.runtime.can_base.supervisor import State, Supervisor, Times
-from thorvaldc.runtime.faults import RuntimeFault
+from thorvaldc.runtime.faults import RuntimeFault, require_bus
 
 SEND_TIME = 0.25
 """Share of a cycle that may be spent waiting for room in the send queue."""
@@ -42,13 +42,7 @@ class CanBase(BaseHandle):
         Raises ``RuntimeFault`` (``bus-driver-unknown``, ``bus-motor-unconnected``,
         ``bus-missing``) for a robot that cannot be driven by its buses.
         """
-        if not robot.buses:
-            raise RuntimeFault(
-                "bus-missing",
-                f"{robot.name} has no devices, and so no bus",
-                robot.origin,
-                hint="give its motors controllers, as the assemblies of the library have",
-            )
+        require_bus(robot)
         fault = unconnected(robot)
         if fault is not None:
             raise fault
