@@ -5,13 +5,18 @@ import signal
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests.workshop import Workshop
 
 # The same examples on every machine, so that whoever has changed nothing sees nothing fail.
 # New ones are looked for with HYPOTHESIS_PROFILE=default.  No test fails for a slow machine.
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile(
+    "repeatable",
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
