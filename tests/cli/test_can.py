@@ -30,6 +30,8 @@ modules:
   rl: {type: caster/fixed, mount: frame.rear_left}
   rr: {type: caster/fixed, mount: frame.rear_right}
 """
+FRONT_RIGHT = """fr: {type: assembly/steered_drive, mount: frame.front_right, params:
+    {controller: controller/cia402_propulsion_steering}, can: {bus: right, id: 2}}"""
 NEW = ("robot.yaml", "--bus", "virtual:delivered", "--store", "memory.json")
 
 
@@ -80,6 +82,24 @@ def test_a_builds_model_is_all_that_is_needed(thorvaldc: Command, robot: Path) -
     assert undone.status == 0, undone.err
 
 
+TWO_BUSES = ONE.replace("modules:", "buses: {left: {}, right: {}}\nmodules:", 1)
+
+
+def test_a_bus_of_several_is_set_up_by_itself(thorvaldc: Command, robot: Path) -> None:
+    """Its one node was alone on it until the scan began: frames that waited are no second node."""
+    text = TWO_BUSES.replace("fr: {type: caster/swivel, mount: frame.front_right}", FRONT_RIGHT)
+    robot.write_text(text.replace("{id: 1,", "{bus: left, id: 1,"), encoding="utf-8")
+    there = ("robot.yaml", "--bus", "left=virtual:delivered", "--store", "memory.json")
+    assert thorvaldc("can", "flash", *there, "--apply", "--yes").status == 0
+    verified = thorvaldc("can", "verify", *there)
+    assert verified.status == 0, verified.out
+    wrong = thorvaldc("can", "verify", "robot.yaml", "--bus", "lft=virtual")
+    assert wrong.status == 2
+    assert "no bus lft, but left, right; say which: left=virtual" in wrong.err
+    none = thorvaldc("can", "verify", "robot.yaml", "--bus", "sim:x")
+    assert "has the buses left, right; say which: left=sim:x" in none.err
+
+
 def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
     scan = thorvaldc("can", "scan", "robot.yaml", "--bus", "virtual", "--json")
     assert scan.status == 0
@@ -91,6 +111,7 @@ def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
     ("arguments", "status", "says"),
     [
         (["flash", *NEW, "--apply"], 2, "needs a terminal to ask at, or --yes"),
+        (["flash", *NEW, "--rollback"], 2, "'--rollback': needs a terminal"),
         (["flash", *NEW, "--apply", "--resume", "--yes"], 2, "one of them at a time"),
         (["flash", *NEW, "--resume", "--yes"], 2, "there is no journal robot.flash.jsonl"),
         (["flash", *NEW, "--apply", "--yes", "--plan", "0" * 64], 1, "plan-changed"),

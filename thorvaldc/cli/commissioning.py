@@ -86,7 +86,8 @@ def flash_bus(
         raise typer.BadParameter("one of them at a time", param_hint="'--apply', '--resume', ...")
     writes = apply or resume or rollback
     if writes and not yes and not sys.stdin.isatty():
-        raise typer.BadParameter("needs a terminal to ask at, or --yes", param_hint="'--apply'")
+        option = "--apply" if apply else "--resume" if resume else "--rollback"
+        raise typer.BadParameter("needs a terminal to ask at, or --yes", param_hint=f"'{option}'")
 
     def work(place: Place) -> int:
         if not writes:

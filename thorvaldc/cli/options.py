@@ -53,7 +53,9 @@ def bus_of(robot: Robot, spec: str) -> tuple[Bus, str]:
         return names[name], rest
     if len(names) == 1:
         return robot.buses[0], spec
+    where = (rest if given else spec) or "socketcan:can0"
+    wrong = f"the robot has no bus {name}, but" if given else "the robot has the buses"
     raise typer.BadParameter(
-        f"the robot has the buses {', '.join(names)}; say which: {robot.buses[0].name}={spec}",
+        f"{wrong} {', '.join(names)}; say which: {robot.buses[0].name}={where}",
         param_hint="'--bus'",
     )

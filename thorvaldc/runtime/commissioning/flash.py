@@ -64,9 +64,10 @@ class Flash:
         """Make a plan and carry it out.  ``expected``: the hash that the plan must have."""
         left = self.journal.unfinished
         if left is not None:
+            what = "rollback" if left.mode == ROLLBACK else "flash"
             raise RuntimeFault(
                 "journal-mismatch",
-                f"the journal {self.journal.store.name} has a {left.mode} that was not finished",
+                f"the journal {self.journal.store.name} has a {what} that was not finished",
                 hint="go on with --resume, or undo it with --rollback",
             )
         before, scan = self._look(self.target)

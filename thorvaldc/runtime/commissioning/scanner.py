@@ -37,6 +37,9 @@ PERIODS = 3.2
 """Periods of the slowest heartbeat to listen for: one node is heard at most four times, two
 nodes of one id at least six times."""
 LEAST_LISTENING = 0.3
+BACKLOG = 0.02
+"""s in which a node that was alone, and had nobody to acknowledge its frames, sends those that
+waited: heartbeats of this time count as one."""
 ROUNDS = 2
 """How often an identity is read."""
 IDENTITY, DEVICE_TYPE = 0x1018, 0x1000
@@ -130,14 +133,15 @@ class Scanner:
         seconds = max([PERIODS * period for period in periods] + [LEAST_LISTENING])
         self.session.forget()
         self._progress("listening", 0, 1)
-        self.session.listen(seconds)
+        self.session.listen(BACKLOG)
+        waited = {node.id: len(self._heartbeats(node.id)) for node in self.target.nodes}
+        self.session.listen(seconds - BACKLOG)
         self._progress("listening", 1, 1)
         for node in self.target.nodes:
-            times = self.session.heard.get(HEARTBEAT + node.id, [])
-            if node.canopen and node.heartbeat and len(times) > seconds / node.heartbeat + 1.5:
+            count = len(self._heartbeats(node.id)) - max(waited[node.id] - 1, 0)
+            if node.canopen and node.heartbeat and count > seconds / node.heartbeat + 1.5:
                 self._evidence[node.id] = (
-                    f"{len(times)} heartbeats in {seconds:g} s, one each {node.heartbeat:g} s "
-                    "is right"
+                    f"{count} heartbeats in {seconds:g} s, one each {node.heartbeat:g} s is right"
                 )
         for where in sorted(set(self.session.boots)):
             if self.session.boots.count(where) > 1:
@@ -163,6 +167,9 @@ class Scanner:
                 self._found[node] = Found(node)
             if count > 1:
                 self._evidence[node] = f"{count} answers to one request"
+
+    def _heartbeats(self, node: int) -> list[float]:
+        return self.session.heard.get(HEARTBEAT + node, [])
 
     def _answers(self, node: int) -> list[float]:
         return self.session.heard.get(SDO_RESPONSE + node, [])
