@@ -25,17 +25,14 @@ ROUNDS = 7
 
 
 def figures() -> Iterator[Figure]:
-    scenario = _scenario()
+    scenario = mission(RATE)
     files = emit(scenario.fleet, ["mjcf"])
     simulation = Simulation(scenario.fleet, files)
     scene = simulation.scene
     if scene is None:
         raise SystemExit("there is no scene")
     duration = scenario.duration
-    plans = {
-        name: [Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
-        for name, commands in scenario.commands
-    }
+    plans = manoeuvres(scenario)
     controls: list[np.ndarray] = []
 
     def keep(_: Meter) -> None:
@@ -82,13 +79,21 @@ def figures() -> Iterator[Figure]:
     )
 
 
-def _scenario() -> Scenario:
-    """The experiment with ideal sensors, its driver at ``RATE``."""
+def manoeuvres(scenario: Scenario) -> dict[str, list[Segment]]:
+    """The scenario's script, by robot."""
+    return {
+        name: [Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
+        for name, commands in scenario.commands
+    }
+
+
+def mission(rate: float) -> Scenario:
+    """The experiment with ideal sensors, its driver at ``rate`` (Hz)."""
     scenario = compile_file(MISSION).scenario
     if scenario is None:
         raise SystemExit(f"{MISSION} does not compile")
     placements = tuple(
-        replace(p, robot=replace(p.robot, driver=replace(p.robot.driver, rate=RATE)))
+        replace(p, robot=replace(p.robot, driver=replace(p.robot.driver, rate=rate)))
         for p in scenario.fleet.placements
     )
     fleet: Fleet = replace(scenario.fleet, placements=placements)
