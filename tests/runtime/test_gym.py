@@ -261,3 +261,20 @@ def test_gymnasium_finds_it_by_its_module() -> None:
     )
     assert done.stderr == ""
     assert done.stdout == "(14,) thorvaldc/Robot-v0\n"
+
+
+@pytest.mark.parametrize("module", ["environments", "runtime.gym"])
+def test_without_gymnasium_a_line_says_what_to_install(module: str) -> None:
+    program = f"import sys; sys.modules['gymnasium'] = None; import thorvaldc.{module}"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("ImportError: an environment needs Gymnasium")
+    assert "pip install 'thorvaldc[gym]'" in last
