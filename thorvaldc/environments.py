@@ -36,7 +36,8 @@ def make(
     """The environment of a robot, fleet or scenario file, or of a robot in ``scenario``.
 
     ``library`` are further module folders, ``options`` the arguments of ``RobotEnv``.  Raises
-    ``ValueError`` with all that is wrong where the file does not compile.
+    ``ValueError`` with all that is wrong where the file does not compile, and where ``scenario``
+    is none.
     """
     from thorvaldc.runtime.gym import RobotEnv
 
@@ -47,6 +48,8 @@ def make(
             f"{d.span}: {d.code.severity}[{d.code.number}]: {d.message}" for d in done.report.errors
         )
         raise ValueError(f"{scenario or file} does not compile:\n{said}")
+    if scenario and done.scenario is None:
+        raise ValueError(f"{scenario} is no scenario")
     files = emit(done.model, ["mjcf"], Report())
     return RobotEnv(done.scenario or done.model, files, **options)
 

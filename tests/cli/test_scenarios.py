@@ -85,7 +85,7 @@ def test_what_is_recorded_is_chosen_by_the_name(thorvaldc: Command, tmp_path: Pa
             assert Path(name).read_bytes().startswith(starts)
     done = thorvaldc("sim", str(path), "--record", "a.bag")
     assert done.status == 2
-    assert "no record is a .bag file" in done.err
+    assert "no record is a .bag file; name a .mcap or .csv file, or a folder" in done.err
 
 
 def test_fleets_have_logs_records_and_plots_of_every_robot(

@@ -159,9 +159,18 @@ def test_who_falls_over_is_told_with_time_and_way_and_the_record_is_kept(tmp_pat
     (fault,) = report.errors
     assert fault.code.name == "simulation-tipped"
     assert "fell over to its right after 1." in fault.message
+    assert "lower its speed" in (fault.hint or "")
     assert not result.completed
     rows = read(tmp_path / "records/cart.csv")
     assert float(rows[-1]["time"]) == pytest.approx(result.run.simulated)
+
+
+def test_who_starts_within_an_obstacle_is_not_told_to_drive_slower(tmp_path: Path) -> None:
+    crate = "{shape: box, xyz: [0.55, 0, 0.1], size: [1.2, 1.2, 0.1]}"
+    drive = simulation(tmp_path, HEAD + f"world: {{obstacles: {{crate: {crate}}}}}\n")
+    report = Report()
+    drive.play(report, [])
+    assert "start within an obstacle" in (report.errors[0].hint or "")
 
 
 def test_records_have_the_groups_and_times_that_are_wanted(tmp_path: Path) -> None:

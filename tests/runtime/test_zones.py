@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,18 @@ def test_mud_costs_what_its_resistance_says(tmp_path: Path) -> None:
     resistance = 0.15 - own.wheels[0].rolling_resistance  # type: ignore[union-attr]
     more = resistance * mass * 9.81 * path
     assert mud["energy"] - firm["energy"] == pytest.approx(more, rel=0.03)
+
+
+def test_the_last_of_overlapping_zones_is_seen(tmp_path: Path) -> None:
+    zones = ", ".join(f"{{xyz: [{x}, 0, 0], size: [3, 3], friction: 0.1}}" for x in (3, 4, 5))
+    path = tmp_path / "scenario.yaml"
+    path.write_text(HEAD + f"duration: 1 s\nworld: {{zones: [{zones}]}}\n")
+    done = compile_file(path)
+    assert done.scenario is not None
+    scene = ET.fromstring(emit(done.scenario.fleet, ["mjcf"])["mjcf/scene.xml"])
+    sizes = [geom.get("size", "") for geom in scene.iter("geom") if "zone/" in geom.get("name", "")]
+    tops = [float(size.split()[2]) for size in sizes]
+    assert 0 < tops[0] < tops[1] < tops[2] < 0.005
 
 
 def test_a_wheel_is_in_the_zone_that_it_stands_in(tmp_path: Path) -> None:

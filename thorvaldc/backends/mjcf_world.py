@@ -17,6 +17,7 @@ from thorvaldc.model.spatial import clean
 TERRAIN = "terrain.bin"
 _DEPTH = 0.5  # m, of the ground below its lowest point
 _FILM = 0.001  # m, half the thickness of what a level zone is seen as
+_LAYER = 0.0005  # m, and more for each, so that the last is seen where zones overlap
 _SLIPPERY = 0.3
 _COLORS = {
     "kerb": (0.62, 0.62, 0.6, 1.0),
@@ -88,7 +89,9 @@ def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str
         geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=_zone_color(zone))
         if zone.level:
             # Nothing to touch: the ground is there.
-            geom.set(name=f"zone/{number}", type="box", size=(x / 2, y / 2, _FILM))
+            geom.set(
+                name=f"zone/{number}", type="box", size=(x / 2, y / 2, _FILM + number * _LAYER)
+            )
             geom.set(contype=0, conaffinity=0, group=2)
             continue
         from thorvaldc.backends.mjcf_terrain import height_file, relief

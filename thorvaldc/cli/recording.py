@@ -34,11 +34,12 @@ def open_recorder(
     kind = path.suffix.lower()
     if kind in _OTHERS or (kind == ".csv" and len(robots) > 1):
         wrong = f"no record is a {kind} file"
+        right = "a .mcap or .csv file, or a folder for CSV files"
+        if len(robots) > 1:
+            right = "a .mcap file, or a folder for CSV files"
         if kind == ".csv":
             wrong = f"{len(robots)} robots do not go into one CSV file"
-        raise typer.BadParameter(
-            f"{wrong}; name a .mcap file, or a folder for CSV files", param_hint="'--record'"
-        )
+        raise typer.BadParameter(f"{wrong}; name {right}", param_hint="'--record'")
     if kind not in (".mcap", ".csv") and path.is_file():
         raise OutsideError(f"cannot write {record}: it is a file; name a folder, or a .mcap file")
     with writing(record):

@@ -221,6 +221,11 @@ def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], name: str) -
     return found
 
 
+_AT_ONCE = 0.5  # s; who falls over sooner was thrown by what it stood in, not by its driving
+_LOWER = "lower its speed or accelerations, or its centre of mass, or widen its track"
+_ELSEWHERE = "see that it does not start within an obstacle or another robot"
+
+
 def _words(twist: Twist) -> str:
     return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"
 
@@ -248,7 +253,7 @@ def _tell(
                 f"{meter.name} fell over{_way(meter)} after {result.simulated:.2f} s, "
                 f"asked for {_words(meter.driver.state.asked)}",
                 meter.robot.origin,
-                hint="lower its speed or accelerations, or its centre of mass, or widen its track",
+                hint=_LOWER if result.simulated >= _AT_ONCE else _ELSEWHERE,
             )
         if meter.unreachable:
             wheels = ", ".join(meter.robot.wheels[i].name for i in meter.unreachable)
