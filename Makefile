@@ -58,8 +58,8 @@ bench: $(READY)
 
 golden: $(READY)
 	$(BIN)/python -m tests.golden.rewrite
-	$(BIN)/python -m tests.runtime.fault_matrix
-	$(BIN)/python -m tests.runtime.commissioning.fault_matrix
+	$(BIN)/python -m tests.runtime.can_base.fault_matrix
+	$(BIN)/python -m tests.commissioning.fault_matrix
 
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python tools/render_examples.py

@@ -13,12 +13,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from bench.figure import EXAMPLE, ROOT, Figure, python
-from thorvaldc.batch import Batch, plan_variations, processors
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file, emit
-from thorvaldc.runtime.rollouts import Rollouts
-from thorvaldc.runtime.scenario import ScenarioSimulation
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.vectorised.rollouts import Rollouts
+from thorvaldc.tools.scenario_batch import Batch, plan_variations, processors
 
 SCENARIO = ROOT / "examples" / "scenarios" / "field_edge.yaml"
 RUNS, SECONDS = 48, 20

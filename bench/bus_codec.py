@@ -8,9 +8,9 @@ import cantools
 
 from bench.figure import EXAMPLE, Figure, least_times
 from thorvaldc.backends.can import Can
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file
-from thorvaldc.runtime.can_base.codec import FrameCodec
+from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 TURNS = 2000
 

@@ -13,14 +13,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
+from thorvaldc.can.frame import INTERFRAME_BITS, CanFrame
+from thorvaldc.can.frame import frame_bits as exact_bits
+from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, Frame
 from thorvaldc.model.bus_timing import MASTER, bus_load, frame_response_times
-from thorvaldc.runtime.bus.controller import Controller
-from thorvaldc.runtime.bus.frame import INTERFRAME_BITS, CanFrame
-from thorvaldc.runtime.bus.frame import frame_bits as exact_bits
-from thorvaldc.runtime.bus.timeline import Timeline, to_ns
-from thorvaldc.runtime.bus.wire import Wire
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.bus.wire_controller import Controller
 
 _SPAN = Span("traffic", 1, 1)
 _PATTERNS = (0x0F, 0x1E, 0x3C, 0x78, 0x87, 0xC3, 0xE1, 0xF0)

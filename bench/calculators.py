@@ -22,7 +22,7 @@ def _fastest(work: Callable[[], object], calls: int, rounds: int = 100) -> float
 
 
 def figures() -> Iterator[Figure]:
-    from thorvaldc.runtime.base import JointStates
+    from thorvaldc.runtime.base_interface import JointStates
     from thorvaldc.runtime.calculators import BaseGeometry
     from thorvaldc.runtime.calculators.general import General
     from thorvaldc.runtime.se2 import Twist
@@ -69,8 +69,8 @@ def figures() -> Iterator[Figure]:
 
 
 def _simulation() -> Iterator[Figure]:
-    from thorvaldc.pipeline import compile_file, emit
-    from thorvaldc.runtime.simulation import Simulation
+    from thorvaldc.compiler.pipeline import compile_file, emit
+    from thorvaldc.simulation.simulation_run import Simulation
 
     done = compile_file(EXAMPLE)
     if done.model is None:

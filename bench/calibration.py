@@ -20,9 +20,9 @@ from bench.figure import ROOT, Figure
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.runtime.calibration import CalibrationResult
-    from thorvaldc.runtime.joint_log import JointLog
     from thorvaldc.runtime.se2 import Pose2
+    from thorvaldc.simulation.records.joint_csv import JointLog
+    from thorvaldc.tools.calibration.self_calibration import CalibrationResult
 
 SECONDS = 77.0
 RADIUS, OFFSET = 0.01, math.radians(1.0)
@@ -61,9 +61,9 @@ class Errors:
 
 
 def figures() -> Iterator[Figure]:
+    from thorvaldc.compiler.pipeline import compile_file, emit
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Robot
-    from thorvaldc.pipeline import compile_file, emit
 
     robot = compile_file(ROOT / "examples" / "6wd6ws_asymmetric" / "robot.yaml").model
     if not isinstance(robot, Robot):
@@ -155,11 +155,11 @@ def _drive(
 ) -> tuple[JointLog, Pose2]:
     """The log of the run, and where it truly ended."""
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.hidden import HiddenErrors
-    from thorvaldc.runtime.joint_log import JointLogWriter, read_log
-    from thorvaldc.runtime.manoeuvre import Segment
     from thorvaldc.runtime.se2 import Twist
-    from thorvaldc.runtime.simulation import Simulation
+    from thorvaldc.simulation.manoeuvre import Segment
+    from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+    from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
+    from thorvaldc.simulation.simulation_run import Simulation
 
     hidden = {}
     if errors is not None:
@@ -200,7 +200,7 @@ def _noisy(log: JointLog, seed: int) -> JointLog:
 
 def _calibrated(robot: Robot, log: JointLog) -> CalibrationResult:
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.calibration import calibrate
+    from thorvaldc.tools.calibration.self_calibration import calibrate
 
     report = Report()
     result = calibrate(robot, log, report)
@@ -246,7 +246,7 @@ def _applied(robot: Robot, result: CalibrationResult) -> Robot:
 
 def _end_error(robot: Robot, log: JointLog, true: Pose2) -> float:
     """How far the end of the log by the robot's odometry is from the true one, m."""
-    from thorvaldc.runtime.base import JointStates
+    from thorvaldc.runtime.base_interface import JointStates
     from thorvaldc.runtime.calculators import for_robot
     from thorvaldc.runtime.odometry import Odometry
 

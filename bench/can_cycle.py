@@ -16,13 +16,13 @@ from itertools import pairwise
 
 from bench.figure import ROOT, Figure
 from bench.robots import example
+from thorvaldc.can.interface import open_ports
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file
-from thorvaldc.runtime.base_runner import BaseRunner, Timing
-from thorvaldc.runtime.bus.port import open_ports
-from thorvaldc.runtime.can_base.base import CanBase
-from thorvaldc.runtime.can_base.supervisor import State
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driver import BaseDriver, DriverState
+from thorvaldc.runtime.runner import BaseRunner, Timing
 from thorvaldc.runtime.se2 import Twist
 
 SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "60"))

@@ -28,13 +28,13 @@ ROUNDS = 5
 
 
 def figures() -> Iterator[Figure]:
+    from thorvaldc.commissioning.bus_master import Session
+    from thorvaldc.commissioning.flash import Flash
+    from thorvaldc.commissioning.journal import FileStore, Journal
+    from thorvaldc.commissioning.target_bus import target_of
+    from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.model import Robot
-    from thorvaldc.pipeline import compile_file
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.commissioning.flash import Flash
-    from thorvaldc.runtime.commissioning.journal import FileStore, Journal
-    from thorvaldc.runtime.commissioning.session import Session
-    from thorvaldc.runtime.commissioning.target import target_of
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

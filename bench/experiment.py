@@ -14,18 +14,18 @@ import mujoco
 
 from bench.figure import ROOT, Figure
 from bench.robots import built, example
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file, emit
 from thorvaldc.runtime import driver
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.manoeuvre import Manoeuvre, Segment
-from thorvaldc.runtime.meter import Meter, Sample
-from thorvaldc.runtime.mujoco_base import MujocoBase
-from thorvaldc.runtime.ramp import Ramp
-from thorvaldc.runtime.scenario import ScenarioSimulation
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.runtime.twist_ramp import Ramp
+from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.simulation_run import Simulation
 
 SECONDS = 77.0
 RUNS, ABLATED = 20, 8

@@ -11,13 +11,13 @@ import numpy as np
 
 from bench.figure import Figure, least_times
 from bench.robots import example
+from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
 from thorvaldc.model import Fleet
-from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
-from thorvaldc.runtime import crowd
-from thorvaldc.runtime.manoeuvre import Segment
-from thorvaldc.runtime.meter import Meter
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.simulation.drive_metrics import Meter
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.simulation_run import Simulation
+from thorvaldc.simulation.vectorised import crowd
 
 GRIDS = {1: (1, 1), 10: (2, 5), 25: (5, 5), 50: (5, 10), 100: (10, 10)}
 """Rows and columns by the number of robots."""

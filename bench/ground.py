@@ -8,11 +8,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench.figure import ROOT, Figure
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file, emit
-from thorvaldc.runtime.meter import Sample
-from thorvaldc.runtime.scenario import ScenarioResult, ScenarioSimulation
+from thorvaldc.simulation.drive_metrics import Sample
+from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
 SLIM = ROOT / "examples" / "4wd4ws_slim" / "robot.yaml"
 CART = ROOT / "examples" / "2wd0ws_greenhouse" / "robot.yaml"

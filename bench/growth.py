@@ -36,7 +36,7 @@ def robot(rows: int, columns: int) -> str:
 
 
 def figures() -> Iterator[Figure]:
-    from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+    from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
 
     def work(path: Path) -> object:
         done = compile_file(path)

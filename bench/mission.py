@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 
 from bench.figure import ROOT, Figure, least_times
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet
 from thorvaldc.model.scenario import Scenario
-from thorvaldc.pipeline import compile_file, emit
-from thorvaldc.runtime.manoeuvre import Segment
-from thorvaldc.runtime.meter import Meter
-from thorvaldc.runtime.scenario import ScenarioSimulation
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.simulation.drive_metrics import Meter
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.simulation_run import Simulation
 
 MISSION = ROOT / "examples" / "odometry_experiment" / "ideal.yaml"
 RATE = 100.0  # Hz, of the driver

@@ -30,7 +30,7 @@ def figures() -> Iterator[Figure]:
 
 
 def _beside(n: int) -> Iterator[Figure]:
-    from thorvaldc.runtime.base import JointStates
+    from thorvaldc.runtime.base_interface import JointStates
     from thorvaldc.runtime.calculators import BaseGeometry
     from thorvaldc.runtime.calculators.general import General
     from thorvaldc.runtime.calculators.kinematics import Kinematics

@@ -14,10 +14,10 @@ import mujoco
 from bench.figure import Figure
 from bench.robots import built, example
 from thorvaldc.model import Robot
-from thorvaldc.runtime.manoeuvre import Segment
-from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.simulation_run import Simulation
 
 RATES = (0.1, 0.5, 1.0, 2.0)  # rad/s
 # Four driven wheels at the corners: it turns on the spot by skidding alone.

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from bench.figure import Figure, least_times
 from bench.mission import manoeuvres, mission
+from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model.scenario import GROUPS
-from thorvaldc.pipeline import emit
-from thorvaldc.runtime.mcap_record import McapRecorder
-from thorvaldc.runtime.record import CsvRecorder, Recorder, recording
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
+from thorvaldc.simulation.records.record_writer import CsvRecorder, Recorder, recording
+from thorvaldc.simulation.simulation_run import Simulation
 
 ROUNDS = 5
 RATE = 50.0  # Hz, of the driver

@@ -19,9 +19,9 @@ def example(name: str) -> Path:
 
 def built(path: Path) -> tuple[Robot, dict[str, bytes]]:
     """A robot and its MJCF."""
+    from thorvaldc.compiler.pipeline import compile_file, emit
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Robot
-    from thorvaldc.pipeline import compile_file, emit
 
     model = compile_file(path).model
     if not isinstance(model, Robot):

@@ -65,7 +65,7 @@ def _mean_travel(policy: Callable[[float, float], float], directions: Sequence[f
 
 
 def _general(limit: float) -> Callable[[float, float], float]:
-    from thorvaldc.runtime.calculators.steering import Steering
+    from thorvaldc.runtime.calculators.steering_branch import Steering
 
     steering = Steering(replace(_wheel("w", 0.0, 0.0), lower=-limit, upper=limit), (0,), 1.5, 0.02)
 
@@ -198,7 +198,7 @@ def _turning(before: Twist, after: Twist, rule: Callable[[Twist, Twist, float], 
 
 
 def _coordinating(before: Twist, after: Twist, dt: float) -> Step:
-    from thorvaldc.runtime.base import JointStates
+    from thorvaldc.runtime.base_interface import JointStates
     from thorvaldc.runtime.calculators import BaseGeometry
     from thorvaldc.runtime.calculators.general import General
 

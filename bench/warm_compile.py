@@ -13,7 +13,7 @@ FOUR_WHEELS = Path(__file__).parent / "four_wheels.xacro"
 def figures() -> Iterator[Figure]:
     import xacro
 
-    from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+    from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
 
     def ours() -> object:
         done = compile_file(EXAMPLE)

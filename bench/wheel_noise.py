@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.figure import ROOT
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
-from thorvaldc.runtime.calculators.geometry import FixedWheels
+from thorvaldc.runtime.calculators.base_geometry import FixedWheels
 from thorvaldc.runtime.se2 import Twist
 
 Array = NDArray[np.float64]

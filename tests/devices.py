@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
+from thorvaldc.compiler.bus.lock_file import Lock
+from thorvaldc.compiler.library import Library, ModuleType
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
-from thorvaldc.library import Library, ModuleType
 from thorvaldc.model.robot import Actuator, Bus
-from thorvaldc.passes.bus import BusSpec, Device, Wire, build_buses
-from thorvaldc.passes.bus_lock import Lock
-from thorvaldc.passes.scope import Scope
-from thorvaldc.source.node import Node
-from thorvaldc.source.reader import read_text
 
 MODULES = Path(__file__).parents[1] / "modules"
 DRIVE = "controller/propulsion_steering"

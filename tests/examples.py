@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.pipeline import compile_file
 
 FOLDER = Path(__file__).parent.parent / "examples"
 ROBOTS = tuple(sorted(path.parent.name for path in FOLDER.glob("*/robot.yaml")))

@@ -7,11 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 from thorvaldc.model import Robot
-from thorvaldc.runtime.hidden import HiddenErrors
-from thorvaldc.runtime.joint_log import JointLogWriter
-from thorvaldc.runtime.manoeuvre import Segment
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+from thorvaldc.simulation.records.joint_csv import JointLogWriter
+from thorvaldc.simulation.simulation_run import Simulation
 
 # Start (s), vx, vy (m/s), wz (rad/s): forwards, sideways and turns about places near by.
 TURNS = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from thorvaldc.pipeline import compile_file
+from thorvaldc.compiler.pipeline import compile_file
 
 # (the file's line or lines, the codes planted there); misspellings are deliberate.
 PLANTED = """\

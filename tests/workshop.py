@@ -5,9 +5,9 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
+from thorvaldc.compiler.pipeline import Compilation, compile_file
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import Compilation, compile_file
 
 # Modules with round numbers, for results that can be worked out by hand.  A wheel and
 # what carries it have their mass in one point each (small spheres).

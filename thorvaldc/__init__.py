@@ -14,11 +14,11 @@ __version__ = "0.1.0"
 __all__ = ["BaseDriver", "SimBase", "Simulation", "Twist", "__version__", "compile", "emit"]
 
 _API = {
-    "compile": "thorvaldc.pipeline:compile_file",
-    "emit": "thorvaldc.pipeline:emit",
-    "Simulation": "thorvaldc.runtime.simulation:Simulation",
+    "compile": "thorvaldc.compiler.pipeline:compile_file",
+    "emit": "thorvaldc.compiler.pipeline:emit",
+    "Simulation": "thorvaldc.simulation.simulation_run:Simulation",
     "BaseDriver": "thorvaldc.runtime.driver:BaseDriver",
-    "SimBase": "thorvaldc.runtime.sim_base:SimBase",
+    "SimBase": "thorvaldc.simulation.physics.sim_base:SimBase",
     "Twist": "thorvaldc.runtime.se2:Twist",
 }
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
-from thorvaldc.pipeline import compile_file, emit
 
 try:
     from gymnasium.envs import registration
@@ -21,7 +21,7 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from thorvaldc.runtime.gym import RobotEnv
+    from thorvaldc.simulation.gym.robot_env import RobotEnv
 
 NAME = "thorvaldc/Robot-v0"
 
@@ -39,7 +39,7 @@ def make(
     ``ValueError`` with all that is wrong where the file does not compile, and where ``scenario``
     is none.
     """
-    from thorvaldc.runtime.gym import RobotEnv
+    from thorvaldc.simulation.gym.robot_env import RobotEnv
 
     folders = [Path(folder) for folder in library]
     done = compile_file(scenario or file, library=folders, robot=file if scenario else None)

@@ -10,11 +10,11 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
-from thorvaldc.pipeline import compile_file, emit
-from thorvaldc.runtime.pictures.graphics import choose_graphics
-from thorvaldc.runtime.pictures.render import View, render
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.pictures.graphics import choose_graphics
+from thorvaldc.simulation.pictures.render import View, render
 
 ROOT = Path(__file__).resolve().parent.parent
 SPIN = 0.35  # rad between a wheel and the next, so that they do not look alike

@@ -21,15 +21,15 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
-from thorvaldc.runtime.calibration import CalibrationResult, calibrate
-from thorvaldc.runtime.calibration_text import overlay
-from thorvaldc.runtime.hidden import HiddenErrors
-from thorvaldc.runtime.joint_log import JointLogWriter, read_log
-from thorvaldc.runtime.manoeuvre import Segment
-from thorvaldc.runtime.meter import Meter, Sample
 from thorvaldc.runtime.odometry import Odometry
-from thorvaldc.runtime.scenario import ScenarioSimulation
-from thorvaldc.runtime.simulation import Simulation
+from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.simulation_run import Simulation
+from thorvaldc.tools.calibration.calibration_text import overlay
+from thorvaldc.tools.calibration.self_calibration import CalibrationResult, calibrate
 
 HERE = Path(__file__).resolve().parent
 ROBOT = HERE.parent / "6wd6ws_asymmetric" / "robot.yaml"
@@ -222,7 +222,7 @@ def main() -> None:
     print(HEAD, "| --- | --- | --- | --- | --- |", *(row.text for row in rows), sep="\n", file=text)
     print(text.getvalue(), end="")
     if "--write" in sys.argv[1:]:
-        from thorvaldc.runtime.pictures.plot import plot
+        from thorvaldc.simulation.pictures.plot import plot
 
         plot({"six": robot}, {"six": samples}, str(HERE / "run.png"), "6WD6WS, 77 s, 80 m")
         readme = HERE / "README.md"

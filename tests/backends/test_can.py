@@ -16,8 +16,8 @@ import pytest
 from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_bus
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model.robot import Bus, Frame, Node, Robot, Signal
-from thorvaldc.pipeline import compile_file
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

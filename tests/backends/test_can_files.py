@@ -18,8 +18,8 @@ from tests.buses import robot_with_bus
 from tests.examples import ROBOTS, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model.robot import Bus, Frame, Robot, Signal
-from thorvaldc.pipeline import compile_file
 
 DRIVES = """\
 thorvaldc: 1

@@ -21,8 +21,8 @@ from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.ros2 import Ros2
 from thorvaldc.backends.ros2_parameters import ParameterError, parameter_file
 from thorvaldc.backends.urdf import Urdf
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model.robot import Bus, CalculatorChoice, Robot
-from thorvaldc.pipeline import compile_file
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

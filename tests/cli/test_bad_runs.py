@@ -16,7 +16,7 @@ import pytest
 from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
 from thorvaldc.cli.progress import Progress
-from thorvaldc.runtime.meter import Meter
+from thorvaldc.simulation.drive_metrics import Meter
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SLIM, TALL = EXAMPLES / "4wd4ws_slim/robot.yaml", EXAMPLES / "4wd2ws_tall/robot.yaml"

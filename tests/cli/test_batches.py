@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import Command
-from thorvaldc.batch import Batch, plan_variations
+from thorvaldc.compiler.scenario.variations import Variations
 from thorvaldc.diagnostics import Report
-from thorvaldc.passes.variations import Variations
+from thorvaldc.tools.scenario_batch import Batch, plan_variations
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "examples/4wd4ws_slim/robot.yaml"

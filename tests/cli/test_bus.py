@@ -17,9 +17,9 @@ import canopen
 import pytest
 
 from tests.cli.conftest import GOOD, Command
-from tests.runtime.bus.robots import CIA402
-from thorvaldc.runtime.bus import interface
-from thorvaldc.runtime.bus.remote import RemoteClient
+from tests.simulation.bus.robots import CIA402
+from thorvaldc.can.simulated_bus_client import RemoteClient
+from thorvaldc.simulation.bus import python_can_plugin as interface
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.can.slcan_adapter import SlcanAdapter
 from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
-from tests.runtime.bus.robots import CIA402, compiled
-from tests.runtime.bus.slcan_adapter import SlcanAdapter
-from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-from thorvaldc.runtime.commissioning.lock import BusLock
+from tests.simulation.bus.robots import CIA402, compiled
+from thorvaldc.commissioning.bus_lock import BusLock
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 ONE = """
 thorvaldc: 1

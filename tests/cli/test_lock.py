@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from tests.cli.conftest import GOOD, Command
-from thorvaldc.pipeline import compile_file
+from thorvaldc.compiler.pipeline import compile_file
 
 AUTO = GOOD.replace(", can: 3", "").replace(", can: 4", "")
 LOCK = Path("auto.lock.yaml")

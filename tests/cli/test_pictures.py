@@ -65,7 +65,7 @@ def test_what_cannot_be_drawn_is_told(
 
 
 def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    from thorvaldc.runtime.pictures import graphics
+    from thorvaldc.simulation.pictures import graphics
 
     monkeypatch.delitem(sys.modules, "mujoco", raising=False)
     monkeypatch.delenv("MUJOCO_GL", raising=False)

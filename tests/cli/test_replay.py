@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import Command
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
-from thorvaldc.pipeline import compile_file, emit
-from thorvaldc.runtime.mcap_record import McapRecorder
-from thorvaldc.runtime.mujoco_base import MujocoScene
-from thorvaldc.runtime.recorded import read_record
-from thorvaldc.runtime.replay import Replay
+from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
+from thorvaldc.simulation.records.record_reader import read_record
+from thorvaldc.tools.replay import Replay
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 FLEET = str(EXAMPLES / "fleet_of_four/fleet.yaml")

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
+from tests.can.slcan_adapter import SlcanAdapter
 from tests.cli.conftest import GOOD, Command
 from tests.cli.test_bus import end, running
-from tests.runtime.bus.slcan_adapter import SlcanAdapter
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file
-from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 ROOT = Path(__file__).parents[2]
 VIRTUAL = ("run", "good.yaml", "--bus", "virtual")

@@ -21,9 +21,9 @@ import pytest
 
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
-from tests.runtime.teleop.test_joystick import Device
-from thorvaldc.runtime.control.client import ControlClient
-from thorvaldc.runtime.teleop.joystick import ABS_Y, BTN_TL
+from tests.tools.teleoperation.test_joystick import Device
+from thorvaldc.runtime.control.control_client import ControlClient
+from thorvaldc.tools.teleoperation.joystick import ABS_Y, BTN_TL
 
 
 def at_teleop(folder: Path, *arguments: str) -> Person:

@@ -19,13 +19,13 @@ from tests.conformance.test_calculators import (
     tricycle_wheels,
 )
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseGeometry, WheelGeometry
-from thorvaldc.runtime.calculators.batch import Array, Batch
-from thorvaldc.runtime.calculators.estimator import Estimation, TwistEstimate, TwistEstimator
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.faults import NotFiniteError
+from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimate, TwistEstimator
+from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.vectorised.calculator_batch import Array, Batch
 
 N = 24
 TOLERANCE = 1e-12

@@ -12,16 +12,16 @@ import cantools
 import pytest
 
 from tests.examples import ROBOTS, example_robot
-from tests.runtime.bus.robots import cia402_robot
-from tests.runtime.can_base_rig import Rig
+from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import OBJECT_TYPES, Node
-from thorvaldc.runtime.bus import interface
-from thorvaldc.runtime.bus.server import serving
-from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-from thorvaldc.runtime.can_base.codec import FrameCodec
+from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus import python_can_plugin as interface
+from thorvaldc.simulation.bus.bus_server import serving
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 NAMES = [*ROBOTS, "cia402"]
 

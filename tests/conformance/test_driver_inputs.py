@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model import Robot
-from thorvaldc.runtime.base import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
-from thorvaldc.runtime.faults import ParameterError
+from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.runtime.sim_base import SimBase
+from thorvaldc.simulation.physics.sim_base import SimBase
 
 HALF_STEERED = [(x, y, kind if x > 0.0 else "fixed") for x, y, kind in FOUR_STEERED]
 ROBOTS = {"4WD4WS": make_robot(FOUR_STEERED), "4WD2WS": make_robot(HALF_STEERED)}

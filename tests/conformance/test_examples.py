@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.examples import FLEETS, FOLDER, ROBOTS, example_robot
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file, emit
 
 PAPER = {
     "4wd4ws_wide": (4, 4),

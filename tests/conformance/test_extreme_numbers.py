@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
-from thorvaldc.runtime.calculators.batch import Batch
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
-from thorvaldc.runtime.faults import NotFiniteError
+from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.vectorised.calculator_batch import Batch
 
 SQUARE = ((0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4))
 STATES = 5

@@ -12,25 +12,25 @@ import pytest
 import yaml
 
 from tests.examples import example_robot
-from tests.runtime.bus.robots import cia402_robot
-from tests.runtime.can_base_rig import FORWARD, Rig
+from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.can import Can
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.compiler.importer import import_file
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
-from thorvaldc.importer import import_file
+from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file, emit
-from thorvaldc.runtime.base_runner import Refused
-from thorvaldc.runtime.bus.client import Client
-from thorvaldc.runtime.bus.frame import CanFrame
-from thorvaldc.runtime.bus.plain_devices import BATTERY_FRAMES
-from thorvaldc.runtime.bus.roboteq import RoboteqController
-from thorvaldc.runtime.bus.timeline import Timeline
-from thorvaldc.runtime.bus.wire import Wire
-from thorvaldc.runtime.can_base.receiver import Receiver
-from thorvaldc.runtime.can_base.supervisor import State
-from thorvaldc.runtime.faults import RuntimeFault
-from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.frame_receiver import Receiver
+from thorvaldc.runtime.runner import Refused
 from thorvaldc.runtime.se2 import ZERO_TWIST
+from thorvaldc.simulation.bus.battery_and_io_devices import BATTERY_FRAMES
+from thorvaldc.simulation.bus.roboteq_device import RoboteqController
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 
 COMMAND, STATE = 0x240, 0x1C0
 """What is told to the sprayer, a foreign device, and what it says."""
@@ -199,7 +199,7 @@ def test_the_safety_stop_does_more_than_to_command_zero() -> None:
 def test_two_robots_in_one_simulation_are_noticed() -> None:
     """A launch file took the description from one robot's file and the driver from another's."""
     one, other = example_robot("4wd4ws_wide"), example_robot("4wd2ws_tall")
-    with pytest.raises(RuntimeFault, match="the scene has no joint"):
+    with pytest.raises(DiagnosticError, match="the scene has no joint"):
         MujocoBase(one, MujocoScene(emit(other, ["mjcf"], Report())))
 
 

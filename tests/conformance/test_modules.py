@@ -15,8 +15,8 @@ import pytest
 import trimesh
 import yaml
 
+from thorvaldc.compiler.pipeline import check_library, compile_file
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import check_library, compile_file
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 MODULES = ROOT / "modules"

@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 from tests.examples import FOLDER
-from tests.runtime.bus.robots import CIA402
-from tests.runtime.can_base_rig import FORWARD, Rig
+from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from tests.simulation.bus.robots import CIA402
 from thorvaldc.backends.can import Can
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.pipeline import compile_file
 
 OFFSETS = {"fl": math.radians(0.8), "fr": math.radians(-1.5)}
 

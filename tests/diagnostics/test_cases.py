@@ -65,22 +65,22 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     """What is found in the files in the working folder."""
     how = case.get("run", "compile")
     if how == "import":
-        from thorvaldc.importer import import_original
+        from thorvaldc.compiler.importer import import_original
 
         return list(import_original(Path(entry))[1])
     if how == "demo":
-        from thorvaldc.runtime.simulation import run_demo
+        from thorvaldc.simulation.simulation_run import run_demo
 
         report = Report()
         run_demo(Path(entry), report)
         return list(report)
-    from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+    from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
 
     done = compile_file(entry)
     if how == "emit" and done.model is not None:
         emit(done.model, case.get("targets", DEFAULT_TARGETS), done.report)
     if how == "pin":
-        from thorvaldc.writer import write_locks
+        from thorvaldc.compiler.writer import write_locks
 
         os.chmod(".", 0o555 if case.get("read_only") else 0o755)
         try:
@@ -88,42 +88,42 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         finally:
             os.chmod(".", 0o755)
     if how == "scenario" and done.scenario is not None:
-        from thorvaldc.runtime.scenario import ScenarioSimulation
+        from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
         found = Report()
         files = emit(done.scenario.fleet, ["mjcf"], found)
         ScenarioSimulation(done.scenario, files).play(found)
         done.report.extend(done.located(found))
     if how == "sim" and done.model is not None:
-        from thorvaldc.runtime.faults import RuntimeFault
-        from thorvaldc.runtime.manoeuvre import parse_twist
-        from thorvaldc.runtime.simulation import Simulation
+        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.runtime.twist_text import parse_twist
+        from thorvaldc.simulation.simulation_run import Simulation
 
         try:
             files = emit(done.model, ["mjcf"], done.report)
             simulation = Simulation(done.model, files, case.get("parameters"))
             simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), done.report)
-        except RuntimeFault as fault:
+        except DiagnosticError as fault:
             done.report.put(fault.diagnostic)
     if how == "bus" and isinstance(done.model, Robot):
         run_on_a_bus(done.model, done.report)
     if how == "drive" and isinstance(done.model, Robot):
         drive_by_its_buses(done.model, case.get("devices"), done.report)
     if how == "can" and isinstance(done.model, Robot):
-        from tests.runtime.commissioning.situations import play
-        from thorvaldc.runtime.faults import RuntimeFault
+        from tests.commissioning.situations import play
+        from thorvaldc.diagnostics.error import DiagnosticError
 
         try:
             play(done.model, case["situation"])
-        except RuntimeFault as fault:
+        except DiagnosticError as fault:
             done.report.put(fault.diagnostic)
     if how == "port" and isinstance(done.model, Robot):
-        from thorvaldc.runtime.bus.port import open_port
-        from thorvaldc.runtime.faults import RuntimeFault
+        from thorvaldc.can.interface import open_port
+        from thorvaldc.diagnostics.error import DiagnosticError
 
         try:
             open_port(case["bus"], done.model.buses[0]).close()
-        except RuntimeFault as fault:
+        except DiagnosticError as fault:
             done.report.put(fault.diagnostic)
     if how == "replay" and isinstance(done.model, Robot):
         from thorvaldc.cli.picturing import RunPictures
@@ -137,15 +137,15 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
-    from thorvaldc.pipeline import read_faults
-    from thorvaldc.runtime.bus.faults import Faults
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.compiler.pipeline import read_faults
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.bus.fault_injection import Faults
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     script = read_faults("faults.yaml", robot, report)
     try:
         simulated = SimulatedRobot(robot)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
         return
     if script is not None:
@@ -157,10 +157,10 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
 def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
     """Start it and stand for a second, on the devices of the robot's file or of another."""
     from thorvaldc.cli.running import Session
-    from thorvaldc.pipeline import compile_file, read_faults
-    from thorvaldc.runtime.bus.faults import Faults
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.compiler.pipeline import compile_file, read_faults
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.bus.fault_injection import Faults
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     other = compile_file(devices).model if devices is not None else robot
     assert isinstance(other, Robot)
@@ -173,7 +173,7 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
     ports = {bus.name: simulated.client(bus.name) for bus in robot.buses}
     try:
         session = Session(robot, ports, simulated, "", None, 5.0, fast=True)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
         return
     ended = session.play(False)
@@ -183,15 +183,15 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
 
 def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:
     from tests.recording import record
-    from thorvaldc.runtime import calibration
-    from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.joint_log import read_log
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.records.joint_csv import read_log
+    from thorvaldc.tools.calibration import self_calibration as calibration
 
     path = Path("joints.csv")
     if "record" in case:
         try:
             path.write_text(record(robot, **case["record"]), encoding="utf-8")
-        except RuntimeFault as fault:
+        except DiagnosticError as fault:
             report.put(fault.diagnostic)
             return
     log = read_log(path, path.name, robot, report)

@@ -22,8 +22,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
 from thorvaldc.diagnostics.render import FORMATS, render
-from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
 
 ROOT = Path(__file__).parents[2]
 LIMIT = 5.0  # s for one document; the usual one takes hundredths

@@ -8,8 +8,8 @@ from __future__ import annotations
 import pytest
 
 from bench.bus_traffic import random_bus, reached, worst_payload
+from thorvaldc.can.frame import frame_bits
 from thorvaldc.model.bus_timing import frame_bits as worst_bits
-from thorvaldc.runtime.bus.frame import frame_bits
 
 
 @pytest.mark.parametrize("number", range(8))

@@ -10,11 +10,11 @@ import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model import DriverSettings
-from thorvaldc.runtime.base import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
-from thorvaldc.runtime.ramp import LEAD
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
-from thorvaldc.runtime.sim_base import SimBase
+from thorvaldc.runtime.twist_ramp import LEAD
+from thorvaldc.simulation.physics.sim_base import SimBase
 
 ROBOT = make_robot(FOUR_STEERED)
 DT = 1.0 / ROBOT.driver.rate

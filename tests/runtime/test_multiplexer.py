@@ -9,10 +9,10 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
-from thorvaldc.runtime.faults import ParameterError
+from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.sim_base import SimBase
+from thorvaldc.simulation.physics.sim_base import SimBase
 
 SLOW, FAST = Twist(0.2, 0.0, 0.0), Twist(0.8, 0.0, 0.1)
 ROBOT = make_robot(FOUR_STEERED)

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.validation.document_check import _validator
 from thorvaldc.diagnostics import Report
 from thorvaldc.schema import gate
-from thorvaldc.schema.checker import _validator
 from thorvaldc.schema.documents import KINDS, Kind, inlined
-from thorvaldc.source.reader import read_text
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES: dict[Kind, list[Path]] = {

@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.source.units import QUANTITIES, parse_any, parse_quantity
+from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.diagnostics import Report
-from thorvaldc.schema import KINDS, Kind, bundle, check, inlined, schema_text
-from thorvaldc.source.reader import read_text
-from thorvaldc.source.units import QUANTITIES, parse_any, parse_quantity
+from thorvaldc.schema import KINDS, Kind, bundle, inlined, schema_text
 
 ROOT = Path(__file__).parents[2]
 

@@ -15,11 +15,8 @@ from typing import TypeGuard
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.appearance import Palette, mesh_files
-from thorvaldc.backends.contact import SOLIMP, SOLREF, WheelContact
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
 from thorvaldc.backends.mjcf_world import add_world
-from thorvaldc.backends.stance import Rest, rest, spin_axis
-from thorvaldc.backends.tree import Tree
 from thorvaldc.backends.xml_writer import Element, parse, to_bytes
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import (
@@ -41,6 +38,9 @@ from thorvaldc.model import (
     Wheel,
 )
 from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
+from thorvaldc.model.statics.joint_tree import Tree
+from thorvaldc.model.statics.standing_pose import Rest, rest, spin_axis
+from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF, WheelContact
 
 TIMESTEP = 0.005
 # Torsional friction over mu times width.  A patch as wide as the tyre would resist

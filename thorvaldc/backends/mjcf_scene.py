@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable
 
 from thorvaldc.backends.mjcf_world import lowest
-from thorvaldc.backends.stance import Rest
-from thorvaldc.backends.tree import Tree
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import Pose, Robot, Vec3, World
 from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.joint_tree import Tree
+from thorvaldc.model.statics.standing_pose import Rest
 
 
 def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:

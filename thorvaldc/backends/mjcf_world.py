@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.backends.stance import GRAVITY
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import Box, Cylinder, Ground, MeshShape, Pose, Sphere, World, Zone
 from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.standing_pose import GRAVITY
 
 TERRAIN = "terrain.bin"
 _DEPTH = 0.5  # m, of the ground below its lowest point

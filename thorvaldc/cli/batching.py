@@ -18,8 +18,8 @@ from thorvaldc.cli.faults import Faults, count, finite, message
 from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
-    from thorvaldc.batch import Run
-    from thorvaldc.passes.variations import Change, Variations
+    from thorvaldc.compiler.scenario.variations import Change, Variations
+    from thorvaldc.tools.scenario_batch import Run
 
 SHOWN = 10
 """So many runs are named that are not as expected."""
@@ -41,8 +41,8 @@ def plan(
 
     ``own``: the document's own variations as well.
     """
-    from thorvaldc.batch import plan_variations
     from thorvaldc.diagnostics import Report
+    from thorvaldc.tools.scenario_batch import plan_variations
 
     for text in settings:
         if "=" not in text or not text.partition("=")[0].strip():
@@ -98,7 +98,7 @@ def run_batch(
 
     After Ctrl-C what is done is shown and kept.
     """
-    from thorvaldc.batch import Batch, processors
+    from thorvaldc.tools.scenario_batch import Batch, processors
 
     gc.enable()
     wanted = _whole(jobs, "--jobs", 1) or processors()
@@ -174,7 +174,7 @@ def _json(runs: Sequence[Run]) -> str:
 
 def _rows(stream: TextIO, runs: Sequence[Run], *, heading: bool = True) -> None:
     """A line for each robot of each run: what varied, every metric in SI, the hash."""
-    from thorvaldc.runtime.scenario import UNITS
+    from thorvaldc.simulation.scenario_run import UNITS
 
     writer = csv.writer(stream, lineterminator="\n")
     if heading and runs:

@@ -20,8 +20,8 @@ from thorvaldc.cli.faults import Faults
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
     from thorvaldc.model.bus_faults import BusFault
-    from thorvaldc.runtime.base import BaseHandle
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.runtime.base_interface import BaseHandle
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 NOTABLE_LAG = 50_000_000
 """ns behind the clock that are worth a word."""
@@ -46,13 +46,13 @@ def run_bus(
         )
     number = _seed(seed)
     done = compile_one(file, library)
+    from thorvaldc.compiler.pipeline import emit, read_faults
     from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model import Robot
-    from thorvaldc.pipeline import emit, read_faults
-    from thorvaldc.runtime.bus import faults as bus_faults
-    from thorvaldc.runtime.bus.server import BusServer
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.simulation.bus import fault_injection as bus_faults
+    from thorvaldc.simulation.bus.bus_server import BusServer
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     robot = done.model
     if robot is None:
@@ -69,7 +69,7 @@ def run_bus(
         base = _mujoco(robot, emit(robot, ["mjcf"], report)) if physics == "mujoco" else None
         chosen = number if number is not None else script.seed if script is not None else 0
         simulated = SimulatedRobot(robot, seed=chosen, base=base, delivered=delivered, kept=kept)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         found.put(fault.diagnostic)
         return _tell(done.located(found), done.sources)
     _tell(report, done.sources)
@@ -116,7 +116,7 @@ def _channels(robot: Robot, channel: str) -> dict[str, str]:
 
 
 def _mujoco(robot: Robot, files: dict[str, bytes]) -> BaseHandle:
-    from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+    from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 
     return MujocoBase(robot, MujocoScene(files))
 

@@ -31,25 +31,25 @@ def calibrate_robot(
     if done.model is None:
         return INPUT
     from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model import Fleet
-    from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.joint_log import read_log
-    from thorvaldc.runtime.parameters import Parameters
+    from thorvaldc.runtime.driver_parameters import Parameters
+    from thorvaldc.simulation.records.joint_csv import read_log
 
     if isinstance(done.model, Fleet):
         raise typer.BadParameter(f"{robot} is a fleet; name one robot's file", param_hint="ROBOT")
     report, faults = Report(), Faults("text", sys.stderr)
     try:
         Parameters.of(done.model, parameters or None)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
         faults.add(done.located(report), done.sources)
         return faults.finish()
     read = read_log(Path(log), log, done.model, report)
     result = None
     if read is not None:
-        from thorvaldc.runtime.calibration import calibrate
-        from thorvaldc.runtime.calibration_text import as_json, overlay, table
+        from thorvaldc.tools.calibration.calibration_text import as_json, overlay, table
+        from thorvaldc.tools.calibration.self_calibration import calibrate
 
         result = calibrate(done.model, read, report, metres, log, parameters or None)
     faults.add(report, done.sources | {log: Path(log)})
@@ -68,9 +68,9 @@ def calibrate_robot(
 
 def _included(robot: Path) -> dict[str, dict[str, Any]]:
     """What the robot's calibration says of its wheels now, in SI."""
+    from thorvaldc.compiler.modules.wheel_calibration import load_calibration
+    from thorvaldc.compiler.source.reader import read_file
     from thorvaldc.diagnostics import Report
-    from thorvaldc.passes.calibration import load_calibration
-    from thorvaldc.source.reader import read_file
 
     document = read_file(robot, robot.name, Report())
     found = load_calibration(document, robot.parent, Report(), {}) if document else None
@@ -87,7 +87,7 @@ def _included(robot: Path) -> dict[str, dict[str, Any]]:
 
 
 def _metres(text: str) -> float:
-    from thorvaldc.source.units import UnitError, parse_quantity
+    from thorvaldc.compiler.source.units import UnitError, parse_quantity
 
     try:
         metres = parse_quantity(text, "length")
@@ -113,8 +113,8 @@ def _write(path: Path, text: str) -> None:
 
 
 def _is_calibration(path: Path) -> bool:
+    from thorvaldc.compiler.source.reader import read_file
     from thorvaldc.diagnostics import Report
-    from thorvaldc.source.reader import read_file
 
     node = read_file(path, path.name, Report())
     return node is not None and node.get("robot") is not None and node.get("wheels") is not None

@@ -20,16 +20,16 @@ from thorvaldc.cli.options import bus_of
 from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
+    from thorvaldc.can.interface import Port
+    from thorvaldc.commissioning.bus_master import Session
+    from thorvaldc.commissioning.plan import Plan
+    from thorvaldc.commissioning.plan import Step as PlanStep
+    from thorvaldc.commissioning.scan_result import Scan
+    from thorvaldc.commissioning.scanner import Scanner
+    from thorvaldc.commissioning.target_bus import Target
     from thorvaldc.model import Robot
     from thorvaldc.model.bus import Bus
-    from thorvaldc.runtime.bus.port import Port
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.commissioning.plan import Plan
-    from thorvaldc.runtime.commissioning.plan import Step as PlanStep
-    from thorvaldc.runtime.commissioning.scan import Scan
-    from thorvaldc.runtime.commissioning.scanner import Scanner
-    from thorvaldc.runtime.commissioning.session import Session
-    from thorvaldc.runtime.commissioning.target import Target
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 VIRTUAL = "virtual"
 SIMULATED = (VIRTUAL, "sim", "udp")
@@ -115,7 +115,7 @@ def default_journal(file: str, place: Place) -> str:
 
 def verify_bus(file: str, spec: str, store: str, json: bool, library: Sequence[str]) -> int:
     def work(place: Place) -> int:
-        from thorvaldc.runtime.commissioning.verify import verify
+        from thorvaldc.commissioning.verify import verify
 
         found = verify(place.session, place.target, place.bus, place.progress)
         place.clear()
@@ -142,8 +142,8 @@ def verify_bus(file: str, spec: str, store: str, json: bool, library: Sequence[s
 def _write(
     place: Place, journal: str, yes: bool, apply: bool, resume: bool, expected: str, json: bool
 ) -> int:
-    from thorvaldc.runtime.commissioning.flash import Flash
-    from thorvaldc.runtime.commissioning.journal import FileStore, Journal
+    from thorvaldc.commissioning.flash import Flash
+    from thorvaldc.commissioning.journal import FileStore, Journal
 
     path = Path(journal)
     if not apply and not path.exists():
@@ -211,13 +211,13 @@ class Place:
     bar: Progress
 
     def scanner(self) -> Scanner:
-        from thorvaldc.runtime.commissioning.scanner import Scanner
+        from thorvaldc.commissioning.scanner import Scanner
 
         return Scanner(self.session, self.target, self.progress)
 
     def plan(self) -> Plan:
-        from thorvaldc.runtime.commissioning.plan import make_plan
-        from thorvaldc.runtime.commissioning.session import other_master
+        from thorvaldc.commissioning.bus_master import other_master
+        from thorvaldc.commissioning.plan import make_plan
 
         scan = self.scanner().active(texts=False)
         self.clear()
@@ -251,7 +251,7 @@ def _on_bus(
     """Compile, open the bus, do it; a fault of the runtime is told as any other."""
     from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.diagnostics.error import DiagnosticError
 
     loaded = load_robot(file, library)
     if loaded is None:
@@ -264,7 +264,7 @@ def _on_bus(
                 return work(place)
             finally:
                 place.clear()
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report = Report()
         report.put(fault.diagnostic)
         shown = Faults("text", sys.stderr)
@@ -274,9 +274,9 @@ def _on_bus(
 
 @contextlib.contextmanager
 def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.commissioning.session import Session
-    from thorvaldc.runtime.commissioning.target import target_of
+    from thorvaldc.commissioning.bus_master import Session
+    from thorvaldc.commissioning.target_bus import target_of
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     bus, spec = bus_of(robot, spec)
     name, _, how = spec.partition(":")
@@ -301,8 +301,8 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
         return
     if store:
         raise typer.BadParameter("is for a simulated robot, --bus virtual", param_hint="'--store'")
-    from thorvaldc.runtime.bus.port import open_port
-    from thorvaldc.runtime.commissioning.lock import BusLock
+    from thorvaldc.can.interface import open_port
+    from thorvaldc.commissioning.bus_lock import BusLock
 
     if name not in SIMULATED:
         message(UNTRIED)
@@ -334,7 +334,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def scan_table(scan: Scan) -> str:
-    from thorvaldc.runtime.commissioning.scan import identity_text
+    from thorvaldc.commissioning.scan_result import identity_text
 
     rows = [("verdict", "node", "id", "found", "device")]
     for entry in scan.entries:
@@ -380,7 +380,7 @@ def plan_table(plan: Plan) -> str:
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    from thorvaldc.runtime.commissioning.plan import step_to_json
+    from thorvaldc.commissioning.plan import step_to_json
 
     return {
         "hash": plan.hash,

@@ -14,9 +14,9 @@ from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.faults import Faults, check_format, count
 
 if TYPE_CHECKING:
+    from thorvaldc.compiler.pipeline import Compilation
+    from thorvaldc.compiler.scenario.variations import Change
     from thorvaldc.model import Fleet, Robot
-    from thorvaldc.passes.variations import Change
-    from thorvaldc.pipeline import Compilation
 
 
 def check_files(files: Sequence[str], format: str, strict: bool, library: Sequence[str]) -> int:
@@ -35,9 +35,9 @@ def build_files(
     check_format(format)
     wanted = check_targets(targets)
     from thorvaldc import __version__
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.compiler.writer import WriteError, write_build, write_locks
     from thorvaldc.diagnostics import Report
-    from thorvaldc.pipeline import emit
-    from thorvaldc.writer import WriteError, write_build, write_locks
 
     faults = Faults(format, sys.stderr)
     builds: list[dict[str, Any]] = []
@@ -79,7 +79,7 @@ def build_files(
 
 def check_modules(folders: Sequence[str], format: str, strict: bool) -> int:
     check_format(format)
-    from thorvaldc.pipeline import check_library
+    from thorvaldc.compiler.pipeline import check_library
 
     faults = Faults(format, sys.stdout)
     wanted: list[Path | None] = [*library_folders(folders, "DIR")]
@@ -94,7 +94,7 @@ def compile_one(
     file: str, library: Sequence[str], robot: str | None = None, changes: Sequence[Change] = ()
 ) -> Compilation:
     """Compile, a scenario by ``robot`` and with ``changes``; what is said of it goes to stderr."""
-    from thorvaldc.pipeline import compile_file
+    from thorvaldc.compiler.pipeline import compile_file
 
     done = compile_file(file, library=library_folders(library), robot=robot, changes=changes)
     faults = Faults("text", sys.stderr)
@@ -104,7 +104,7 @@ def compile_one(
 
 
 def _compile_all(files: Sequence[str], library: Sequence[str]) -> Iterable[Compilation]:
-    from thorvaldc.pipeline import compile_file
+    from thorvaldc.compiler.pipeline import compile_file
 
     folders = library_folders(library)
     for file in files:

@@ -19,7 +19,7 @@ from thorvaldc.cli.faults import Faults, count, message
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.simulation import DemoRow
+    from thorvaldc.simulation.simulation_run import DemoRow
 
 TARGETS = ("urdf", "mjcf", "ros2", "can")
 
@@ -42,7 +42,7 @@ def run_demo(files: Sequence[str], originals: Sequence[str], output: str) -> int
         for outcome in pool.imap(_drive, jobs):
             outcomes.append(outcome)
             _progress(len(outcomes), len(jobs))
-    from thorvaldc.runtime.simulation import demo_table
+    from thorvaldc.simulation.simulation_run import demo_table
 
     for outcome in outcomes:
         if outcome.text:
@@ -70,11 +70,11 @@ def _progress(done: int, all_: int) -> None:
 
 def _drive(job: tuple[str, str, bool]) -> Outcome:
     from thorvaldc import __version__
+    from thorvaldc.compiler.pipeline import compile_file, emit
+    from thorvaldc.compiler.writer import WriteError, write_build
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet
-    from thorvaldc.pipeline import compile_file, emit
-    from thorvaldc.runtime.simulation import run_demo as drive
-    from thorvaldc.writer import WriteError, write_build
+    from thorvaldc.simulation.simulation_run import run_demo as drive
 
     file, output, is_original = job
     text = io.StringIO()
@@ -126,7 +126,7 @@ def _without_notes(report: Report) -> Report:
 
 def _import(file: str, output: str, faults: Faults) -> str:
     """The robot.yaml of an original configuration; empty where there is none."""
-    from thorvaldc.importer import import_original
+    from thorvaldc.compiler.importer import import_original
 
     text, report = import_original(Path(file))
     faults.add(_without_notes(report), {file: Path(file)})

@@ -18,7 +18,7 @@ def import_file(file: str, output: str, format: str) -> int:
             f"stdout takes the faults as {format}; say with -o where the robot goes",
             param_hint="'--format'",
         )
-    from thorvaldc.importer import import_original
+    from thorvaldc.compiler.importer import import_original
 
     text, report = import_original(Path(file))
     faults = Faults(format, sys.stderr)

@@ -15,7 +15,7 @@ from thorvaldc.cli.exits import DONE
 from thorvaldc.cli.faults import Faults, width_of
 
 if TYPE_CHECKING:
-    from thorvaldc.library import ModuleType
+    from thorvaldc.compiler.library import ModuleType
 
 KINDS = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults")
 
@@ -76,9 +76,9 @@ def show_module(name: str, library: Sequence[str], json: bool) -> int:
 
 def _module_types(library: Sequence[str], name: str | None) -> tuple[list[ModuleType], int]:
     """That type, or all; faults in the documents go to stderr and into the exit status."""
+    from thorvaldc.compiler.library import Library
+    from thorvaldc.compiler.source.node import Node
     from thorvaldc.diagnostics import Report, Span
-    from thorvaldc.library import Library
-    from thorvaldc.source.node import Node
 
     folders = library_folders(library)
     modules = Library([(folder, str(folder)) for folder in folders])

@@ -18,9 +18,9 @@ from thorvaldc.cli.faults import Faults, finite
 from thorvaldc.cli.options import bus_of, seconds_of
 
 if TYPE_CHECKING:
+    from thorvaldc.can.interface import Port
     from thorvaldc.model import Robot
     from thorvaldc.model.bus import Bus
-    from thorvaldc.runtime.bus.port import Port
 
 LIVE_INTERVAL = 0.25
 INTERVAL = 1.0
@@ -43,7 +43,7 @@ def monitor(
     period = seconds_of(interval, "--interval", SHORTEST) if interval else default
     from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.diagnostics.error import DiagnosticError
 
     loaded = load_robot(file, library)
     if loaded is None:
@@ -52,7 +52,7 @@ def monitor(
     try:
         watched, spec = bus_of(robot, bus)
         port = _open(spec, watched)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report = Report()
         report.put(fault.diagnostic)
         faults = Faults("text", sys.stderr)
@@ -71,9 +71,9 @@ def monitor(
 def _watch(
     robot: Robot, bus: Bus, port: Port, period: float, seconds: float, json: bool, live: bool
 ) -> None:
-    from thorvaldc.runtime.monitor import BusMonitor, watch
-    from thorvaldc.runtime.monitor_text import monitor_lines
-    from thorvaldc.runtime.teleop.terminal import Terminal
+    from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
+    from thorvaldc.tools.monitor.monitor_text import monitor_lines
+    from thorvaldc.tools.teleoperation.terminal import Terminal
 
     asked: list[int] = []
     last: list[Mapping[str, Any]] = []
@@ -115,7 +115,7 @@ class _Screen:
         self._quits = False
 
     def show(self, summary: Mapping[str, Any]) -> None:
-        from thorvaldc.runtime.monitor_text import monitor_lines
+        from thorvaldc.tools.monitor.monitor_text import monitor_lines
 
         self._lines = monitor_lines(summary)
         self._draw()
@@ -136,7 +136,7 @@ class _Screen:
         return self._quits
 
     def _draw(self) -> None:
-        from thorvaldc.runtime.monitor_text import page
+        from thorvaldc.tools.monitor.monitor_text import page
 
         self._terminal.show(page(self._lines, self._height(), self._first))
 
@@ -150,7 +150,7 @@ def _print_json(found: Mapping[str, Any]) -> None:
 
 
 def _open(spec: str, bus: Bus) -> Port:
-    from thorvaldc.runtime.bus.port import open_port
+    from thorvaldc.can.interface import open_port
 
     if spec == "virtual":
         raise typer.BadParameter(

@@ -6,8 +6,8 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.runtime.commissioning.plan import AttachStep
+    from thorvaldc.commissioning.plan import AttachStep
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 
 class Person:

@@ -25,7 +25,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 def seconds_of(text: str, option: str, least: float = 0.0) -> float:
     """A time that is given on the command line, in s.  Raises ``typer.BadParameter``."""
-    from thorvaldc.source.units import UnitError, parse_quantity
+    from thorvaldc.compiler.source.units import UnitError, parse_quantity
 
     try:
         seconds = parse_quantity(text, "time")
@@ -41,10 +41,10 @@ def seconds_of(text: str, option: str, least: float = 0.0) -> float:
 def bus_of(robot: Robot, spec: str) -> tuple[Bus, str]:
     """The bus that ``--bus`` means, and where it is: ``left=socketcan:can0`` of several.
 
-    Raises ``RuntimeFault`` for a robot without a bus, ``typer.BadParameter`` where it is
+    Raises ``DiagnosticError`` for a robot without a bus, ``typer.BadParameter`` where it is
     not said which.
     """
-    from thorvaldc.runtime.faults import require_bus
+    from thorvaldc.model.buses import require_bus
 
     require_bus(robot)
     names = {bus.name: bus for bus in robot.buses}

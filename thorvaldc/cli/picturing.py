@@ -19,9 +19,9 @@ from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
-    from thorvaldc.runtime.meter import Meter, Sample
-    from thorvaldc.runtime.pictures.video import Film
-    from thorvaldc.runtime.replay import Replay
+    from thorvaldc.simulation.drive_metrics import Meter, Sample
+    from thorvaldc.simulation.pictures.video import Film
+    from thorvaldc.tools.replay import Replay
 
 T = TypeVar("T")
 
@@ -36,12 +36,12 @@ def render_file(
     at: str = "",
 ) -> int:
     """A picture of the robots as they stand, or as the record ``replay`` has them ``at`` a time."""
-    from thorvaldc.runtime.pictures.graphics import check_pillow, choose_graphics
+    from thorvaldc.simulation.pictures.graphics import check_pillow, choose_graphics
 
     with outside_errors():
         check_pillow()
         choose_graphics()
-    from thorvaldc.runtime.pictures.render import parse_size, parse_view, render
+    from thorvaldc.simulation.pictures.render import parse_size, parse_view, render
 
     pixels = parsed(size, parse_size, "--size")
     camera = parsed(view, parse_view, "--view")
@@ -53,9 +53,9 @@ def render_file(
     done = compile_one(file, library)
     if done.model is None:
         return INPUT
+    from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.diagnostics.error import DiagnosticError
 
     path = output or f"{done.model.name}.png"
     if not output:
@@ -72,7 +72,7 @@ def render_file(
         with outside_errors():
             files = emit(done.model, ["mjcf"], report)
             picture = render(done.model, files, pixels, camera, arrange=arrange)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
     else:
         Path(path).write_bytes(picture)
@@ -85,7 +85,7 @@ def render_file(
 @contextmanager
 def outside_errors() -> Iterator[None]:
     """What the machine lacks for pictures, as a fault of the world."""
-    from thorvaldc.runtime.pictures import PictureError
+    from thorvaldc.simulation.pictures import PictureError
 
     try:
         yield
@@ -95,7 +95,7 @@ def outside_errors() -> Iterator[None]:
 
 def parse_time(text: str) -> float:
     """Seconds.  Raises ``ValueError``."""
-    from thorvaldc.source.units import UnitError, parse_quantity
+    from thorvaldc.compiler.source.units import UnitError, parse_quantity
 
     try:
         seconds = parse_quantity(text, "time")
@@ -151,15 +151,15 @@ class RunPictures:
             self._prepare_video(ideal)
 
     def _prepare_plot(self) -> None:
-        from thorvaldc.runtime.pictures.plot import FORMATS, check_plotting
+        from thorvaldc.simulation.pictures.plot import FORMATS, check_plotting
 
         check_output(self.plot, FORMATS, "--plot")
         with outside_errors():
             check_plotting()
 
     def _prepare_video(self, ideal: bool) -> None:
-        from thorvaldc.runtime.pictures.graphics import check_pillow, choose_graphics
-        from thorvaldc.runtime.pictures.video import FORMATS, RATES, Film, encoder
+        from thorvaldc.simulation.pictures.graphics import check_pillow, choose_graphics
+        from thorvaldc.simulation.pictures.video import FORMATS, RATES, Film, encoder
 
         check_output(self.video, FORMATS, "--video")
         if ideal:
@@ -197,7 +197,7 @@ class RunPictures:
     ) -> None:
         with outside_errors():
             if self.plot:
-                from thorvaldc.runtime.pictures.plot import plot
+                from thorvaldc.simulation.pictures.plot import plot
 
                 plot(dict(robots), self._samples, self.plot, model.name)
                 message(self.plot)

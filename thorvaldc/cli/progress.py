@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from thorvaldc.cli.faults import width_of
 
 if TYPE_CHECKING:
-    from thorvaldc.runtime.meter import Meter
+    from thorvaldc.simulation.drive_metrics import Meter
 
 BAR = 30  # characters
 

@@ -13,8 +13,8 @@ from thorvaldc.cli.exits import OutsideError, closing_when_terminated
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.runtime.meter import Watch
-    from thorvaldc.runtime.record import Recorder
+    from thorvaldc.simulation.drive_metrics import Watch
+    from thorvaldc.simulation.records.record_writer import Recorder
 
 Robots = Sequence[tuple[str, "Robot"]]
 _OTHERS = (".bag", ".db3", ".json", ".parquet", ".txt")
@@ -44,11 +44,11 @@ def open_recorder(
         raise OutsideError(f"cannot write {record}: it is a file; name a folder, or a .mcap file")
     with writing(record):
         if kind == ".mcap":
-            from thorvaldc.runtime.mcap_record import McapRecorder
+            from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
             recorder: Recorder = McapRecorder(path, robots, groups, every)
         else:
-            from thorvaldc.runtime.record import CsvRecorder
+            from thorvaldc.simulation.records.record_writer import CsvRecorder
 
             recorder = CsvRecorder(path, robots, groups, every)
     stack.enter_context(closing_when_terminated())
@@ -65,9 +65,9 @@ def recorded(record: str, robots: Robots) -> str:
 
 def open_logs(log: str, robots: Robots, stack: ExitStack) -> Watch:
     """What writes the joint logs: of one robot to the file ``log``, of several to a folder."""
-    from thorvaldc.runtime.joint_log import JointLogWriter
-    from thorvaldc.runtime.meter import Meter
-    from thorvaldc.runtime.record import naming
+    from thorvaldc.simulation.drive_metrics import Meter
+    from thorvaldc.simulation.records.joint_csv import JointLogWriter
+    from thorvaldc.simulation.records.record_writer import naming
 
     folder = Path(log)
     several = len(robots) > 1
@@ -91,7 +91,7 @@ def open_logs(log: str, robots: Robots, stack: ExitStack) -> Watch:
 
 def each(watches: Sequence[Watch]) -> Watch:
     """One watch that calls them all."""
-    from thorvaldc.runtime.meter import Meter
+    from thorvaldc.simulation.drive_metrics import Meter
 
     def watch(meter: Meter) -> None:
         for one in watches:
@@ -103,7 +103,7 @@ def each(watches: Sequence[Watch]) -> Watch:
 @contextmanager
 def writing(path: str) -> Iterator[None]:
     """What cannot be written, as a fault of the world."""
-    from thorvaldc.runtime.bag import RecordError
+    from thorvaldc.compiler.source.ros_bag import RecordError
 
     try:
         yield

@@ -15,23 +15,23 @@ from thorvaldc.cli.picturing import RunPictures
 from thorvaldc.cli.recording import Robots, open_recorder, recorded, writing
 
 if TYPE_CHECKING:
+    from thorvaldc.compiler.pipeline import Compilation
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet, Robot
-    from thorvaldc.pipeline import Compilation
-    from thorvaldc.runtime.base import JointCommands
-    from thorvaldc.runtime.meter import Sample
-    from thorvaldc.runtime.mujoco_base import MujocoScene
-    from thorvaldc.runtime.recorded import RecordedRun
+    from thorvaldc.runtime.base_interface import JointCommands
+    from thorvaldc.simulation.drive_metrics import Sample
+    from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+    from thorvaldc.simulation.records.record_reader import RecordedRun
 
 
 def replay(done: Compilation, source: str, pictures: RunPictures, record: str, json: bool) -> int:
     """Show how the compiled robots drove by the record ``source``; ``record`` writes it anew."""
+    from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.mujoco_base import MujocoScene
-    from thorvaldc.runtime.replay import Replay, summary
-    from thorvaldc.runtime.simulation import DemoRow, demo_table
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+    from thorvaldc.simulation.simulation_run import DemoRow, demo_table
+    from thorvaldc.tools.replay import Replay, summary
 
     model, robots = _robots(done)
     report, faults = Report(), Faults("text", sys.stderr)
@@ -47,7 +47,7 @@ def replay(done: Compilation, source: str, pictures: RunPictures, record: str, j
             show = Replay(MujocoScene(files), robots, runs)
         samples = {name: run.samples for name, run in runs.items()}
         pictures.replay(samples, show)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         scene.put(fault.diagnostic)
         faults.add(done.located(scene), done.sources)
         return faults.finish()
@@ -73,7 +73,7 @@ def arranged(done: Compilation, source: str, time: float) -> Callable[[MujocoSce
     ``None`` where the record is at fault, which is shown.
     """
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.replay import Replay
+    from thorvaldc.tools.replay import Replay
 
     _, robots = _robots(done)
     report, faults = Report(), Faults("text", sys.stderr)
@@ -117,7 +117,7 @@ def read_enough(
 ) -> dict[str, RecordedRun] | None:
     """The record, ``None`` where it is at fault or lacks what is asked for, which is said."""
     from thorvaldc.diagnostics import Span
-    from thorvaldc.runtime.recorded import read_record
+    from thorvaldc.simulation.records.record_reader import read_record
 
     with writing(source):
         runs = read_record(Path(source), robots, report)

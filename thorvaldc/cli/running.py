@@ -21,14 +21,14 @@ from thorvaldc.cli.faults import Faults, finite, message
 from thorvaldc.cli.options import seconds_of
 
 if TYPE_CHECKING:
+    from thorvaldc.can.interface import Port
     from thorvaldc.diagnostics import Diagnostic, Report
     from thorvaldc.model import Robot
-    from thorvaldc.runtime.base import BaseHandle
-    from thorvaldc.runtime.base_runner import BaseRunner
-    from thorvaldc.runtime.bus.port import Port
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.runtime.base_interface import BaseHandle
     from thorvaldc.runtime.driver import BaseDriver, DriverState
+    from thorvaldc.runtime.runner import BaseRunner
     from thorvaldc.runtime.se2 import Twist
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 VIRTUAL = "virtual"
 SIMULATED = ("virtual", "sim", "udp")
@@ -78,7 +78,7 @@ def run(
             "time that runs fast is nobody's to drive in", param_hint="'--name'"
         )
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.diagnostics.error import DiagnosticError
 
     found = load_robot(file, library)
     if found is None:
@@ -91,7 +91,7 @@ def run(
         # Who runs a robot for others to drive wants the channel; a run of its own has one if named.
         channel = name or ("" if twist or duration else robot.name)
         session = Session(robot, ports, simulated, parameters, asked, seconds, fast, channel)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
         return _tell(located(report), sources)
     if report.has_errors:
@@ -124,14 +124,14 @@ class Session:
         fast: bool,
         channel: str = "",
     ) -> None:
-        """Raises ``RuntimeFault``, and ``OutsideError`` where the control channel is in use.
+        """Raises ``DiagnosticError``, and ``OutsideError`` where the control channel is in use.
 
         The ports are closed then.
         """
-        from thorvaldc.runtime.base_runner import BaseRunner
-        from thorvaldc.runtime.can_base.base import CanBase
-        from thorvaldc.runtime.control.running import RunnerControl
-        from thorvaldc.runtime.faults import RuntimeFault
+        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.runtime.can_base.can_base import CanBase
+        from thorvaldc.runtime.control.runner_services import RunnerControl
+        from thorvaldc.runtime.runner import BaseRunner
 
         self.robot = robot
         self.simulated = simulated
@@ -144,7 +144,7 @@ class Session:
             base = CanBase(robot, ports, threaded=simulated is None)
             self.runner: BaseRunner = BaseRunner(robot, base, clock, parameters=parameters or None)
             self.control = RunnerControl(self.runner, channel)
-        except (RuntimeFault, OSError) as fault:
+        except (DiagnosticError, OSError) as fault:
             for port in ports.values():
                 port.close()
             if isinstance(fault, OSError):
@@ -196,7 +196,7 @@ class Session:
             driver.command(self.twist, now)
 
     def _over(self) -> bool:
-        from thorvaldc.runtime.can_base.supervisor import State
+        from thorvaldc.runtime.can_base.base_state_machine import State
 
         runner, now = self.runner, self.runner.clock.now
         if runner.ready and math.isnan(self.ready_at):
@@ -211,7 +211,7 @@ class Session:
     def _verdict(self) -> Diagnostic | None:
         """Why it ended, where that is a fault."""
         from thorvaldc.diagnostics import CODES, Diagnostic
-        from thorvaldc.runtime.can_base.supervisor import State
+        from thorvaldc.runtime.can_base.base_state_machine import State
 
         supervisor = self.runner.base.supervisor
         if supervisor.state not in (State.FAULT, State.ESTOP):
@@ -339,13 +339,13 @@ def load_robot(
 
     if file.endswith(".json"):
         from thorvaldc.diagnostics import Report
-        from thorvaldc.runtime.faults import RuntimeFault
-        from thorvaldc.runtime.simulation import load_model
+        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.model.model_file import load_model
 
         path = Path(file)
         try:
             model = load_model(path.parent) if path.name == "model.json" else None
-        except RuntimeFault as fault:
+        except DiagnosticError as fault:
             report = Report()
             report.put(fault.diagnostic)
             _tell(report, {})
@@ -369,7 +369,7 @@ def _as_it_is(report: Report) -> Report:
 
 
 def _parse(twist: str) -> Twist | None:
-    from thorvaldc.runtime.manoeuvre import parse_twist
+    from thorvaldc.runtime.twist_text import parse_twist
 
     return parse_twist(twist) if twist else None
 
@@ -377,14 +377,17 @@ def _parse(twist: str) -> Twist | None:
 def ports_of(
     robot: Robot, file: str, bus: str, physics: str, faults: str, seed: str, report: Report
 ) -> tuple[SimulatedRobot | None, Mapping[str, Port]]:
-    """The ports of the robot's buses; simulated ones with their robot.  Raises ``RuntimeFault``."""
+    """The ports of the robot's buses; simulated ones with their robot.
+
+    Raises ``DiagnosticError``.
+    """
     if bus != VIRTUAL:
-        from thorvaldc.runtime.bus.port import open_ports
+        from thorvaldc.can.interface import open_ports
 
         return None, open_ports(bus, robot)
-    from thorvaldc.pipeline import read_faults
-    from thorvaldc.runtime.bus import faults as bus_faults
-    from thorvaldc.runtime.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.compiler.pipeline import read_faults
+    from thorvaldc.simulation.bus import fault_injection as bus_faults
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     script = read_faults(faults, robot, report) if faults else None
     number = _number(seed) if seed else script.seed if script is not None else 0
@@ -398,8 +401,8 @@ def ports_of(
 
 def mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
     """The robot in MuJoCo, from its file or the build beside its model."""
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.mujoco_base import MujocoBase, MujocoScene
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 
     # A build's model has no meshes in it: they lie beside it.
     files = Path(file).parent if file.endswith(".json") else emit(robot, ["mjcf"], report)

@@ -18,7 +18,7 @@ def new_robot(name: str, preset: str) -> int:
             f"{name!r} is no name for a robot: small letters, digits and _, a letter first",
             param_hint="NAME",
         )
-    from thorvaldc.library.finder import data_folder
+    from thorvaldc.compiler.library import data_folder
 
     folder = data_folder("templates") / "robot"
     presets = sorted(path.stem for path in folder.glob("*.yaml"))

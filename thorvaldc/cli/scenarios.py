@@ -16,10 +16,10 @@ from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
+    from thorvaldc.compiler.pipeline import Compilation
     from thorvaldc.model.scenario import Scenario
-    from thorvaldc.pipeline import Compilation
-    from thorvaldc.runtime.meter import Watch
-    from thorvaldc.runtime.scenario import ScenarioResult
+    from thorvaldc.simulation.drive_metrics import Watch
+    from thorvaldc.simulation.scenario_run import ScenarioResult
 
 
 def run_scenario(
@@ -35,10 +35,10 @@ def run_scenario(
     """Run it, report it.  ``record``, ``junit`` and ``log`` are files or folders, or empty."""
     if junit:
         check_output(junit, ("xml",), "--junit")
+    from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.scenario import ScenarioSimulation
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
     gc.enable()
     report = Report()
@@ -55,7 +55,7 @@ def run_scenario(
             files = emit(scenario.fleet, ["mjcf"], report)
             simulation = ScenarioSimulation(scenario, files, parameters)
             result = simulation.play(report, recorders, each(watches))
-        except RuntimeFault as fault:
+        except DiagnosticError as fault:
             report.put(fault.diagnostic)
             faults.add(done.located(report), done.sources)
             return faults.finish()
@@ -74,7 +74,7 @@ def run_scenario(
 
 
 def _text(result: ScenarioResult) -> str:
-    from thorvaldc.runtime.simulation import DemoRow, demo_table
+    from thorvaldc.simulation.simulation_run import DemoRow, demo_table
 
     run = result.run
     lines = [demo_table([DemoRow(robot, run.real_time_factor) for robot in run.robots])]

@@ -21,8 +21,8 @@ from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
-    from thorvaldc.passes.variations import Change
-    from thorvaldc.runtime.meter import Watch
+    from thorvaldc.compiler.scenario.variations import Change
+    from thorvaldc.simulation.drive_metrics import Watch
 
 SECONDS = 5.0  # of a twist, where the user does not say
 
@@ -121,13 +121,13 @@ def simulate(
         if text:
             wrong = scenario or file
             raise typer.BadParameter(f"{wrong} is no scenario", param_hint=f"'{option}'")
+    from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model.scenario import GROUPS
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.faults import RuntimeFault
-    from thorvaldc.runtime.manoeuvre import parse_twist
-    from thorvaldc.runtime.record import recording
-    from thorvaldc.runtime.simulation import DemoRow, Simulation, demo_table
+    from thorvaldc.runtime.twist_text import parse_twist
+    from thorvaldc.simulation.records.record_writer import recording
+    from thorvaldc.simulation.simulation_run import DemoRow, Simulation, demo_table
 
     gc.enable()
     report = Report()
@@ -152,7 +152,7 @@ def simulate(
                 result = simulation.run(length, motion, report, watch)
             else:
                 result = simulation.demonstrate(report, length, watch)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
         faults.add(done.located(report), done.sources)
         return faults.finish()

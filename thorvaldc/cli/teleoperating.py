@@ -17,8 +17,8 @@ from thorvaldc.cli.faults import Faults, finite, message
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.runtime.teleop.joystick import Search
-    from thorvaldc.runtime.teleop.vehicle import Vehicle
+    from thorvaldc.tools.teleoperation.joystick import Search
+    from thorvaldc.tools.teleoperation.vehicle import Vehicle
 
 SIMULATIONS = ("sim", "ideal")
 
@@ -66,7 +66,7 @@ class _NotCompiled(Exception):
 def _local(file: str, on: str, name: str, library: Sequence[str]) -> Vehicle:
     from thorvaldc.cli.running import load_robot
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.diagnostics.error import DiagnosticError
 
     found = load_robot(file, library)
     if found is None:
@@ -77,7 +77,7 @@ def _local(file: str, on: str, name: str, library: Sequence[str]) -> Vehicle:
         if on in SIMULATIONS:
             return _simulated(robot, file, on, name or robot.name)
         return _on_bus(robot, file, on, name or robot.name)
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
         faults = Faults("text", sys.stderr)
         faults.add(located(report), sources)
@@ -88,8 +88,8 @@ def _simulated(robot: Robot, file: str, on: str, name: str) -> Vehicle:
     from thorvaldc.cli.running import mujoco_base
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.driver import BaseDriver
-    from thorvaldc.runtime.sim_base import SimBase
-    from thorvaldc.runtime.teleop.vehicle import SimulatedVehicle
+    from thorvaldc.simulation.physics.sim_base import SimBase
+    from thorvaldc.tools.teleoperation.vehicle import SimulatedVehicle
 
     base = mujoco_base(robot, file, Report()) if on == "sim" else SimBase(robot)
     try:
@@ -103,7 +103,7 @@ def _on_bus(robot: Robot, file: str, on: str, name: str) -> Vehicle:
 
     from thorvaldc.cli.running import SIMULATED, Session, ports_of, say_untried
     from thorvaldc.diagnostics import Report
-    from thorvaldc.runtime.teleop.running import RunningVehicle
+    from thorvaldc.tools.teleoperation.bus_vehicle import RunningVehicle
 
     if on != "virtual" and on != "udp" and ":" not in on:
         raise typer.BadParameter(
@@ -118,8 +118,8 @@ def _on_bus(robot: Robot, file: str, on: str, name: str) -> Vehicle:
 
 
 def _remote(name: str) -> Vehicle:
-    from thorvaldc.runtime.control.client import ControlClient
-    from thorvaldc.runtime.teleop.vehicle import RemoteVehicle
+    from thorvaldc.runtime.control.control_client import ControlClient
+    from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle
 
     return RemoteVehicle(ControlClient(name))
 
@@ -127,12 +127,12 @@ def _remote(name: str) -> Vehicle:
 def _drive(
     vehicle: Vehicle, source: str, share: float, search: Search | None, ended: Callable[[], bool]
 ) -> None:
-    from thorvaldc.runtime.teleop.joystick import HELP as STICKS
-    from thorvaldc.runtime.teleop.joystick import Joystick, Together
-    from thorvaldc.runtime.teleop.keyboard import HELP, Keyboard
-    from thorvaldc.runtime.teleop.operate import operate
-    from thorvaldc.runtime.teleop.operator import Limits, Operator
-    from thorvaldc.runtime.teleop.terminal import Terminal
+    from thorvaldc.tools.teleoperation.joystick import HELP as STICKS
+    from thorvaldc.tools.teleoperation.joystick import Joystick, Together
+    from thorvaldc.tools.teleoperation.keyboard import HELP, Keyboard
+    from thorvaldc.tools.teleoperation.operator import Limits, Operator
+    from thorvaldc.tools.teleoperation.teleop_loop import operate
+    from thorvaldc.tools.teleoperation.terminal import Terminal
 
     described = vehicle.description
     limits = Limits.of(described)
@@ -156,8 +156,8 @@ def _drive(
 
 def _search(joystick: str, mapping: str) -> Search:
     """How to look for the joystick, which is there now."""
-    from thorvaldc.runtime.faults import ParameterError
-    from thorvaldc.runtime.teleop.joystick import evdev_search
+    from thorvaldc.runtime.errors import ParameterError
+    from thorvaldc.tools.teleoperation.joystick import evdev_search
 
     try:
         search = evdev_search("" if joystick == "auto" else joystick, mapping)
@@ -187,7 +187,7 @@ def _check_source(source: str, description: dict[str, Any]) -> None:
 
 
 def _share(text: str) -> float:
-    from thorvaldc.runtime.teleop.operator import SMALLEST_SHARE
+    from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE
 
     try:
         number = float(text.rstrip("% ")) / 100
@@ -226,8 +226,8 @@ def _ending() -> Iterator[Callable[[], bool]]:
 
 def call_service(name: str, service: str, given: Sequence[str], json: bool) -> int:
     """One call of a running driver; without a service, a list of those there are."""
-    from thorvaldc.runtime.control.client import ControlClient
-    from thorvaldc.runtime.control.services import ServiceError
+    from thorvaldc.runtime.control.control_client import ControlClient
+    from thorvaldc.runtime.control.service_table import ServiceError
 
     arguments = dict(_argument(text) for text in given)
     client = ControlClient(name)

@@ -30,14 +30,14 @@ def view_file(file: str, output: str, html: bool, library: Sequence[str]) -> int
         Path(path).write_text(page_of(done.model), encoding="utf-8", newline="\n")
         print(path)
         return 0
+    from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
-    from thorvaldc.pipeline import emit
-    from thorvaldc.runtime.faults import RuntimeFault
+    from thorvaldc.diagnostics.error import DiagnosticError
 
     report = Report()
     try:
         _open_viewer(emit(done.model, ["mjcf"], report))
-    except RuntimeFault as fault:
+    except DiagnosticError as fault:
         report.put(fault.diagnostic)
     faults = Faults("text", sys.stderr)
     faults.add(done.located(report), done.sources)
@@ -52,15 +52,15 @@ def has_display() -> bool:
 
 
 def page_of(model: Robot | Fleet) -> str:
-    from thorvaldc.library.finder import data_folder
-    from thorvaldc.runtime.pictures.page import page
+    from thorvaldc.compiler.library import data_folder
+    from thorvaldc.simulation.pictures.web_page import page
 
     template = data_folder("templates") / "view" / "page.html"
     return page(model, template.read_text(encoding="utf-8"))
 
 
 def _open_viewer(files: dict[str, bytes]) -> None:
-    from thorvaldc.runtime.mujoco_base import MujocoScene
+    from thorvaldc.simulation.physics.mujoco_base import MujocoScene
 
     scene = MujocoScene(files, visuals=True)
     import mujoco.viewer

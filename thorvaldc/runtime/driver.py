@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from thorvaldc.model import DriverSettings, Robot
-from thorvaldc.runtime.base import BaseHandle, JointStates
+from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
+from thorvaldc.runtime.driver_parameters import Parameters
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
-from thorvaldc.runtime.parameters import Parameters
-from thorvaldc.runtime.ramp import Ramp
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
+from thorvaldc.runtime.twist_ramp import Ramp
 
 BEYOND = 1e9
 """Twist (m/s, rad/s) that nobody can have meant."""
@@ -79,7 +79,7 @@ class BaseDriver:
     ) -> None:
         """``parameters`` names the set to start with, in place of the ordinary values.
 
-        Raises ``RuntimeFault`` where the robot's calculator cannot drive it and
+        Raises ``DiagnosticError`` where the robot's calculator cannot drive it and
         where it has no such set.
         """
         self.robot = robot
@@ -140,7 +140,7 @@ class BaseDriver:
         """Switch to a parameter set of the robot's file, to the ordinary values for ``None``.
 
         In force from the end of the next tick's odometry on: the way until then is
-        that of the radii before, and the pose stays.  Raises ``RuntimeFault`` where
+        that of the radii before, and the pose stays.  Raises ``DiagnosticError`` where
         there is no such set; then nothing changes.
         """
         self._stage(Parameters.of(self.robot, parameters))

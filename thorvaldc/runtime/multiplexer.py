@@ -10,7 +10,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.driver import BEYOND, BaseDriver
-from thorvaldc.runtime.faults import ParameterError
+from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _SLACK = 1e-9

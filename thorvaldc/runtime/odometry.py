@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base import JointStates
+from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
 

@@ -6,11 +6,9 @@ the entry point group ``thorvaldc.base_calculators``.
 
 from __future__ import annotations
 
-from thorvaldc.runtime.calculators.calculator import BaseCalculator, BaseCommand, NoOptions
-from thorvaldc.runtime.calculators.estimator import TwistEstimate
-from thorvaldc.runtime.calculators.fit import Noise
-from thorvaldc.runtime.calculators.geometry import BaseGeometry, WheelGeometry
-from thorvaldc.runtime.calculators.registry import (
+from thorvaldc.runtime.calculators.base_calculator import BaseCalculator, BaseCommand, NoOptions
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
+from thorvaldc.runtime.calculators.calculator_registry import (
     BUILTIN,
     ENTRY_POINT_GROUP,
     calculator_class,
@@ -18,6 +16,8 @@ from thorvaldc.runtime.calculators.registry import (
     for_robot,
     names,
 )
+from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate
+from thorvaldc.runtime.calculators.twist_fit import Noise
 
 __all__ = [
     "BUILTIN",

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from thorvaldc.runtime.base import JointCommands, JointStates
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
-from thorvaldc.runtime.calculators.estimator import Estimation, TwistEstimator
-from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.linear import solve3
-from thorvaldc.runtime.calculators.motors import Motors
-from thorvaldc.runtime.calculators.steering import Steering
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.linear_algebra import solve3
+from thorvaldc.runtime.calculators.motor_limits import Motors
+from thorvaldc.runtime.calculators.steering_branch import Steering
+from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimator
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW = 0.01

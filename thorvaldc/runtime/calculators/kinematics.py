@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from thorvaldc.runtime.calculators.geometry import BaseGeometry
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.unrolled import compiled, scaled
 
 Floats = tuple[float, ...]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import Self
 
-from thorvaldc.runtime.base import JointCommands, JointStates
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
-from thorvaldc.runtime.calculators.calculator import bounded
-from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
+from thorvaldc.runtime.calculators.base_calculator import bounded
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.general import SteeringOptions
-from thorvaldc.runtime.calculators.geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.motors import Motors
-from thorvaldc.runtime.calculators.steering import Steering
+from thorvaldc.runtime.calculators.motor_limits import Motors
+from thorvaldc.runtime.calculators.steering_branch import Steering
+from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import Twist
 
 

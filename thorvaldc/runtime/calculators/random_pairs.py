@@ -7,11 +7,11 @@ import random
 from dataclasses import dataclass
 from typing import Self
 
-from thorvaldc.runtime.base import JointStates
-from thorvaldc.runtime.calculators.calculator import bounded
-from thorvaldc.runtime.calculators.estimator import Noise, TwistEstimate
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators.base_calculator import bounded
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
-from thorvaldc.runtime.calculators.geometry import BaseGeometry
+from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import ZERO_TWIST, Cov3, Twist
 
 COVARIANCE: Cov3 = ((0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.03))

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
-from thorvaldc.runtime.calculators.fit import STILL, UNTESTABLE, Squares
+from thorvaldc.runtime.calculators.twist_fit import STILL, UNTESTABLE, Squares
 from thorvaldc.runtime.se2 import Twist
 
 Estimate = Callable[[Sequence[float], Sequence[float]], Any]

@@ -1,0 +1,66 @@
+"""A serial CAN adapter of the simplest kind (Lawicel's), between a pseudo-terminal and a wire."""
+
+from __future__ import annotations
+
+import os
+import pty
+import time
+import tty
+from collections.abc import Callable
+
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+
+class SlcanAdapter:
+    """``path`` is what another process opens; ``serve`` passes frames on, by the clock."""
+
+    def __init__(self, simulated: SimulatedRobot) -> None:
+        self.simulated = simulated
+        self.client = simulated.client(name="adapter", fifo=True)
+        self.ours, self.theirs = pty.openpty()
+        for end in (self.ours, self.theirs):
+            tty.setraw(end)
+        os.set_blocking(self.ours, False)
+        self.path = os.ttyname(self.theirs)
+        self.open = False
+        self.commands: list[str] = []
+        self._rest = b""
+
+    def serve(self, until: Callable[[], bool], limit: float) -> None:
+        """Until it says so, for ``limit`` s at the most."""
+        begun = time.monotonic() - self.simulated.timeline.seconds
+        end = time.monotonic() + limit
+        while not until() and time.monotonic() < end:
+            self._take()
+            self.client.sleep_until(time.monotonic() - begun)
+            self._give()
+            time.sleep(0.001)
+
+    def _take(self) -> None:
+        try:
+            data = os.read(self.ours, 65536)
+        except BlockingIOError:
+            return
+        *lines, self._rest = (self._rest + data).split(b"\r")
+        for line in lines:
+            text = line.decode()
+            if text[:1] == "t" and self.open:
+                length = int(text[4])
+                data = bytes.fromhex(text[5 : 5 + 2 * length])
+                assert self.client.send(CanFrame(int(text[1:4], 16), data))
+            elif text:
+                self.commands.append(text)
+                self.open = text == "O" if text in ("O", "C") else self.open
+
+    def _give(self) -> None:
+        lines = b""
+        while (found := self.client.receive(0.0)) is not None:
+            frame = found.frame
+            lines += f"t{frame.id:03X}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
+        if lines and self.open:
+            os.write(self.ours, lines)
+
+    def close(self) -> None:
+        os.close(self.ours)
+        os.close(self.theirs)

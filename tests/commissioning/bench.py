@@ -1,0 +1,203 @@
+"""A bus to set up in virtual time: simulated devices, a mortal master, a journal in memory."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.frame import CanFrame, ReceivedFrame
+from thorvaldc.commissioning.bus_master import Session, Timing
+from thorvaldc.commissioning.flash import Flash, Operator
+from thorvaldc.commissioning.journal import Journal
+from thorvaldc.commissioning.plan import Plan, make_plan
+from thorvaldc.commissioning.scan_result import Scan
+from thorvaldc.commissioning.scanner import Scanner
+from thorvaldc.commissioning.target_bus import Target, target_of
+from thorvaldc.model import Robot
+from thorvaldc.simulation.bus.canopen_device import NODE_ID, PARAMETERS, CanopenDevice
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.virtual_time_client import Client
+
+QUICK = Timing(absent=0.01, probe_gap=0.001, probe_tail=0.02, boot=1.0)
+"""For devices of which it is known how soon they answer."""
+NODES = ("fl_controller", "fr_controller", "rl_controller", "rr_controller")
+SWAPPED = {"fl_controller": {"node_id": 2}, "fr_controller": {"node_id": 1}}
+"""Four new nodes: two without ids, two with each other's."""
+FEW = (0x1000, 0x1015, 0x1017, 0x1018, 0x1802, 0x6007, 0x6041, 0x6083, 0x6841, 0x687C)
+
+
+@functools.cache
+def four_drives() -> Robot:
+    """Four drives whose file wants a handful of values each: a flash of few frames."""
+    robot = cia402_robot()
+    bus = robot.buses[0]
+    nodes = tuple(
+        dataclasses.replace(node, objects=tuple(o for o in node.objects if o.index in FEW))
+        for node in bus.nodes
+        if node.name in NODES
+    )
+    frames = tuple(f for f in bus.frames if f.producer in ("master", *NODES))
+    bus = dataclasses.replace(bus, nodes=nodes, frames=frames)
+    return dataclasses.replace(robot, buses=(bus,))
+
+
+class Dead(BaseException):
+    """The master's process is gone; nothing of it may catch this."""
+
+
+class MortalClient(Client):
+    """A master whose process dies where ``dead`` is set: it does nothing more."""
+
+    dead = False
+
+    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+        self._live()
+        sent = super().send(frame, timeout)
+        self._live()
+        return sent
+
+    def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
+        self._live()
+        found = super().receive(timeout)
+        self._live()
+        return found
+
+    def _live(self) -> None:
+        if self.dead:
+            raise Dead
+
+
+class Watch:
+    """Looks at every change of an id: no two devices under power may have the same."""
+
+    def __init__(self, devices: Iterable[CanopenDevice], still: bool) -> None:
+        self.doubles: list[str] = []
+        self.devices = tuple(devices)
+        watch = self
+
+        for device in self.devices:
+
+            class Watched(type(device)):  # type: ignore[misc]
+                def ready(self) -> None:
+                    """Its motors stand still: nothing is controlled, which saves half the time."""
+                    if not still:
+                        super().ready()
+
+                @property
+                def node_id(self) -> int:
+                    return int(self.__dict__["node_id"])
+
+                @node_id.setter
+                def node_id(self, value: int) -> None:
+                    self.__dict__["node_id"] = value
+                    watch.look(self)
+
+            device.__class__ = Watched
+
+    def look(self, changed: CanopenDevice) -> None:
+        for other in self.devices:
+            same = other is not changed and other.node_id == changed.node_id != 255
+            if same and other.powered and changed.powered:
+                self.doubles.append(f"{changed.name} and {other.name} at {other.node_id}")
+
+
+class Memory:
+    """A journal's store that has no disk to wait for."""
+
+    name = "memory"
+
+    def __init__(self, data: bytes = b"") -> None:
+        self.data = data
+        self.flushed: list[int] = []
+
+    def read(self) -> bytes:
+        return self.data
+
+    def append(self, data: bytes) -> None:
+        self.data += data
+        self.flushed.append(len(self.data))
+
+    def close(self) -> None:
+        pass
+
+
+class Bench:
+    """``kept`` says by node what its device keeps, ``node_id`` above all; 255: none."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        kept: Mapping[str, Mapping[str, Any]] | None = None,
+        *,
+        delivered: bool = True,
+        timing: Timing | None = None,
+        torn: bool = False,
+        still: bool = True,
+    ) -> None:
+        self.robot = robot
+        self.bus = robot.buses[0]
+        self.target: Target = target_of(robot, self.bus)
+        self.simulated = SimulatedRobot(robot, delivered=delivered, kept=kept)
+        for device in self.simulated.devices.values():
+            device.torn_writes = torn
+        self.wire = self.simulated.wire()
+        self.store = Memory()
+        self.timing = timing
+        self.watch = Watch(self.devices().values(), still)
+        self.simulated.power_on()
+        self.simulated.run(0.15)
+
+    def session(self) -> Session:
+        self.client = MortalClient(self.wire, "master", receive_limit=100_000)
+        return Session(self.client, self.bus, self.timing)
+
+    def scan(self, **options: Any) -> Scan:
+        session = self.session()
+        try:
+            return Scanner(session, self.target).active(**options)
+        finally:
+            session.port.close()
+
+    def plan(self) -> Plan:
+        return make_plan(self.target, self.scan())
+
+    def run(
+        self,
+        how: Callable[[Flash], Plan],
+        operator: Operator | None = None,
+        target: Target | None = None,
+    ) -> Plan:
+        """A process of its own: a new place on the bus, the journal read anew."""
+        session = self.session()
+        try:
+            flash = Flash(session, target or self.target, Journal(self.store), operator=operator)
+            return how(flash)
+        finally:
+            session.port.close()
+
+    def apply(self, expected: str | None = None) -> Plan:
+        return self.run(lambda flash: flash.apply(expected))
+
+    def resume(self) -> Plan:
+        return self.run(Flash.resume)
+
+    def rollback(self) -> Plan:
+        return self.run(Flash.rollback)
+
+    def state(self) -> dict[str, tuple[int, dict[str, Any]]]:
+        """What every CANopen device keeps: its id and its parameters."""
+        return {
+            name: (device.kept.get(NODE_ID, 255), dict(device.kept.get(PARAMETERS, {})))
+            for name, device in self.simulated.devices.items()
+            if isinstance(device, CanopenDevice)
+        }
+
+    def devices(self) -> dict[str, CanopenDevice]:
+        return {
+            name: device
+            for name, device in self.simulated.devices.items()
+            if isinstance(device, CanopenDevice)
+        }

@@ -1,0 +1,92 @@
+"""Random robots, interrupted at random, again and again: flashed, resumed and undone."""
+
+from __future__ import annotations
+
+import functools
+import random
+from collections.abc import Callable
+
+import pytest
+
+from tests.commissioning.bench import NODES, QUICK, Bench, Dead, four_drives
+from thorvaldc.commissioning.journal import Journal
+from thorvaldc.diagnostics.error import DiagnosticError
+
+IDS = (1, 2, 3, 4, 112, 30, 126, 77)
+TROUBLES = 6
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_no_double_id_whatever_happens_and_the_plan_in_the_end(seed: int) -> None:
+    rng = random.Random(seed)
+    ids = [255 if rng.random() < 0.25 else node for node in rng.sample(IDS, 4)]
+    bench = troubled(rng, ids)
+    assert not bench.watch.doubles, (seed, ids)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_doubles_that_were_there_only_become_fewer(seed: int) -> None:
+    """New drives with the ids of their maker: no two share one that did not share it before."""
+    rng = random.Random(seed)
+    ids = [rng.choice((1, 1, 2, 3, 9)) for _ in NODES]
+    bench = troubled(rng, ids)
+    before = {
+        f"{a} and {b} at {i}"
+        for a, i in zip(NODES, ids, strict=True)
+        for b, j in zip(NODES, ids, strict=True)
+        if i == j
+    }
+    assert set(bench.watch.doubles) <= before, (seed, ids)
+
+
+def troubled(rng: random.Random, ids: list[int]) -> Bench:
+    """Flashed to the end, with much in the way."""
+    kept = {name: {"node_id": node} for name, node in zip(NODES, ids, strict=True)}
+    bench = Bench(four_drives(), kept, timing=QUICK, torn=rng.random() < 0.5)
+    for _ in range(TROUBLES):
+        power_on(bench)
+        bench.wire.at_frame(bench.wire.frames + rng.randrange(1, 800), trouble(bench, rng))
+        journal = Journal(bench.store)
+        if journal.unfinished:
+            how = rng.choice([bench.resume, bench.resume, bench.rollback])
+        else:
+            how = rng.choice([bench.apply, bench.rollback]) if journal.runs else bench.apply
+        attempt(how)
+        bench.wire._at_frame.clear()
+    bench.simulated.power_off()
+    power_on(bench)
+    for _ in range(3):  # a rollback is finished before it is flashed anew
+        attempt(bench.resume if Journal(bench.store).unfinished else bench.apply)
+    assert [bench.devices()[name].node_id for name in NODES] == [1, 2, 3, 4]
+    assert bench.plan().steps == ()
+    return bench
+
+
+def trouble(bench: Bench, rng: random.Random) -> Callable[[], object]:
+    """What will go wrong: the power of all, of the bus or of a node, or the master."""
+    device = bench.devices()[rng.choice(NODES)]
+    later = functools.partial(
+        bench.simulated.timeline.after, rng.randrange(30_000_000), device.power_off
+    )
+
+    def die() -> None:
+        bench.client.dead = True
+
+    def cut() -> None:
+        die()
+        bench.client.controller.switch_off()
+        bench.simulated.power_off()
+
+    return rng.choice([cut, die, bench.simulated.power_off, device.power_off, later])
+
+
+def power_on(bench: Bench) -> None:
+    bench.simulated.power_on()
+    bench.simulated.run(0.15)
+
+
+def attempt(how: Callable[[], object]) -> None:
+    try:
+        how()
+    except (Dead, DiagnosticError):
+        return

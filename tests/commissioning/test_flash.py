@@ -1,0 +1,365 @@
+"""Flashing: its guards, its ways back, and what it leaves to a person."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four_drives
+from tests.commissioning.robots import without_serials
+from tests.commissioning.situations import stop_halfway
+from tests.examples import example_robot
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.cli.operator import VirtualOperator
+from thorvaldc.commissioning.flash import Flash
+from thorvaldc.commissioning.journal import FileStore, Journal
+from thorvaldc.commissioning.plan import AddressStep, AttachStep, make_plan
+from thorvaldc.commissioning.target_bus import from_json, to_json
+from thorvaldc.commissioning.verify import verify
+from thorvaldc.diagnostics.error import DiagnosticError
+
+
+def fault_of(work: Callable[[], object]) -> str:
+    with pytest.raises(DiagnosticError) as fault:
+        work()
+    return fault.value.diagnostic.code.name
+
+
+def writes(bench: Bench) -> Callable[[], int]:
+    """Counts what may change a device: SDO downloads, LSS of configuration, NMT."""
+    seen: list[CanFrame] = []
+
+    def watch(time: int, frame: CanFrame, senders: object) -> None:
+        lss = frame.id == 0x7E5 and frame.data[0] in (0x11, 0x13, 0x17)
+        if lss or frame.id == 0 or (0x600 < frame.id < 0x680 and frame.data[0] >> 5 == 1):
+            seen.append(frame)
+
+    bench.wire.observers.append(watch)
+    return lambda: len(seen)
+
+
+def test_the_order_of_a_swap() -> None:
+    plan = Bench(four_drives(), SWAPPED, timing=QUICK).plan()
+    moves = [(s.node, s.before, s.after) for s in plan.steps if isinstance(s, AddressStep)]
+    assert moves == [
+        ("rl_controller", 255, 3),
+        ("rr_controller", 255, 4),
+        ("fl_controller", 2, 112),
+        ("fr_controller", 1, 2),
+        ("fl_controller", 112, 1),
+    ]
+
+
+def test_a_chain_needs_no_parking() -> None:
+    """1 to 2, 2 to 3, 3 to 4, 4 away: the last one moves first."""
+    kept = {name: {"node_id": i} for i, name in zip((30, 1, 2, 3), NODES, strict=True)}
+    bench = Bench(four_drives(), kept, timing=QUICK)
+    moves = [(s.before, s.after) for s in bench.plan().steps if isinstance(s, AddressStep)]
+    assert moves == [(3, 4), (2, 3), (1, 2), (30, 1)]
+    bench.apply()
+    assert not bench.watch.doubles
+
+
+def test_a_ring_of_four() -> None:
+    kept = {name: {"node_id": i} for i, name in zip((2, 3, 4, 1), NODES, strict=True)}
+    bench = Bench(four_drives(), kept, timing=QUICK)
+    plan = bench.apply()
+    assert sum(isinstance(s, AddressStep) for s in plan.steps) == 5
+    assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
+    assert not bench.watch.doubles
+
+
+def test_new_drives_that_all_have_the_same_id() -> None:
+    """As they come from the shelf; serial numbers tell them apart, and doubles only get fewer."""
+    bench = Bench(four_drives(), {name: {"node_id": 1} for name in NODES}, timing=QUICK)
+    bench.apply()
+    assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
+
+
+def test_a_second_flash_has_nothing_to_do() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.apply()
+    data, count = bench.store.data, writes(bench)
+    assert bench.apply().steps == ()
+    assert bench.store.data == data
+    assert count() == 4, "a reset of each node, and nothing else"
+
+
+def test_a_plan_is_a_plan_for_what_was_found() -> None:
+    one, other = (Bench(four_drives(), kept, timing=QUICK) for kept in (SWAPPED, None))
+    assert one.plan().hash == Bench(four_drives(), SWAPPED, timing=QUICK).plan().hash
+    assert one.plan().hash != other.plan().hash
+    assert from_json(to_json(one.target)) == one.target
+
+
+# -- guards: nothing is written -------------------------------------------------------------
+
+
+def test_the_wrong_robots_file_writes_nothing() -> None:
+    """Another robot of the same kind, told by its serial numbers alone."""
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    for device, serial in zip(bench.devices().values(), (0x901, 0x902, 0x903, 0x904), strict=True):
+        device.power_off()
+        device.profile = type(device.profile)(
+            **{n: getattr(device.profile, n) for n in device.profile.__slots__} | {"serial": serial}
+        )
+        device.power_on()
+    bench.simulated.run(0.2)
+    count = writes(bench)
+    assert fault_of(bench.apply) == "bus-wrong-robot"
+    assert count() == 0
+    assert not bench.store.data
+
+
+def test_another_kind_of_robot_writes_nothing() -> None:
+    bench = Bench(example_robot("4wd4ws_wide"), delivered=False, timing=QUICK)
+    target = Bench(cia402_robot(), timing=QUICK).target
+    count = writes(bench)
+    assert fault_of(lambda: bench.run(lambda f: f.apply(), target=target)) == "bus-wrong-robot"
+    assert count() == 0
+
+
+@pytest.mark.parametrize("how", ["operational", "by its statusword"])
+def test_a_drive_that_may_move_stops_it(how: str) -> None:
+    """Its heartbeat tells, or what it says itself when it is asked."""
+    bench = Bench(cia402_robot(), delivered=False, still=False)
+    driver = bench.simulated.client(name="driver")
+    if how == "operational":
+        driver.send(CanFrame(0, b"\1\0"))
+    else:
+        for word in (6, 7, 15):
+            driver.send(CanFrame(0x601, b"\x2b\x40\x60\x00" + bytes([word, 0, 0, 0])))
+            bench.simulated.run(0.05)
+    bench.simulated.run(0.1)
+    count = writes(bench)
+    with pytest.raises(DiagnosticError, match=how.split()[-1]) as fault:
+        bench.apply()
+    assert fault.value.diagnostic.code.name == "bus-drive-enabled"
+    assert count() == 0
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        CanFrame(0x080),
+        CanFrame(0, b"\1\0"),
+        CanFrame(0x77F, b"\5"),
+        CanFrame(0x7E5, bytes(8)),
+        CanFrame(0x604, bytes(8)),
+        CanFrame(0x201, bytes(7)),
+    ],
+    ids=str,
+)
+def test_a_master_that_appears_in_the_middle_stops_it(frame: CanFrame) -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    driver = bench.simulated.client(name="driver")
+    bench.wire.at_frame(bench.wire.frames + 400, lambda: driver.send(frame))
+    count = writes(bench)
+    assert fault_of(bench.apply) == "bus-other-master"
+    before = count()
+    bench.simulated.run(1.0)
+    assert count() - before <= (frame.id == 0), "nothing was written after it"
+    assert b'"stopped"' in bench.store.data
+    bench.resume()
+    assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
+
+
+def test_bus_off_stops_it_and_nothing_is_tried_again() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.wire.at_frame(bench.wire.frames + 450, lambda: bench.client.controller.go_bus_off())
+    assert fault_of(bench.apply) == "bus-error"
+    sent = bench.client.controller.sent
+    bench.simulated.run(1.0)
+    assert bench.client.controller.sent == sent
+
+
+# -- ways back ------------------------------------------------------------------------------
+
+
+def test_rollback_is_where_it_began() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    before = bench.state()
+    bench.apply()
+    changed = bench.state()
+    bench.rollback()
+    after = bench.state()
+    assert {n: after[n][0] for n in NODES} == {n: before[n][0] for n in NODES}
+    assert not bench.watch.doubles
+    # What was written is what it was; the devices now say so in as many words.
+    for name in NODES:
+        differing = {k for k, v in changed[name][1].items() if after[name][1][k] != v}
+        assert {"1017.00", "6007.00"} <= differing
+        assert after[name][1]["1017.00"] == 0, "a new drive sends no heartbeat"
+    assert fault_of(bench.rollback) == "journal-mismatch"
+
+
+def test_rollback_of_a_flash_that_stopped() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    assert fault_of(lambda: stop_halfway(bench)) == "flash-stopped"
+    bench.simulated.power_on()
+    bench.simulated.run(0.2)
+    assert fault_of(bench.apply) == "journal-mismatch", "it must be finished or undone first"
+    bench.rollback()
+    assert {n: bench.state()[n][0] for n in NODES} == dict(
+        zip(NODES, (2, 1, 255, 255), strict=True)
+    )
+
+
+def test_a_rollback_that_is_cut_is_resumed() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.apply()
+    bench.wire.at_frame(bench.wire.frames + 500, bench.simulated.power_off)
+    assert fault_of(bench.rollback) in ("bus-error", "flash-stopped")
+    bench.simulated.power_on()
+    bench.simulated.run(0.2)
+    bench.resume()
+    assert {n: bench.state()[n][0] for n in NODES} == dict(
+        zip(NODES, (2, 1, 255, 255), strict=True)
+    )
+    assert not bench.watch.doubles
+
+
+def test_a_resume_is_for_the_plan_that_was_begun() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    assert fault_of(lambda: stop_halfway(bench)) == "flash-stopped"
+    bench.simulated.power_on()
+    bench.simulated.run(0.2)
+    other = Bench(without_serials(four_drives(), NODES), timing=QUICK).target
+    count = writes(bench)
+    for how in (Flash.resume, Flash.rollback):
+        assert fault_of(lambda how=how: bench.run(how, target=other)) == "journal-mismatch"
+    assert count() == 0
+
+
+def test_an_interrupt_closes_the_journal() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    bench.wire.at_frame(bench.wire.frames + 400, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        bench.apply()
+    assert bench.store.data.endswith(b'{"record":"stopped","reason":"interrupted"}\n')
+    bench.simulated.timeline._running = False
+    bench.resume()
+    assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
+
+
+def test_a_node_that_cannot_store_stops_it() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.devices()["rl_controller"].keep = lambda changes, done=None: None  # type: ignore[method-assign]
+    with pytest.raises(DiagnosticError, match=r"step 1 of 9 .*does not answer"):
+        bench.apply()
+
+
+# -- by hand --------------------------------------------------------------------------------
+
+
+def test_controllers_that_only_their_makers_tool_addresses() -> None:
+    """Four with the same id: powered one at a time, each seen alone before it counts."""
+    bench = Bench(example_robot("4wd4ws_wide"), {name: {"node_id": 1} for name in NODES})
+    count = 0
+
+    class Counting(VirtualOperator):
+        def attach(self, step: object, words: str) -> bool:
+            nonlocal count
+            count += 1
+            assert "power" in words
+            return super().attach(step, words)  # type: ignore[arg-type]
+
+    bench.run(lambda f: f.apply(), operator=Counting(bench.simulated))
+    assert count == 4
+    assert bench.store.data.count(b'"set_by":"the operator","says":["FBL2360","1.0","1.0"]') == 4
+    assert [bench.devices()[n].node_id for n in NODES] == [3, 2, 4, 1]
+
+
+def test_what_the_operator_did_not_do_is_noticed() -> None:
+    bench = Bench(example_robot("4wd4ws_wide"), {"fl_controller": {"node_id": 9}})
+
+    class Careless(VirtualOperator):
+        def attach(self, step: object, words: str) -> bool:
+            return True
+
+    operator = Careless(bench.simulated)
+    with pytest.raises(DiagnosticError, match="more than one device answers"):
+        bench.run(lambda f: f.apply(), operator=operator)
+    assert fault_of(lambda: bench.run(lambda f: f.resume())) == "flash-stopped", "nobody to ask"
+
+
+def test_modules_set_by_hand_are_gone_on_with() -> None:
+    """The operator goes home after two of four; the next day the other two are asked for."""
+    bench = Bench(example_robot("4wd4ws_wide"), {name: {"node_id": 1} for name in NODES})
+    asked: list[str] = []
+
+    class Tired(VirtualOperator):
+        def attach(self, step: AttachStep, words: str) -> bool:
+            asked.append(step.node)
+            return len(asked) != 3 and super().attach(step, words)
+
+    operator = Tired(bench.simulated)
+    with pytest.raises(DiagnosticError, match="put off by the operator"):
+        bench.run(lambda f: f.apply(), operator=operator)
+    bench.simulated.power_on()
+    bench.simulated.run(0.3)
+    bench.run(lambda f: f.resume(), operator=operator)
+    assert asked == [*NODES[:3], *NODES[2:]]
+    assert [bench.devices()[n].node_id for n in NODES] == [3, 2, 4, 1]
+
+
+# -- the journal's file, and verify --------------------------------------------------------
+
+
+def test_the_journal_on_the_disk(tmp_path: Path) -> None:
+    path = tmp_path / "robot.flash.jsonl"
+    store = FileStore(path)
+    with pytest.raises(DiagnosticError, match="another flash writes"):
+        FileStore(path)
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    session = bench.session()
+    Flash(session, bench.target, Journal(store)).apply()
+    store.close()
+    lines = path.read_bytes().splitlines()
+    assert len(lines) == 1 + 2 * 9 + 1
+    again = Journal(FileStore(path))
+    assert again.unfinished is None
+    assert again.chain[0].plan.hash
+    assert len(again.chain[0].old()) == 4
+
+
+def test_verify_reads_only_and_tells_what_differs() -> None:
+    bench = Bench(cia402_robot(), delivered=False)
+    count = writes(bench)
+    session = bench.session()
+    found = verify(session, bench.target, bench.bus)
+    assert found.passed
+    assert count() == 0
+    drive = bench.devices()["fl_controller"]
+    drive.objects[0x6083, 0].value += 1
+    drive.objects[0x1017, 0].value = 150
+    found = verify(session, bench.target, bench.bus)
+    differing = {check.what for check in found.checks if not check.passed}
+    assert differing == {
+        "6083:0 propulsion_profile_acceleration",
+        "1017:0 heartbeat_period",
+        "period of fl_controller_heartbeat",
+    }
+    plan = make_plan(bench.target, bench.scan())
+    assert [step.words for step in plan.steps] == ["write 2 values of fl_controller (id 1)"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "says"),
+    [(330, "somebody has the id 1 already"), (420, "at id 1")],
+)
+def test_a_second_node_of_an_id_that_comes_in_the_middle_stops_it(frame: int, says: str) -> None:
+    """Somebody plugs one in: the id is taken, or another answers there than it should."""
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    spare = bench.simulated.clone("fl_controller", "spare", node_id=1)
+    bench.wire.at_frame(bench.wire.frames + frame, spare.power_on)
+    with pytest.raises(DiagnosticError, match=says) as fault:
+        bench.apply()
+    assert fault.value.diagnostic.code.name == "flash-stopped"

@@ -1,0 +1,138 @@
+"""What a scan makes of what is on a bus."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four_drives
+from tests.commissioning.robots import without_serials
+from tests.examples import example_robot
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.commissioning.plan import make_plan
+from thorvaldc.commissioning.scan_result import Scan
+from thorvaldc.commissioning.scanner import Scanner
+from thorvaldc.diagnostics.error import DiagnosticError
+
+
+def passive(bench: Bench) -> Scan:
+    session = bench.session()
+    try:
+        return Scanner(session, bench.target).passive()
+    finally:
+        session.port.close()
+
+
+def verdicts(scan: Scan) -> dict[str, str]:
+    return {
+        entry.node or str(entry.found and entry.found.id): entry.verdict for entry in scan.entries
+    }
+
+
+def test_a_robot_as_its_file_says_is_ok_throughout() -> None:
+    for robot in (cia402_robot(), example_robot("4wd4ws_wide")):
+        bench = Bench(robot, delivered=False)
+        for scan in (passive(bench), bench.scan()):
+            assert set(verdicts(scan).values()) == {"ok"}
+            assert not scan.duplicates
+            assert not scan.masters
+            assert not scan.enabled
+        assert make_plan(bench.target, bench.scan()).steps == ()
+
+
+def test_a_passive_scan_sends_nothing() -> None:
+    bench = Bench(cia402_robot(), delivered=False)
+    passive(bench)
+    assert bench.client.controller.sent == 0
+
+
+def test_new_and_exchanged_nodes() -> None:
+    scan = Bench(four_drives(), SWAPPED, timing=QUICK).scan()
+    assert verdicts(scan) == {
+        "fl_controller": "wrong-identity",
+        "fr_controller": "wrong-identity",
+        "rl_controller": "unconfigured",
+        "rr_controller": "unconfigured",
+    }
+    assert scan.ids() == dict(zip(NODES, (2, 1, 255, 255), strict=True))
+    assert "serial 0x102" in scan.entry("fl_controller").detail
+
+
+@pytest.mark.parametrize("robot", ["cia402", "roboteq"])
+def test_a_duplicate_is_suspected_by_listening_and_by_asking(robot: str) -> None:
+    """One has serial numbers, the other nothing that tells two of them apart."""
+    given = four_drives() if robot == "cia402" else example_robot("4wd4ws_wide")
+    bench = Bench(given, delivered=False)
+    bench.simulated.clone("fl_controller", "spare").power_on()
+    bench.simulated.run(0.3)
+    for scan in (passive(bench), bench.scan()):
+        assert scan.entry("fl_controller").verdict == "duplicate-suspected"
+        assert scan.entry("fr_controller").verdict == "ok"
+        assert len(scan.duplicates) == 1
+
+
+def test_two_devices_of_one_identity() -> None:
+    bench = Bench(four_drives(), delivered=False, timing=QUICK)
+    spare = bench.simulated.clone("fl_controller", "spare")
+    spare.profile = bench.devices()["fl_controller"].profile  # type: ignore[attr-defined]
+    spare.power_on()
+    bench.simulated.run(0.3)
+    scan = bench.scan()
+    assert scan.entry("fl_controller").verdict == "duplicate-suspected"
+    assert "2 devices" in scan.duplicates[0][1]
+
+
+def test_a_node_without_power_and_one_too_many() -> None:
+    bench = Bench(cia402_robot(), delivered=False)
+    bench.simulated.devices["rl_controller"].power_off()
+    bench.simulated.devices["battery"].power_off()
+    bench.simulated.clone("rr_controller", "spare", node_id=77).power_on()
+    bench.simulated.run(0.3)
+    scan = bench.scan()
+    assert verdicts(scan) == {
+        "fl_controller": "ok",
+        "fr_controller": "ok",
+        "rl_controller": "missing",
+        "rr_controller": "ok",
+        "board": "ok",
+        "battery": "missing",
+        "sprayer": "ok",
+        "77": "unexpected",
+    }
+
+
+def test_a_device_without_id_is_found_by_fastscan() -> None:
+    """The file has no serial numbers: the one that is left is it; of two nobody can know."""
+    robot = without_serials(four_drives(), ["rr_controller"])
+    bench = Bench(robot, SWAPPED, timing=QUICK)
+    plan = bench.plan()
+    step = next(s for s in plan.steps if s.node == "rr_controller")
+    assert step.back_end == "lss-fastscan"
+    bench.apply()
+    assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
+    robot = without_serials(four_drives(), ["rl_controller", "rr_controller"])
+    plan = Bench(robot, SWAPPED, timing=QUICK).plan()
+    assert not plan.strangers
+    assert sum("write its serial number into the file" in p for p in plan.problems) == 2
+
+
+def test_another_master_is_not_disturbed() -> None:
+    bench = Bench(four_drives(), delivered=False, timing=QUICK)
+    other = bench.simulated.client(name="driver")
+    other.send(CanFrame(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
+    bench.simulated.timeline.after(100_000_000, lambda: other.send(CanFrame(0x77F, b"\5")))
+    with pytest.raises(DiagnosticError, match="master_heartbeat"):
+        bench.scan()
+    assert bench.client.controller.sent == 0
+
+
+def test_no_bitrate_is_tried() -> None:
+    """On a bus of another bitrate nothing but error frames comes of the first request."""
+    bench = Bench(four_drives(), delivered=False, timing=QUICK)
+    for device in bench.devices().values():
+        device.change_bitrate(250_000)
+    with pytest.raises(DiagnosticError, match="error-passive") as fault:
+        bench.scan()
+    assert fault.value.diagnostic.code.name == "bus-error"

@@ -1,0 +1,676 @@
+"""Devices as the elaboration hands them over become buses; every fault names both parties."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from tests.devices import (
+    BATTERY,
+    CYCLE,
+    DRIVE,
+    LIMIT,
+    MODULES,
+    MOTORS,
+    SIMPLE,
+    TWO_DRIVES,
+    Bench,
+    line,
+)
+from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, connect_actuators
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.robot import Bus, Frame, Signal
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def frame(bus: Bus, name: str) -> Frame:
+    return next(f for f in bus.frames if f.name == name)
+
+
+def signal(bus: Bus, frame_name: str, name: str) -> Signal:
+    return next(s for s in frame(bus, frame_name).signals if s.name == name)
+
+
+# -- what the modules say -------------------------------------------------------------
+
+
+def test_drive_has_the_published_frames(bench: Bench) -> None:
+    bench.drive(3)
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    assert {f.name: f.cob_id for f in bus.frames if f.name.startswith("d1")} == {
+        "d1_rpdo1": 0x203,
+        "d1_rpdo2": 0x303,
+        "d1_rpdo3": 0x403,
+        "d1_rpdo4": 0x503,
+        "d1_tpdo1": 0x183,
+        "d1_tpdo2": 0x283,
+        "d1_tpdo3": 0x383,
+        "d1_tpdo4": 0x483,
+        "d1_sdo_request": 0x603,
+        "d1_sdo_response": 0x583,
+        "d1_heartbeat": 0x703,
+        "d1_emcy": 0x083,
+    }
+    for f in bus.frames:
+        ours = f.name in ("d1_rpdo1", "d1_rpdo2", "d1_rpdo3", "d1_rpdo4", "d1_sdo_request")
+        if f.name.startswith("d1"):
+            assert (f.producer, f.consumers) == (
+                ("master", ("d1",)) if ours else ("d1", ("master",))
+            )
+    assert [f.name for f in bus.frames if f.period == CYCLE] == [
+        "sync",
+        "d1_rpdo1",
+        "d1_rpdo4",
+        "d1_tpdo1",
+    ]
+    (node,) = bus.nodes
+    assert (node.id, node.vendor_id, node.protocol) == (3, 0x469, "thorvald_roboteq")
+    assert (node.heartbeat_timeout, node.heartbeat_consumer_time) == (2.0, None)
+
+
+def test_scalings_are_the_published_ones(bench: Bench) -> None:
+    motors = [
+        dataclasses.replace(MOTORS[0], gear_ratio=42.0, motor_max_speed=100 * math.pi),
+        dataclasses.replace(MOTORS[1], gear_ratio=42.8571429, encoder_ppr=4096),
+    ]
+    bench.add(DRIVE, 1, {"propulsion": motors[0], "steering": motors[1]})
+    (bus,) = bench.build()
+
+    def reads(frame_name: str, name: str, raw: int) -> float:
+        found = signal(bus, frame_name, name)
+        return raw * found.scale + found.offset
+
+    # a speed of 1000 is 3000 motor rpm; v = rpm / gear * pi / 30
+    assert reads("d1_rpdo1", "speed", 1000) == pytest.approx(3000 / 42 * math.pi / 30)
+    assert reads("d1_tpdo1", "propulsion_velocity", 3000) == pytest.approx(3000 / 42 * math.pi / 30)
+    assert reads("d1_rpdo4", "position", -1000) == pytest.approx(-LIMIT)
+    assert reads("d1_tpdo1", "steering_position", 4 * 4096) == pytest.approx(
+        2 * math.pi / 42.8571429
+    )
+    assert reads("d1_tpdo2", "propulsion_current", 123) == pytest.approx(12.3)
+    assert reads("d1_tpdo3", "supply_voltage", 482) == pytest.approx(48.2)
+    assert signal(bus, "d1_rpdo1", "speed").joint == motors[0].joint
+    assert signal(bus, "d1_rpdo4", "position").joint == motors[1].joint
+
+
+def test_setup_ids_and_versions(bench: Bench) -> None:
+    bench.drive(1)
+    (bus,) = bench.build()
+    choices = dict(signal(bus, "d1_rpdo2", "setup_id").choices)
+    assert list(choices) == list(range(1, 12))
+    assert (choices[2], choices[7], choices[11]) == (
+        "home_count",
+        "max_steering_acceleration",
+        "tpdo4_cycle_time",
+    )
+    selector = signal(bus, "d1_tpdo4", "content")
+    assert (selector.start, selector.multiplexer) == (24, True)
+    version = {s.name: s.start for s in frame(bus, "d1_tpdo4").signals if s.selected_by == (2,)}
+    assert version == {
+        "controller_type": 32,
+        "version_patch": 40,
+        "version_minor": 48,
+        "version_major": 56,
+    }
+
+
+def test_signals_of_an_unwired_channel_are_left_out(bench: Bench) -> None:
+    bench.add(DRIVE, 1, {"propulsion": MOTORS[0]})
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    names = [s.name for f in bus.frames for s in f.signals]
+    assert "speed" in names
+    assert not [n for n in names if n.startswith("steering")]
+    # nobody steers: the command is not sent, the node still reports
+    assert frame(bus, "d1_rpdo4").period is None
+    assert frame(bus, "d1_tpdo1").period == CYCLE
+    assert [(c.name, c.actuator) for c in bus.nodes[0].channels] == [
+        ("propulsion", MOTORS[0].name),
+        ("steering", None),
+    ]
+
+
+def test_two_propulsion_motors_on_one_controller(bench: Bench) -> None:
+    left, right = MOTORS[0], MOTORS[2]
+    bench.add(TWO_DRIVES, 1, {"left": left, "right": right})
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    joints = {
+        f.name: [s.joint for s in f.signals if s.unit == "rad/s"]
+        for f in bus.frames
+        if f.period == CYCLE and f.signals
+    }
+    assert joints == {
+        "d1_rpdo1": [left.joint],
+        "d1_rpdo4": [right.joint],
+        "d1_tpdo1": [left.joint, right.joint],
+    }
+
+
+def test_battery_broadcasts_and_an_empty_enclosure_does_not(bench: Bench) -> None:
+    bench.add(BATTERY, 1)
+    bench.add(BATTERY, params={"with_battery": False})
+    (bus,) = bench.build(motors=())
+    assert not list(bench.report)
+    assert [(n.name, n.id, n.id_space) for n in bus.nodes] == [("d1", 1, "kc_battery")]
+    # no CANopen node, so the master has nothing to say either
+    assert [(f.cob_id, f.kind, f.producer) for f in bus.frames] == [
+        (0x3C1, "broadcast", "d1"),
+        (0x3D1, "broadcast", "d1"),
+        (0x3E1, "broadcast", "d1"),
+    ]
+    assert signal(bus, "d1_status", "voltage").scale == 0.01
+
+
+def test_every_library_device_has_a_clean_bus(bench: Bench) -> None:
+    found = sorted(
+        str(p.parent.relative_to(MODULES))
+        for p in MODULES.glob("*/*/module.yaml")
+        if "\ncan:\n" in p.read_text()
+    )
+    assert {DRIVE, TWO_DRIVES, BATTERY, "io/board"} <= set(found)
+    roles = {"propulsion": MOTORS[0::2], "steering": MOTORS[1::2]}
+    for i, name in enumerate(found):
+        probe = Bench()
+        probe.add(name)
+        wires = {
+            channel: roles[str(role.value)][(i + k) % 4]
+            for k, (channel, node) in enumerate(_channels(probe.devices[0]))
+            if (role := node.get("role")) is not None
+        }
+        bench.add(name, None, wires)
+    bench.build((BusSpec("main", 500_000, line(99)),), motors=())
+    assert {d.code.name for d in bench.report} <= {"motor-conflict"}  # wheels are few here
+
+
+def _channels(device: Device) -> list[tuple[str, Node]]:
+    channels = device.channels
+    return list(channels.value.items()) if channels and isinstance(channels.value, dict) else []
+
+
+# -- ids ------------------------------------------------------------------------------
+
+
+def test_automatic_ids_are_the_lowest_free_and_never_take_an_explicit_one(bench: Bench) -> None:
+    for address in (None, 2, "auto", 1, {"serial": "0x12"}):
+        bench.add(DRIVE, address)
+    bench.add("io/board")
+    bench.add(BATTERY)
+    (bus,) = bench.build(motors=())
+    assert [n.id for n in bus.nodes] == [3, 2, 4, 1, 5, 32, 1]
+    assert bus.nodes[4].serial == "0x12"
+
+
+def test_id_out_of_range(bench: Bench) -> None:
+    bench.drive(128)
+    bench.build()
+    fault = bench.fault("can-id-range")
+    assert fault.span == line(1)
+    assert "128" in fault.message
+    assert "1 to 127" in fault.message
+
+
+def test_id_twice_names_both_places(bench: Bench) -> None:
+    bench.drive(4)
+    bench.drive(5)
+    bench.drive(4)
+    bench.build()
+    fault = bench.fault("can-id-duplicate")
+    assert fault.span == line(3)
+    assert [label.span for label in fault.labels] == [line(1)]
+
+
+def test_id_spaces_and_buses_are_apart(bench: Bench) -> None:
+    bench.drive(4)
+    bench.drive({"bus": "second", "id": 4})
+    bench.add(BATTERY, 4)
+    buses = bench.build((BusSpec("main", 500_000, line(98)), BusSpec("second", 250_000, line(99))))
+    assert not list(bench.report)
+    assert [[(n.name, n.id) for n in bus.nodes] for bus in buses] == [
+        [("d1", 4), ("d3", 4)],
+        [("d2", 4)],
+    ]
+
+
+def test_no_id_left(bench: Bench) -> None:
+    for _ in range(32):
+        bench.add(DRIVE)
+    bench.build(motors=())
+    faults = [d for d in bench.report if d.code.name == "can-ids-exhausted"]
+    assert [f.span for f in faults] == [line(32)]
+
+
+def test_unknown_bus(bench: Bench) -> None:
+    bench.drive({"bus": "mian"})
+    bench.build()
+    assert bench.fault("can-bus-unknown").hint == "did you mean `main`?"
+
+
+def test_serial_number_twice(bench: Bench) -> None:
+    bench.drive({"serial": "0x12"})
+    bench.drive({"serial": "0x13"})
+    bench.drive({"serial": "0x12"})
+    bench.build()
+    assert [label.span for label in bench.fault("can-serial-duplicate").labels] == [line(1)]
+
+
+def test_address_of_an_empty_enclosure(bench: Bench) -> None:
+    bench.add(BATTERY, 1, params={"with_battery": False})
+    assert bench.build() == ()
+    assert bench.fault("can-address-unused").span == line(1)
+
+
+# -- COB-IDs --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("offset", "named"), [(64, "0x3c5"), (80, "0x3d5"), (96, "0x3e5")])
+def test_battery_against_a_drives_tpdo3(bench: Bench, offset: int, named: str) -> None:
+    bench.drive(offset + 5)
+    bench.add(BATTERY, 5)
+    bench.build()
+    fault = bench.fault("can-cob-id-conflict")
+    assert fault.span == line(2)
+    assert [label.span for label in fault.labels] == [line(1)]
+    assert named in fault.message
+    assert "tpdo3" in fault.message
+
+
+def test_battery_beside_other_ids_does_not_conflict(bench: Bench) -> None:
+    for node_id in (63, 68, 70, 111):
+        bench.drive(node_id)
+    bench.add(BATTERY, 5)
+    bench.build()
+    assert not bench.report.has_errors
+
+
+def test_drive_with_the_masters_id(bench: Bench) -> None:
+    bench.drive(127)
+    bench.build()
+    fault = bench.fault("can-cob-id-conflict")
+    assert "0x77f" in fault.message
+    assert not fault.labels  # the master is in no line of the file
+
+
+@pytest.mark.parametrize(
+    ("cob_id", "code"),
+    [
+        (0x000, "can-cob-id-restricted can-cob-id-conflict"),  # NMT
+        (0x07F, "can-cob-id-restricted"),
+        (0x080, "can-cob-id-conflict"),  # SYNC
+        (0x085, "can-cob-id-conflict"),  # EMCY of node 5
+        (0x0FF, ""),
+        (0x100, "can-cob-id-conflict"),  # TIME
+        (0x101, "can-cob-id-restricted"),
+        (0x180, "can-cob-id-restricted"),
+        (0x185, "can-cob-id-conflict"),  # TPDO1 of node 5
+        (0x205, "can-cob-id-conflict"),  # RPDO1 of node 5, which the master sends
+        (0x580, ""),
+        (0x581, "can-cob-id-restricted"),
+        (0x585, "can-cob-id-restricted can-cob-id-conflict"),
+        (0x6DF, ""),
+        (0x6E0, "can-cob-id-restricted"),
+        (0x700, ""),
+        (0x705, "can-cob-id-restricted can-cob-id-conflict"),
+        (0x7E4, "can-cob-id-restricted can-cob-id-conflict"),  # LSS
+        (0x7E5, "can-cob-id-restricted can-cob-id-conflict"),
+        (0x7FF, "can-cob-id-restricted"),
+        (0x800, "can-cob-id-range"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["pdo", "relay", "broadcast"])
+def test_foreign_frame_over_the_full_expansion(
+    bench: Bench, kind: str, cob_id: int, code: str
+) -> None:
+    bench.drive(5)
+    bench.add("my/sprayer", 6, text=simple(cob_id=cob_id, kind=kind), wires={"motor": MOTORS[2]})
+    bench.build()
+    assert " ".join(d.code.name for d in bench.report) == code
+    for fault in bench.report:
+        places = {label.span for label in fault.labels} | {fault.span}
+        assert line(2) in places
+
+
+def test_two_frames_of_one_device(bench: Bench) -> None:
+    text = simple() + "    b: {cob_id: 0x190, kind: pdo, direction: report, length: 1}\n"
+    bench.add("my/twice", 6, text=text, wires={"motor": MOTORS[0]})
+    bench.build()
+    assert "two frames of `d1`" in bench.fault("can-cob-id-conflict").message
+
+
+def test_names_must_differ(bench: Bench) -> None:
+    text = SIMPLE + "    b_x: {cob_id: 0x190, kind: pdo, direction: report, length: 1}\n"
+    other = SIMPLE + "    x: {cob_id: 0x191, kind: pdo, direction: report, length: 1}\n"
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]}, name="a")
+    bench.add("my/b", 7, text=other, wires={"motor": MOTORS[2]}, name="a_b")
+    bench.build()
+    assert "a_b_x" in bench.fault("can-name-conflict").message
+
+
+def test_a_device_may_not_be_called_master(bench: Bench) -> None:
+    bench.add("my/a", 6, text=simple(), wires={"motor": MOTORS[0]}, name="master")
+    bench.build()
+    assert "master" in bench.fault("can-name-conflict").message
+
+
+# -- layouts --------------------------------------------------------------------------
+
+
+def simple(
+    signals: str = "{a: {start: 0, length: 8}}",
+    *,
+    length: int = 8,
+    cob_id: int = 0x190,
+    kind: str = "pdo",
+    period: str = "on_demand",
+) -> str:
+    return (
+        f"{SIMPLE}    a: {{cob_id: {cob_id}, kind: {kind}, direction: report, "
+        f"length: {length}, period: {period}, signals: {signals}}}\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("signals", "length", "code"),
+    [
+        ("{a: {start: 0, length: 32}, b: {start: 32, length: 32}}", 8, ""),
+        ("{a: {start: 0, length: 33}, b: {start: 32, length: 32}}", 8, "can-signal-overlap"),
+        ("{a: {start: 32, length: 33}}", 8, "can-signal-bounds"),
+        ("{a: {start: 9, length: 8}}", 2, "can-signal-bounds"),
+        ("{a: {start: 8, length: 8}}", 2, ""),
+        ("{a: {start: 0, length: 0}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: 0, signed: true}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: -3, signed: true}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: 1000000000000}}", 2, "can-signal-bounds"),
+        ("{a: {start: -1, length: 2}}", 2, "can-signal-bounds"),
+        ("{a: {start: 0, length: '${8 / 3}'}}", 2, "wrong-type"),
+        ("{a: {start: 0, length: 8}}", 9, "can-frame-length"),
+        ("{a: {start: 0, length: 8, choices: {on_: 255}}}", 8, ""),
+        ("{a: {start: 0, length: 8, choices: {on_: 256}}}", 8, "can-choice-range"),
+        ("{a: {start: 0, length: 8, signed: true, choices: {on_: 128}}}", 8, "can-choice-range"),
+        ("{a: {start: 0, length: 8, scale: 0}}", 8, "can-scale"),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " a: {start: 8, length: 8, selected_by: [1]},"
+            " b: {start: 8, length: 8, selected_by: [2, 255]}}",
+            8,
+            "",
+        ),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " a: {start: 8, length: 8, selected_by: [1, 2]},"
+            " b: {start: 8, length: 8, selected_by: [2]}}",
+            8,
+            "can-signal-overlap",
+        ),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " a: {start: 8, length: 8, selected_by: [256]}}",
+            8,
+            "can-multiplexer",
+        ),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " a: {start: 8, length: 8, selected_by: [1]},"
+            " b: {start: 12, length: 8}}",
+            8,
+            "can-signal-overlap",
+        ),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " b: {start: 12, length: 8},"
+            " a: {start: 8, length: 8, selected_by: [1]}}",
+            8,
+            "can-signal-overlap",
+        ),
+        ("{a: {start: 8, length: 8, selected_by: [1]}}", 8, "can-multiplexer"),
+        (
+            "{m: {start: 0, length: 8, multiplexer: true},"
+            " n: {start: 8, length: 8, multiplexer: true}}",
+            8,
+            "can-multiplexer",
+        ),
+        ("{a: {start: 0, length: 8, channel: moter}}", 8, "channel-unknown"),
+    ],
+)
+def test_layout(bench: Bench, signals: str, length: int, code: str) -> None:
+    bench.add("my/a", 6, text=simple(signals, length=length), wires={"motor": MOTORS[0]})
+    bench.build()
+    assert " ".join(d.code.name for d in bench.report) == code
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (("length: 8}}", "length: 0, signed: true}}"), "can-signal-bounds"),
+        (("0x190 + id", "0x9000"), "can-cob-id-range"),
+        (("0x190 + id", "1 / 0"), "expression-value"),
+        (("on_demand", "'${nothing}'"), "expression-name"),
+    ],
+)
+def test_a_fault_of_a_module_used_twice_is_one_fault(
+    bench: Bench, change: tuple[str, str], code: str
+) -> None:
+    text = simple().replace("cob_id: 400", "cob_id: '${0x190 + id}'").replace(*change)
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
+    bench.add("my/a", 7, text=text, wires={"motor": MOTORS[2]})
+    bench.build()
+    assert {d.code.name for d in bench.report} == {code}
+    assert len({d.span for d in bench.report}) == 1
+
+
+def test_many_signals_take_no_time(bench: Bench) -> None:
+    signals = ", ".join(f"s{i}: {{start: 32, length: 32, selected_by: [{i}]}}" for i in range(5000))
+    text = simple(f"{{which: {{start: 0, length: 16, multiplexer: true}}, {signals}}}")
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    assert len(frame(bus, "d1_a").signals) == 5001
+
+
+def test_overlap_is_found_among_signals_of_unwired_channels(bench: Bench) -> None:
+    signals = "{a: {start: 0, length: 8, channel: motor}, b: {start: 4, length: 8}}"
+    bench.add("my/a", 6, text=simple(signals))
+    bench.build(motors=())
+    assert "can-signal-overlap" in [d.code.name for d in bench.report]
+
+
+# -- scales ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("field", "fits"),
+    [
+        ("length: 16, signed: true, scale: 0.001", True),
+        ("length: 8, signed: true, scale: 0.1", True),  # 12.7 rad/s
+        ("length: 8, signed: true, scale: 0.05", False),  # 6.35 rad/s, the wheel has 7.48
+        ("length: 8, signed: true, scale: -0.1", True),
+        ("length: 16, scale: 0.001", False),  # unsigned: never backwards
+        ("length: 16, scale: 0.001, offset: -10", True),
+        ("length: 16, signed: true, scale: 0.001, maximum: 7.4", False),
+        ("length: 16, signed: true, scale: 0.001, maximum: 7.48", True),
+        ("length: 16, signed: true, scale: 0.001, minimum: -7.4", False),
+    ],
+)
+def test_full_speed_must_fit(bench: Bench, field: str, fits: bool) -> None:
+    signals = f"{{a: {{start: 0, {field}, channel: motor, unit: rad/s}}}}"
+    bench.add("my/a", 6, text=simple(signals), wires={"motor": MOTORS[0]})
+    bench.build()
+    if fits:
+        assert not list(bench.report)
+    else:
+        fault = bench.fault("can-scale")
+        assert fault.span == line(1)
+        assert fault.labels[0].span.file == "my/a/module.yaml"
+
+
+@pytest.mark.parametrize(
+    ("limits", "fits"), [((-1.0, 1.27), True), ((-1.0, 1.3), False), ((-1.3, 1.0), False)]
+)
+def test_full_angle_must_fit(bench: Bench, limits: tuple[float, float], fits: bool) -> None:
+    text = simple(
+        "{a: {start: 0, length: 8, signed: true, scale: 0.01, channel: motor, unit: rad}}"
+    ).replace("role: propulsion", "role: steering")
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[1]}, limits=limits)
+    bench.build()
+    assert [d.code.name for d in bench.report] == ([] if fits else ["can-scale"])
+
+
+def test_a_motor_too_fast_for_tpdo1(bench: Bench) -> None:
+    fast = dataclasses.replace(MOTORS[0], motor_max_speed=3500.0, max_velocity=3500.0 / 42)
+    bench.add(DRIVE, 1, {"propulsion": fast, "steering": MOTORS[1]})
+    bench.build()
+    assert "propulsion_velocity" in bench.fault("can-scale").message
+
+
+def test_steering_without_limits_counts_as_half_a_turn_each_way(bench: Bench) -> None:
+    bench.add(DRIVE, 1, {"propulsion": MOTORS[0], "steering": MOTORS[1]}, limits=(None, None))
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    assert signal(bus, "d1_rpdo4", "position").scale == pytest.approx(math.pi / 1000)
+
+
+# -- the bus --------------------------------------------------------------------------
+
+
+def test_bitrate_that_a_node_cannot_do(bench: Bench) -> None:
+    bench.drive(1)
+    bench.add(BATTERY, 1)
+    bench.build((BusSpec("main", 800_000, line(99)),))
+    fault = bench.fault("can-bitrate")
+    assert "d2" in fault.message
+    assert fault.span == line(99)
+    assert fault.labels[0].span == line(2)
+
+
+def test_bitrate_must_be_positive(bench: Bench) -> None:
+    bench.drive(1)
+    assert bench.build((BusSpec("main", 0, line(99)),)) == ()
+    assert bench.fault("can-bitrate").span == line(99)
+
+
+@pytest.mark.parametrize("period", ["0", "-1 ms", "0.0 s"])
+def test_period_must_be_positive(bench: Bench, period: str) -> None:
+    bench.add("my/a", 6, text=simple(period=period), wires={"motor": MOTORS[0]})
+    bench.build()
+    assert bench.fault("can-period").span is not None
+
+
+def test_an_expression_at_fault_is_one_fault(bench: Bench) -> None:
+    text = simple().replace("cob_id: 400", 'cob_id: "${unknown + id}"')
+    assert "unknown" in text
+    bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
+    bench.build()
+    (fault,) = bench.report
+    assert fault.code.number.startswith("TV2")
+    assert fault.span is not None
+    assert fault.span.file == "my/a/module.yaml"
+
+
+def test_load_of_four_drives(bench: Bench) -> None:
+    """Four two-channel drives fill half of 250 kbit/s at 50 Hz, and too much at 100 Hz.
+
+    Before that the steering's commands come too late, which are less urgent than all reports.
+    """
+    for _ in range(4):
+        bench.drive()
+    bench.add(BATTERY)
+    bench.add(BATTERY)
+    slow = (BusSpec("main", 250_000, line(99)),)
+    (bus,) = bench.build(slow)
+    assert not list(bench.report)
+    assert bus.load == pytest.approx(0.48, abs=0.005)
+    bench.build(slow, cycle=0.014)
+    warning, late = bench.report
+    assert (warning.code.name, warning.span) == ("can-load", line(99))
+    assert (late.code.name, late.span) == ("can-deadline", line(99))
+    assert "`sync`, `d1_rpdo4`, `d2_rpdo4` and 2 more" in late.message
+    assert "its deadline is 14 ms" in late.message
+    bench.report = Report()
+    (bus,) = bench.build(slow, cycle=0.01)
+    assert bus.load == pytest.approx(0.87, abs=0.005)
+    assert "80 %" in bench.fault("can-overload").message
+    late_frames = [f.name for f in bus.frames if f.deadline and f.response_time > f.deadline]
+    assert late_frames == ["sync", "d1_rpdo4", "d2_rpdo4", "d3_rpdo4", "d4_rpdo4"]
+
+
+# -- wiring ---------------------------------------------------------------------------
+
+
+def test_motor_on_two_channels(bench: Bench) -> None:
+    bench.drive(1)
+    bench.drive(2, index=0)
+    bench.build()
+    faults = [d for d in bench.report if d.code.name == "motor-conflict"]
+    assert [(f.span, f.labels[0].span) for f in faults] == [(line(2), line(1))] * 2
+
+
+def test_role_of_the_channel(bench: Bench) -> None:
+    bench.add(DRIVE, 1, {"propulsion": MOTORS[1]})
+    bench.build()
+    assert "propulsion" in bench.fault("channel-role").message
+
+
+def test_unknown_channel(bench: Bench) -> None:
+    bench.add(DRIVE, 1, {"propulsion": MOTORS[0], "steerng": MOTORS[1]})
+    bench.build(motors=MOTORS[:1])
+    assert bench.fault("channel-unknown").hint == "did you mean `steering`?"
+
+
+def test_motors_without_a_controller(bench: Bench) -> None:
+    bench.drive(1)
+    bench.build(motors=MOTORS[:3])
+    fault = bench.fault("motor-without-controller")
+    assert MOTORS[2].name in fault.message
+    alone = Bench()
+    assert alone.build(motors=MOTORS) == ()
+    assert "8 motors" in alone.fault("robot-without-controller").message
+
+
+def test_controller_without_a_motor(bench: Bench) -> None:
+    bench.add(DRIVE, 1)
+    bench.build(motors=())
+    assert bench.fault("controller-without-motor").span == line(1)
+
+
+def test_actuators_know_their_channel(bench: Bench) -> None:
+    bench.drive(1)
+    connected = connect_actuators(MOTORS[:3], bench.build())
+    assert [(a.node, a.channel) for a in connected] == [
+        ("d1", "propulsion"),
+        ("d1", "steering"),
+        (None, None),
+    ]
+
+
+@pytest.mark.parametrize(("rate", "period"), [(50.0, 0.02), (60.0, 0.016), (30.0, 0.033)])
+def test_reports_come_by_a_timer_of_whole_milliseconds(
+    bench: Bench, rate: float, period: float
+) -> None:
+    bench.drive(1)
+    (bus,) = bench.build(cycle=1.0 / rate)
+    assert not list(bench.report)
+    frames = {frame.name.rpartition("_")[2]: frame for frame in bus.frames}
+    assert frames["tpdo1"].period == period
+    assert frames["rpdo1"].period == 1.0 / rate
+
+
+def test_a_bus_without_a_bitrate_is_fast_enough(bench: Bench) -> None:
+    for i in range(3):
+        bench.drive(i + 1, index=i)
+    spec = BusSpec("main", 500_000, line(99), stated=False)
+    assert [bus.bitrate for bus in bench.build([spec])] == [500_000]
+    assert not list(bench.report)
+    (bus,) = bench.build([spec], cycle=0.005)
+    assert bus.bitrate == 800_000
+    note = bench.fault("can-bitrate-chosen")
+    assert "800 kbit/s" in note.message
+    (stated,) = bench.build([spec._replace(stated=True)], cycle=0.005)
+    assert stated.bitrate == 500_000

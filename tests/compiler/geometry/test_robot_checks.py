@@ -1,0 +1,212 @@
+"""Checks of a whole robot: what they say of good ones, and how far their judgement reaches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tests.examples import FOLDER, ROBOTS
+from tests.robots import FOUR_STEERED, make_robot
+from tests.workshop import CART, Workshop
+from thorvaldc.compiler.geometry.robot_checks import check_robot, feasible_twists
+from thorvaldc.compiler.modules.design_requirements import Design
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+
+SQUARE = [(0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)]
+
+
+def codes(robot: Robot, design: Design | None = None) -> list[str]:
+    report = Report()
+    check_robot(robot, design or Design(), report)
+    return [d.code.name for d in report]
+
+
+def on(*kinds: str) -> Robot:
+    """A box on four wheels in a square, front left and right, rear left and right."""
+    return make_robot([(x, y, kind) for (x, y), kind in zip(SQUARE, kinds, strict=True)])
+
+
+def with_mass_at(robot: Robot, x: float, y: float, z: float) -> Robot:
+    return replace(robot, inertial=replace(robot.inertial, com=(x, y, z)))
+
+
+# -- robots that are right --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_nothing_is_said_of_the_examples(name: str) -> None:
+    done = compile_file(FOLDER / name / "robot.yaml")
+    assert [(d.code.name, d.message) for d in done.report if d.severity.value != "note"] == []
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        ("steered",) * 4,
+        ("steered", "steered", "fixed", "fixed"),
+        ("swivel", "swivel", "fixed", "fixed"),
+        ("steered", "steered", "passive", "passive"),
+        ("swivel", "steered", "passive", "passive"),
+    ],
+)
+def test_bases_that_can_be_controlled(kinds: tuple[str, ...]) -> None:
+    assert codes(on(*kinds)) == []
+
+
+# -- motion -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kinds", "twists"),
+    [
+        (("steered",) * 4, 3),
+        (("swivel",) * 4, 3),
+        (("steered", "steered", "fixed", "fixed"), 2),
+        (("fixed",) * 4, 1),
+        (("swivel", "swivel", "swivel", "fixed"), 2),
+    ],
+)
+def test_twists_that_fixed_wheels_leave(kinds: tuple[str, ...], twists: int) -> None:
+    assert feasible_twists(on(*kinds)) == twists
+
+
+@pytest.mark.parametrize(
+    ("kinds", "expected"),
+    [
+        (("steered", "swivel", "swivel", "swivel"), ["twist-uncontrolled"]),
+        (("passive", "passive", "swivel", "swivel"), ["no-drive"]),
+        (("fixed",) * 4, ["skid-steering"]),
+    ],
+)
+def test_bases_that_cannot(kinds: tuple[str, ...], expected: list[str]) -> None:
+    assert codes(on(*kinds)) == expected
+
+
+def test_one_wheel_askew_blocks_the_rest() -> None:
+    robot = on("fixed", "fixed", "fixed", "fixed")
+    turned = replace(robot.wheels[0], heading=0.2)
+    assert "no-free-motion" in codes(replace(robot, wheels=(turned, *robot.wheels[1:])))
+    # All about one point: the robot turns on the spot, and that is all.
+    tangents = tuple(replace(w, heading=math.atan2(w.x, -w.y)) for w in robot.wheels)
+    round_robot = replace(robot, wheels=tangents)
+    assert feasible_twists(round_robot) == 1
+    assert codes(round_robot) == []
+
+
+# -- balance ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "margin"),
+    [(0.0, 0.0, 0.4, 0.5), (0.3, 0.0, 0.4, 0.2), (0.0, -0.45, 1.0, 0.05), (0.2, 0.3, 0.5, 0.2)],
+)
+def test_the_tip_over_angle_is_that_of_the_nearest_edge(
+    x: float, y: float, z: float, margin: float
+) -> None:
+    robot = with_mass_at(make_robot(FOUR_STEERED), x, y, z)
+    wheels = tuple(replace(w, x=px, y=py) for w, (px, py) in zip(robot.wheels, SQUARE, strict=True))
+    robot = replace(robot, wheels=wheels)
+    angle = math.atan2(margin, z)
+    assert "tip-over" not in codes(robot, Design(tip_over_angle=angle - 1e-6))
+    assert "tip-over" in codes(robot, Design(tip_over_angle=angle + 1e-6))
+
+
+def test_a_wheel_in_the_middle_changes_no_edge() -> None:
+    four = make_robot(FOUR_STEERED)
+    five = make_robot([*FOUR_STEERED, (0.0, 0.0, "steered")])
+    for robot in (four, five):
+        robot = with_mass_at(robot, 0.0, 0.0, 0.4)
+        angle = math.atan2(0.45, 0.4)
+        assert "tip-over" not in codes(robot, Design(tip_over_angle=angle - 1e-6))
+        assert "tip-over" in codes(robot, Design(tip_over_angle=angle + 1e-6))
+
+
+@pytest.mark.parametrize(("x", "stands"), [(0.4999, True), (0.5001, False), (-0.6, False)])
+def test_a_robot_stands_while_its_mass_is_above_its_wheels(x: float, stands: bool) -> None:
+    found = codes(with_mass_at(on("steered", "steered", "steered", "steered"), x, 0.0, 0.4))
+    assert ("unstable" not in found) is stands
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_wheels_on_a_line_carry_no_robot(count: int) -> None:
+    robot = make_robot([(0.0, y, "steered") for y in (0.0, 0.5, -0.5)[:count]])
+    assert "unstable" in codes(robot)
+
+
+# -- overlap ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("dx", "dy", "overlap"),
+    [
+        (0.0, 0.16, False),
+        (0.0, 0.159, True),
+        (0.4, 0.0, False),
+        (0.399, 0.0, True),
+        (0.3, 0.159, True),
+        (0.3, 0.2, False),
+    ],
+)
+def test_wheels_are_rectangles_from_above(dx: float, dy: float, overlap: bool) -> None:
+    extra = (0.5 + dx, 0.5 + dy, "fixed")
+    wheels = [*((x, y, "fixed") for x, y in SQUARE), extra]
+    for order in (wheels, wheels[::-1]):
+        assert ("wheels-overlap" in codes(make_robot(order))) is overlap
+
+
+def test_far_apart_and_many() -> None:
+    wheels = [(float(i), float(j), "steered") for i in range(-5, 6) for j in range(-5, 6)]
+    assert "wheels-overlap" not in codes(make_robot(wheels))
+    assert "wheels-overlap" in codes(make_robot([*wheels, (3.1, 3.1, "steered")]))
+
+
+# -- slopes -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("driven", [1, 2, 4])
+def test_the_slope_that_motors_can_climb(workshop: Workshop, driven: int) -> None:
+    cart = CART
+    for name in ("rr", "rl", "fr")[: 4 - driven]:
+        cart = cart.replace(
+            f"{name}: {{type: t/leg,", f"{name}: {{type: t/leg, params: {{driven: false}},"
+        )
+    # Of 132 kg: torque 50 N m on 0.2 m each, rolling resistance 0.01.
+    weight, push = 132 * 9.81, driven * 50 / 0.2
+    limit = math.degrees(math.asin(push / weight / math.hypot(1, 0.01)) - math.atan(0.01))
+    grip = math.degrees(math.atan(0.8 * driven / 4 - 0.01))
+    limit = min(limit, grip)
+    for slope, steep in ((limit - 0.01, False), (limit + 0.01, True)):
+        found = workshop.faults(cart, f"design: {{slope: {slope:.6f} deg}}\n")
+        assert ("slope-too-steep" in [d.code.name for d in found]) is steep
+
+
+def test_no_slope_is_asked_for_by_default(workshop: Workshop) -> None:
+    found = workshop.faults(CART.replace("t/leg,", "t/leg, params: {torque: 0.01},"))
+    assert "slope-too-steep" not in [d.code.name for d in found]
+
+
+# -- inertia ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("inertia", "possible"),
+    [
+        ((1, 1, 2, 0, 0, 0), True),
+        ((1, 1, 2.001, 0, 0, 0), False),
+        ((1, 1, 1, 0.49, 0, 0), True),
+        ((1, 1, 1, 0, 0.51, 0), False),
+        ((1, 1, 0, 0, 0, 0), False),
+        ((-1, -1, -1, 0, 0, 0), False),
+    ],
+)
+def test_the_triangle_of_moments(inertia: tuple[float, ...], possible: bool) -> None:
+    robot = make_robot(FOUR_STEERED)
+    body = robot.links[1]
+    assert body.inertial is not None
+    odd = replace(body, inertial=replace(body.inertial, inertia=tuple(map(float, inertia))))
+    found = codes(replace(robot, links=(robot.links[0], odd, *robot.links[2:])))
+    assert ("inertia-impossible" not in found) is possible

@@ -1,0 +1,491 @@
+"""Original configuration files become robots: exact places, the original's bus, no value lost."""
+
+from __future__ import annotations
+
+import functools
+import math
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from thorvaldc.compiler.importer import ImportResult, import_file, import_original
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import Diagnostic, Report
+from thorvaldc.model import Frame, Pose, Robot, Signal
+
+ORIGINALS = Path(__file__).parent / "originals"
+GOOD = sorted(path.stem for path in ORIGINALS.glob("*.yaml"))
+
+
+def convert(path: Path) -> tuple[ImportResult, Report]:
+    report = Report()
+    return import_file(path, report), report
+
+
+def convert_text(tmp_path: Path, text: str) -> tuple[ImportResult, Report]:
+    path = tmp_path / "original.yaml"
+    path.write_text(text, encoding="utf-8")
+    return convert(path)
+
+
+def compiled(tmp_path: Path, text: str | None) -> Robot:
+    assert text is not None
+    path = tmp_path / "robot.yaml"
+    path.write_text(text, encoding="utf-8")
+    done = compile_file(path)
+    assert not done.report.errors, [str(d) for d in done.report.errors]
+    assert isinstance(done.model, Robot)
+    return done.model
+
+
+@functools.cache
+def built(name: str) -> tuple[ImportResult, Report, Robot]:
+    """One of the originals, imported and compiled."""
+    result, report = convert(ORIGINALS / f"{name}.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        return result, report, compiled(Path(folder), result.text)
+
+
+@pytest.fixture
+def standard() -> Robot:
+    return built("standard")[2]
+
+
+def poses(robot: Robot) -> dict[str, Pose]:
+    """Of all links in base_link, joints at zero."""
+    found = {"base_link": Pose()}
+    for joint in robot.joints:
+        found[joint.child] = found[joint.parent] * joint.pose
+    return found
+
+
+def frame(robot: Robot, cob_id: int) -> Frame:
+    (found,) = [f for bus in robot.buses for f in bus.frames if f.cob_id == cob_id]
+    return found
+
+
+def signal(robot: Robot, cob_id: int, name: str) -> Signal:
+    (found,) = [s for s in frame(robot, cob_id).signals if s.name.endswith(name)]
+    return found
+
+
+def has(report: Report, code: str, *words: str) -> Diagnostic:
+    found = [d for d in report if d.code.name == code and all(w in d.message for w in words)]
+    assert found, [(d.code.name, d.message) for d in report]
+    return found[0]
+
+
+# -- all of them ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_it_builds_to_all_targets(name: str) -> None:
+    _, report, robot = built(name)
+    assert not report.errors, [d.message for d in report.errors]
+    assert emit(robot, ["urdf", "mjcf", "ros2", "can"], Report())
+
+
+def leaves(value: Any, key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    if isinstance(value, dict) and value:
+        for name, child in value.items():
+            yield from leaves(child, (*key, str(name)))
+    elif isinstance(value, list) and value:
+        for i, child in enumerate(value):
+            yield from leaves(child, (*key, str(i)))
+    else:
+        yield key
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_no_value_is_dropped_silently(name: str) -> None:
+    path = ORIGINALS / f"{name}.yaml"
+    result, report, _ = built(name)
+    plain = yaml.safe_load(path.read_text(encoding="utf-8"))
+    told = {label.span for d in report for label in d.labels} | {d.span for d in report}
+    lines = {span.line for span in told if span is not None}
+    for key in leaves(plain, ()):
+        fate = result.notes.get(key)
+        assert fate is not None, key
+        # what was not placed stands in a message
+        assert fate.placed or fate.span.line in lines or fate.text == "not known", key
+    assert set(result.notes) == set(leaves(plain, ()))
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_wheels_stand_where_the_file_puts_them(name: str) -> None:
+    _, _, robot = built(name)
+    plain = yaml.safe_load((ORIGINALS / f"{name}.yaml").read_text(encoding="utf-8"))
+    while "motor_drives" not in plain:
+        plain = next(iter(plain.values()))
+    wanted = sorted(
+        (float(d["x"]), float(d["y"]), float(d.get("r_wheel", 0.2)))
+        for d in plain["motor_drives"].values()
+    )
+    placed = [
+        (w.x, w.y, w.radius) for w in robot.wheels if w.driven and not w.module.endswith("mirrored")
+    ]
+    if name == "one_entry":
+        placed = [w for w in placed if w[1] > 0]
+    assert sorted(placed) == wanted
+    assert all(w.contact_height == 0.0 for w in robot.wheels)
+    assert all(w.trail == 0.0 and w.lateral_offset == 0.0 for w in robot.wheels if w.driven)
+
+
+def test_the_text_is_the_same_every_time() -> None:
+    texts = {convert(ORIGINALS / "standard.yaml")[0].text for _ in range(2)}
+    assert len(texts) == 1
+    text = texts.pop()
+    assert text is not None
+    assert str(ORIGINALS) not in text
+
+
+# -- the standard robot ---------------------------------------------------------------
+
+
+def test_frame_stands_at_its_height_and_its_parts_at_their_places(standard: Robot) -> None:
+    place = poses(standard)
+    assert place["frame_body"].xyz == (0.0, 0.0, 0.65)
+    assert place["pipe1_tube"].xyz == (0.425, 0.0, 0.65)
+    assert place["pipe1_tube"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert place["corner3_clamp"].xyz == (-0.425, 0.445, 0.65)
+    assert place["corner1_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert place["corner3_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
+    assert place["beam0_beam"].xyz == (0.0, -0.449, 0.65)
+
+
+def test_the_bus_has_the_original_ids(standard: Robot) -> None:
+    for node in (1, 2, 3, 4):
+        for base in (0x200, 0x300, 0x400, 0x500, 0x180, 0x280, 0x380, 0x480, 0x580, 0x600, 0x700):
+            assert frame(standard, base + node)
+    for base in (0x3C0, 0x3D0, 0x3E0):
+        for battery in (1, 3):
+            assert frame(standard, base + battery)
+    ids = [f.cob_id for bus in standard.buses for f in bus.frames]
+    assert len(ids) == len(set(ids))
+    assert {n.id for bus in standard.buses for n in bus.nodes if n.protocol == "thorvald_io"} == {
+        20,
+        21,
+    }
+
+
+def test_the_bus_has_the_original_scalings(standard: Robot) -> None:
+    rpm = math.pi / 30
+    # RPDO1: motor rpm * 1000 / max rpm; the value is the wheel's speed
+    assert signal(standard, 0x201, "speed").scale == pytest.approx(3000 * rpm / 1000 / 42)
+    assert signal(standard, 0x204, "speed").scale == pytest.approx(2800 * rpm / 1000 / 36.5)
+    # RPDO4: 1000 * angle / limit
+    assert signal(standard, 0x501, "position").scale == pytest.approx(3.078027759 / 1000)
+    assert signal(standard, 0x504, "position").scale == pytest.approx(2.5 / 1000)
+    # TPDO1: rpm, and counts * 2 pi / (4 ppr gear)
+    assert signal(standard, 0x183, "propulsion_velocity").scale == pytest.approx(rpm / 42)
+    for cob_id, ppr in ((0x181, 1024), (0x182, 4096)):
+        found = signal(standard, cob_id, "steering_position").scale
+        assert found == pytest.approx(2 * math.pi / (4 * ppr * 42.8571429))
+
+
+def test_every_number_of_a_drive_arrives(standard: Robot) -> None:
+    motors = {a.name: a for a in standard.actuators}
+    third = next(a for n, a in motors.items() if n.startswith("drive2") and "propulsion" in n)
+    assert third.encoder_ppr == 4096
+    fourth = next(a for n, a in motors.items() if n.startswith("drive3") and a.role == "propulsion")
+    assert fourth.gear_ratio == 36.5
+    assert fourth.motor_max_speed == pytest.approx(2800 * math.pi / 30)
+    assert fourth.max_acceleration == pytest.approx(1.5 / 0.2)
+    steering = next(a for n, a in motors.items() if n.startswith("drive3") and a.role == "steering")
+    assert steering.max_velocity == 3.0
+    joint = standard.joint(steering.joint)
+    assert (joint.lower, joint.upper) == (-2.5, 2.5)
+
+
+def test_legs_and_motors_are_inside(standard: Robot) -> None:
+    place = poses(standard)
+    for link in standard.links:
+        if link.name.endswith("_drive_leg") and link.inertial is not None:
+            _, y, _ = place[link.name].apply(link.inertial.com)
+            wheel = next(w for w in standard.wheels if w.module.split(".")[0] in link.name)
+            assert abs(y) < abs(wheel.y), link.name
+
+
+def test_batteries_with_and_without(standard: Robot) -> None:
+    place = poses(standard)
+    nodes = {b.module: b.node for b in standard.batteries}
+    assert nodes["bat1"] is None
+    assert {n.id for bus in standard.buses for n in bus.nodes if n.id_space == "kc_battery"} == {
+        1,
+        3,
+    }
+    assert place["bat0_box"].xyz == (0.0, 0.445, 0.72)
+    assert place["bat2_box"].xyz == (0.1, 0.0, 0.75)
+    assert place["bat1_box"].rotate((1.0, 0.0, 0.0)) == pytest.approx((-1.0, 0.0, 0.0))
+
+
+def test_sensors_measure_where_the_file_puts_them(standard: Robot) -> None:
+    place = poses(standard)
+    links = {s.module: place[s.link] for s in standard.sensors}
+    wanted = Pose.from_xyz_rpy((0.55, 0.1, 0.4), (math.pi, 0.0, math.pi / 4))
+    assert links["lidar_front"].xyz == pytest.approx(wanted.xyz)
+    assert links["lidar_front"].rotate((1.0, 2.0, 3.0)) == pytest.approx(wanted.rotate((1, 2, 3)))
+    assert links["lidar_back"].xyz == pytest.approx((-0.55, 0.0, 0.4))
+    assert links["gnss_antenna_main"].xyz == pytest.approx((-0.4, 0.3, 1.2))
+    assert links["gnss_antenna_aux"].xyz == pytest.approx((-0.4, -0.3, 0.66))
+    assert links["imu"].xyz == pytest.approx((0.1, 0.02, 0.7))
+    assert links["imu"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert place["camera1_body"].xyz == pytest.approx((0.6, 0.0, 0.8))
+
+
+def test_the_io_board_knows_its_relays(standard: Robot) -> None:
+    boards = {n.id: dict(n.properties) for bus in standard.buses for n in bus.nodes}
+    assert boards[20]["relay_0_at_start"] is False
+    assert boards[20]["relay_1_at_start"] is True
+
+
+def test_what_has_no_place_is_told() -> None:
+    _, report = convert(ORIGINALS / "standard.yaml")
+    has(report, "import-left-out", "leg_mesh", "drive0")
+    has(report, "import-left-out", "space", "not published")
+    has(report, "import-left-out", "topic_prefix")
+    has(report, "import-unknown-key", "`sprayer`", "3 values")
+    assert [d.code.name for d in report].count("import-unknown-key") == 1
+
+
+# -- the others -----------------------------------------------------------------------
+
+
+def test_a_ros_2_file_with_merge_keys() -> None:
+    _, report, robot = built("slim")
+    assert robot.name == "slim"
+    assert robot.namespace == "slim_1"
+    assert robot.driver.rate == 50.0
+    assert poses(robot)["frame_body"].xyz == (0.0, 0.0, 0.85)
+    has(report, "import-left-out", "can_interface_name")
+
+
+def test_names_in_other_alphabets_and_two_radii() -> None:
+    _, report, robot = built("six")
+    assert robot.name == "thorvald_ost"
+    assert [w.radius for w in robot.wheels] == [0.25, 0.2, 0.2, 0.25, 0.2, 0.2]
+    assert robot.wheels[0].width == 0.2
+    assert poses(robot)["frame_body"].xyz[2] == 0.65
+    has(report, "import-assumed", "no pipes")
+
+
+@pytest.mark.parametrize("name", ["greenhouse", "one_entry"])
+def test_two_propulsion_motors_on_one_controller(name: str) -> None:
+    _, report, robot = built(name)
+    assert robot.calculator.name == "differential"
+    (node,) = [n for bus in robot.buses for n in bus.nodes if n.protocol != "thorvald_kc_battery"]
+    assert node.id == 1
+    left, right = node.channels
+    sides = {a.name: a.joint for a in robot.actuators}
+    place = poses(robot)
+    for channel, sign in ((left, 1.0), (right, -1.0)):
+        assert channel.actuator is not None
+        child = robot.joint(sides[channel.actuator]).child
+        assert place[child].xyz[1] * sign > 0.0
+    assert len([w for w in robot.wheels if w.driven]) == 2
+    has(report, "import-assumed", "one line")
+    if name == "one_entry":
+        has(report, "import-assumed", "one place", "y = -0.4 m")
+    else:
+        has(report, "import-left-out", "str_lim", "no steering")
+
+
+def test_two_entries_with_a_node_each_stay_two_wheels(tmp_path: Path) -> None:
+    text = """
+motor_drives:
+  a: {node: 1, x: 0, y: 0.4, type: 1}
+  b: {node: 2, x: 0, y: -0.4, type: 1}
+pipes: {p: {x1: -0.4, y1: 0, x2: 0.4, y2: 0, height: 0.65}}
+"""
+    result, report = convert_text(tmp_path, text)
+    robot = compiled(tmp_path, result.text)
+    assert len([w for w in robot.wheels if w.driven]) == 2
+    has(report, "import-assumed", "second motor")
+
+
+def test_a_single_wheel_gets_support() -> None:
+    _, report, robot = built("one_wheel")
+    assert len(robot.wheels) == 3
+    has(report, "import-assumed", "passive wheels")
+
+
+@pytest.mark.parametrize(
+    ("calculator", "drive_type", "expected", "told"),
+    [
+        ("pltf_clc_std::PltfClcStd", 0, "general", False),
+        ("pltf_clc_2wdiff::PltfClc2WDiff", 0, "general", True),
+        ("pltf_clc_2wdiff::PltfClc2WDiff", 1, "general", True),
+        ("pltf_clc_mine::Mine", 0, "general", True),
+        ("", 0, "general", False),
+    ],
+)
+def test_base_calculators(
+    tmp_path: Path, calculator: str, drive_type: int, expected: str, told: bool
+) -> None:
+    text = f'base_calculator: "{calculator}"\nmotor_drives:\n'
+    for i, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+        text += f"  d{i}: {{node: {i + 1}, x: {x}, y: {y}, type: {drive_type}}}\n"
+    text += "pipes: {p: {x1: -1, y1: 0, x2: 1, y2: 0, height: 0.65}}\n"
+    result, report = convert_text(tmp_path, text)
+    assert compiled(tmp_path, result.text).calculator.name == expected
+    assert any(d.code.name == "import-assumed" for d in report) == told
+
+
+# -- broken ones ------------------------------------------------------------------------
+
+DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line", "words"),
+    [
+        ("", "yaml-empty", 1, "empty"),
+        ("just text", "import-not-original", 1, "motor_drives"),
+        ("- a\n- b\n", "import-not-original", 1, "motor_drives"),
+        ("name: x\nmodules: {}\n", "import-not-original", 1, "motor_drives"),
+        ("a: [1, 2\n", "yaml-syntax", 1, ""),
+        ("motor_drives: &a {b: *a}\n", "yaml-recursive-alias", 1, ""),
+        ("motor_drives: {}\n", "import-missing", 1, "empty"),
+        ("motor_drives: 3\n", "import-value", 1, "mapping"),
+        ("motor_drives:\n  d: 3\n", "import-value", 2, "mapping"),
+        ("motor_drives:\n  d: {x: 1, y: 1}\n", "import-missing", 2, "`node`"),
+        ("motor_drives:\n  d: {node: 1, y: 1}\n", "import-missing", 2, "`x`"),
+        ("motor_drives:\n  d: {node: 1, x: left, y: 1}\n", "import-value", 2, "`left`"),
+        ("motor_drives:\n  d: {node: 1, x: '0,5', y: 1}\n", "import-value", 2, "`0,5`"),
+        ("motor_drives:\n  d: {node: 1, x: .nan, y: 1}\n", "import-value", 2, ".nan"),
+        ("motor_drives:\n  d: {node: 0, x: 1, y: 1}\n", "import-value", 2, "from 1 to 127"),
+        ("motor_drives:\n  d: {node: 1.5, x: 1, y: 1}\n", "import-value", 2, "whole"),
+        ("motor_drives:\n  d: {node: 1, x: 1, y: 1, type: 2}\n", "import-value", 2, "0 to 1"),
+        (
+            "motor_drives:\n  d: {node: 1, x: 1, y: 1, r_wheel: -0.2}\n",
+            "import-value",
+            2,
+            "from 0.05",
+        ),
+        (
+            "motor_drives:\n  d: {node: 1, x: 1, y: 1}\n  e: {node: 1, x: 2, y: 1}\n",
+            "import-node-duplicate",
+            3,
+            "node 1",
+        ),
+        (
+            f"motor_drives:\n  {DRIVE}\nio:\n  i: {{id: 1}}\n",
+            "import-node-duplicate",
+            4,
+            "`motor_drives.d`",
+        ),
+        (
+            f"motor_drives:\n  {DRIVE}\nbeams:\n  b: {{start: d, end: e}}\n",
+            "import-reference",
+            4,
+            "`e`",
+        ),
+        (
+            f"motor_drives:\n  {DRIVE}\nbatteries:\n  b: {{node: 360}}\n",
+            "import-value",
+            4,
+            "battery 16",
+        ),
+        (
+            f"motor_drives:\n  {DRIVE}\nbatteries:\n  b: {{node: 1, with_battery: maybe}}\n",
+            "import-value",
+            4,
+            "truth",
+        ),
+        (
+            f"motor_drives:\n  {DRIVE}\npipes:\n  p: {{x1: 0, y1: 0, x2: 0, y2: 0}}\n",
+            "import-value",
+            4,
+            "shorter",
+        ),
+        (
+            f"motor_drives:\n  {DRIVE}\npipes:\n  p: {{x1: 0, y1: 0, x2: 1}}\n",
+            "import-missing",
+            4,
+            "`y2`",
+        ),
+    ],
+)
+def test_a_broken_file_is_refused_at_its_line(
+    tmp_path: Path, text: str, code: str, line: int, words: str
+) -> None:
+    result, report = convert_text(tmp_path, text)
+    assert result.text is None
+    found = has(report, code, words)
+    assert found.span is not None
+    assert found.span.line == line
+
+
+def test_all_faults_at_once(tmp_path: Path) -> None:
+    text = """base_calculator: "pltf_clc_std::PltfClcStd"
+motor_drives:
+  a: {x: oops, y: 1}
+  b: {node: 200, x: 1, y: 1}
+batteries: {c: {z: high}}
+"""
+    _, report = convert_text(tmp_path, text)
+    assert sorted((d.span.line if d.span else 0) for d in report.errors) == [3, 3, 4, 5]
+    assert "import-unknown-key" not in [d.code.name for d in report]
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [("'0.5'", 0.5), ("5e-1", 0.5), ("+.5", 0.5), ("deg(30)", math.pi / 6), ("0x1", 1.0)],
+)
+def test_numbers_as_ros_takes_them(tmp_path: Path, written: str, value: float) -> None:
+    drives = "\n".join(
+        f"  d{i}: {{node: {i + 1}, x: {x}, y: {y}}}"
+        for i, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1)))
+    )
+    text = f"motor_drives:\n{drives}\nlidar: {{x: {written}, y: 0, z: 1}}\n"
+    result, report = convert_text(tmp_path, text)
+    robot = compiled(tmp_path, result.text)
+    assert poses(robot)[robot.sensors[0].link].xyz[0] == pytest.approx(value)
+    assert not report.errors
+
+
+def test_a_double_key_is_told_and_the_last_counts(tmp_path: Path) -> None:
+    result, report = convert_text(
+        tmp_path, f"motor_drives:\n  {DRIVE[:-1]}, x: 0.6}}\n  e: {{node: 2, x: -1, y: 0}}\n"
+    )
+    has(report, "import-duplicate-key", "`x`")
+    assert result.text is not None
+    assert "[0.6, 0.5, 0]" in result.text
+
+
+def test_a_battery_whose_words_disagree(tmp_path: Path) -> None:
+    text = f"motor_drives:\n  {DRIVE}\nbatteries:\n  b: {{node: -1, type: 1}}\n"
+    _, report = convert_text(tmp_path, text)
+    assert has(report, "import-assumed", "`type`").span is not None
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    text, report = import_original(tmp_path / "none.yaml")
+    assert text is None
+    has(report, "file-not-found")
+    text, report = import_original(tmp_path)
+    assert text is None
+    has(report, "file-is-a-directory")
+
+
+def test_errors_bring_no_word_on_what_was_assumed(tmp_path: Path) -> None:
+    """Of a robot that is not written; and a faulty address says nothing about a battery."""
+    file = tmp_path / "original.yaml"
+    file.write_text(
+        "motor_drives:\n"
+        "  d0: {node: 1, x: 0.5, y: 0.4, leg_mesh: 1}\n"
+        "batteries:\n"
+        "  b0: {node: 500, type: 1}\n"
+        "  b1: {id: one, type: 1}\n"
+        "pipes:\n"
+        "  p: {x1: 0, y1: 0, x2: 0, y2: 0}\n"
+        "cameras:\n"
+    )
+    text, report = import_original(file)
+    assert text is None
+    found = [(d.span.line, d.code.name) for d in report.sorted() if d.span is not None]
+    assert found == [(4, "import-value"), (5, "import-value"), (7, "import-value")]

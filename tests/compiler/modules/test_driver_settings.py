@@ -1,0 +1,90 @@
+"""What the driver goes by, and the sets of it, from the file to the model."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from thorvaldc.compiler.modules.driver_settings import LIMITS, NOISE
+from thorvaldc.compiler.pipeline import Compilation, compile_file
+from thorvaldc.model import Robot
+from thorvaldc.model.serialize import from_json, to_json
+from thorvaldc.runtime import driver_parameters as parameters
+from thorvaldc.runtime.calculators import Noise
+
+MODULES = """
+modules:
+  frame: {type: frame/tube_rectangular}
+  l: {type: assembly/fixed_drive, mount: frame.rear_left, params: {wheel: wheel/greenhouse_double}}
+  r: {type: assembly/fixed_drive, mount: frame.rear_right, params: {wheel: wheel/greenhouse_double}}
+  a: {type: caster/swivel, mount: frame.front_left}
+  b: {type: caster/swivel, mount: frame.front_right}
+"""
+
+
+def compiled(folder: Path, text: str) -> Compilation:
+    file = folder / "robot.yaml"
+    file.write_text(f"thorvaldc: 1\nname: two\n{text}{MODULES}")
+    return compile_file(file)
+
+
+def robot(folder: Path, text: str) -> Robot:
+    done = compiled(folder, text)
+    assert isinstance(done.model, Robot), [d.message for d in done.report]
+    return done.model
+
+
+def test_a_set_is_the_robots_settings_with_what_it_changes(tmp_path: Path) -> None:
+    made = robot(
+        tmp_path,
+        "driver: {max_linear_velocity: 0.6 m/s, noise: {angle: 1 deg, speed_ratio: 0.02}}\n"
+        "parameter_sets:\n"
+        "  rail: {radii: rail, max_angular_velocity: 20 deg/s, noise: {speed_ratio: 0.03}}\n"
+        "  slow: {max_linear_velocity: 0.1 m/s}\n",
+    )
+    rail, slow = made.parameter_sets
+    assert (rail.name, rail.radii, slow.name, slow.radii) == ("rail", "rail", "slow", None)
+    assert rail.driver.max_linear_velocity == 0.6
+    assert rail.driver.max_angular_velocity == pytest.approx(0.349066, abs=1e-6)
+    assert dict(rail.driver.noise) == pytest.approx({"angle": 0.0174533, "speed_ratio": 0.03})
+    assert dict(made.driver.noise) == pytest.approx({"angle": 0.0174533, "speed_ratio": 0.02})
+    assert slow.driver == dataclasses.replace(made.driver, max_linear_velocity=0.1)
+    assert from_json(to_json(made)) == made
+
+
+def test_smaller_radii_allow_less(tmp_path: Path) -> None:
+    made = robot(tmp_path, "parameter_sets: {rail: {radii: rail}}\n")
+    (rail,) = made.parameter_sets
+    share = 90 / 125
+    assert rail.driver.max_linear_velocity == pytest.approx(share * made.driver.max_linear_velocity)
+    assert rail.driver.max_angular_acceleration == pytest.approx(
+        share * made.driver.max_angular_acceleration
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line"),
+    [
+        ("parameter_sets:\n  rail: {radii: rial}\n", "parameter-set-radii", 4),
+        ("parameter_sets:\n  x: {max_linear_velocity: 9 m/s}\n", "driver-limit-too-high", 4),
+        ("parameter_sets:\n  x: {max_linear_velocity: -1 m/s}\n", "size-not-positive", 4),
+        ("parameter_sets:\n  x: {noise: {angle: 0}}\n", "size-not-positive", 4),
+        ("parameter_sets:\n  x: {max_linear_velocity: 1 m}\n", "wrong-dimension", 4),
+        ("parameter_sets:\n  x: {radius: 1 m}\n", "unknown-key", 4),
+        ("driver:\n  noise: {speed: 1}\n", "unknown-key", 4),
+    ],
+)
+def test_faults_of_a_set_are_told_where_they_are(
+    tmp_path: Path, text: str, code: str, line: int
+) -> None:
+    done = compiled(tmp_path, text)
+    found = [(d.code.name, d.span.line) for d in done.report if d.span]
+    assert (code, line) in found
+    assert (done.model is None) == any(d.code.severity == "error" for d in done.report)
+
+
+def test_names_are_those_of_the_runtime() -> None:
+    assert tuple(NOISE) == tuple(field.name for field in dataclasses.fields(Noise))
+    assert tuple(LIMITS) == parameters.LIMITS

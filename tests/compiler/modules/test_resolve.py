@@ -1,0 +1,384 @@
+"""How modules find one another: mounts, ports, assemblies, defaults, channels."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tests.workshop import CART, EXPECTED, Workshop, said
+from thorvaldc.compiler.geometry.static_loads import Tree
+from thorvaldc.compiler.pipeline import check_library
+from thorvaldc.model import Robot
+
+SOURCE = 'source: "chosen: for a test"'
+ARM = f"""
+mount: {{kinds: [clamp], link: base}}
+links:
+  base: {{parts: [{{shape: {{box: [0.1, 0.1, 0.1]}}, mass: 1 kg, {SOURCE}}}]}}
+ports:
+  tip: {{kind: clamp, link: base, xyz: [1, 0, 0], rpy: [0, 0, 90 deg]}}
+"""
+
+
+def place(robot: Robot, link: str) -> tuple[float, float, float]:
+    """Where a link's origin is in base_link, rounded to a micrometre."""
+    x, y, z = Tree(robot.links, robot.joints).pose[link].xyz
+    return (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0)
+
+
+# -- mounts ---------------------------------------------------------------------------
+
+
+def test_a_port_and_an_offset_are_put_one_after_the_other(workshop: Workshop) -> None:
+    workshop.module("t/arm", ARM)
+    robot = workshop.robot(
+        CART
+        + """
+    a: {type: t/arm, mount: body.front}
+    b: {type: t/arm, mount: {port: a.tip, xyz: [0.5, 0, 0.1], rpy: [0, 0, 90 deg]}}
+    c: {type: t/block, mount: b.tip}
+    """
+    )
+    # a looks ahead from x 0.5; its tip looks left; b looks back from half a metre along.
+    assert place(robot, "a_base") == (0.5, 0.0, 0.6)
+    assert place(robot, "b_base") == (1.5, 0.5, 0.7)
+    assert place(robot, "c_box") == (0.5, 0.5, 0.7)
+
+
+def test_where_a_module_is_held_counts(workshop: Workshop) -> None:
+    workshop.module(
+        "t/hook",
+        ARM.replace("link: base}", "link: base, xyz: [0.2, 0, 0], rpy: [0, 0, 90 deg]}", 1),
+    )
+    robot = workshop.robot(CART + "    hook: {type: t/hook, mount: body.front}")
+    pose = Tree(robot.links, robot.joints).pose["hook_base"]
+    # Held at (0.2, 0, 0), where its x points to the frame's -y.
+    assert place(robot, "hook_base") == (0.5, 0.2, 0.6)
+    assert pose.rpy()[2] == pytest.approx(-math.pi / 2)
+
+
+def test_the_order_in_the_file_does_not_matter(workshop: Workshop) -> None:
+    workshop.module("t/arm", ARM)
+    lines = CART.strip().splitlines()
+    lines += ["    a: {type: t/arm, mount: body.front}", "    b: {type: t/arm, mount: a.tip}"]
+    one = workshop.robot("\n".join(line.strip() for line in lines))
+    other = workshop.robot("\n".join(line.strip() for line in reversed(lines)))
+    assert {x.name for x in one.links} == {x.name for x in other.links}
+    for link in one.links:
+        assert place(one, link.name) == pytest.approx(place(other, link.name))
+    assert [x.name for x in other.links][1] == "b_base"
+
+
+def test_a_free_place_on_an_assembly_is_on_its_first_part(workshop: Workshop) -> None:
+    workshop.module(
+        "t/tower",
+        """
+        modules:
+          top: {type: t/block, mount: {parent: base, xyz: [0, 0, 1]}}
+          base: {type: t/block}
+        """,
+    )
+    robot = workshop.robot(
+        CART
+        + """
+    tower: {type: t/tower, mount: {parent: body, xyz: [0.1, 0, 0]}}
+    on: {type: t/block, mount: {parent: tower, xyz: [0, 0.3, 0]}}
+    on_top: {type: t/block, mount: {parent: tower.top}}
+    """
+    )
+    assert place(robot, "tower_base_box") == (0.1, 0.0, 0.6)
+    assert place(robot, "on_box") == (0.1, 0.3, 0.6)
+    assert place(robot, "on_top_box") == (0.1, 0.0, 1.6)
+
+
+def test_free_places_are_measured_from_where_the_module_says(workshop: Workshop) -> None:
+    workshop.module(
+        "t/shelf",
+        ARM + "free_mount: {kind: clamp, link: base, xyz: [0, 0, 1], rpy: [0, 0, 90 deg]}\n",
+    )
+    robot = workshop.robot(
+        CART
+        + """
+    shelf: {type: t/shelf, mount: body.front}
+    box: {type: t/block, mount: {parent: shelf, xyz: [0.2, 0, 0]}}
+    """
+    )
+    assert place(robot, "box_box") == (0.5, 0.2, 1.6)
+
+
+def test_a_module_fits_ports_of_its_kinds_only(workshop: Workshop) -> None:
+    workshop.module("t/arm", ARM.replace("kind: clamp", "kind: tool"))
+    arm = CART + "    arm: {type: t/arm, mount: body.front}\n"
+    assert "port-kind" in [
+        d.code.name for d in workshop.faults(f"{arm}    b: {{type: t/block, mount: arm.tip}}")
+    ]
+    block = "links:\n  box: {}\nmount: {kinds: [clamp, tool]}\n"
+    workshop.module("t/any", block)
+    workshop.robot(
+        f"{arm}    a: {{type: t/any, mount: arm.tip}}\n    b: {{type: t/any, mount: body.front}}"
+    )
+
+
+def test_ports_are_offered_through_assemblies(workshop: Workshop) -> None:
+    workshop.module("t/arm", ARM)
+    workshop.module(
+        "t/two",
+        """
+        modules:
+          first: {type: t/arm}
+          second: {type: t/arm, mount: first.tip}
+        ports: {end: second.tip}
+        """,
+    )
+    workshop.module(
+        "t/four",
+        """
+        modules:
+          near: {type: t/two}
+          far: {type: t/two, mount: near.end}
+        ports: {end: far.end}
+        """,
+    )
+    robot = workshop.robot(
+        CART
+        + """
+    arm: {type: t/four, mount: body.front}
+    block: {type: t/block, mount: arm.end}
+    inside: {type: t/block, mount: arm.near.first.tip}
+    """
+    )
+    # Four steps of a metre, a quarter turn after each, lead back to the start.
+    assert place(robot, "block_box") == (0.5, 0.0, 0.6)
+    assert place(robot, "inside_box") == (1.5, 0.0, 0.6)
+    names = [x.name for x in robot.links if x.name.startswith("arm")]
+    assert names[-1] == "arm_far_second_base"
+    assert {x.module for x in robot.links} >= {"arm.near.first", "arm.far.second"}
+
+
+def test_a_device_may_go_without_a_mount_and_is_then_on_the_bus_only(workshop: Workshop) -> None:
+    cart = CART + "    board: {type: io/board%s}"
+    unmounted = workshop.robot(cart % "")
+    assert [x.name for x in unmounted.links if "board" in x.name] == []
+    assert [n.name for bus in unmounted.buses for n in bus.nodes] == ["board"]
+    head = "    plate: {type: frame/tube, params: {length: 0.3}, mount: {parent: body}}\n"
+    workshop.module("t/plate", workshop_plate("frame_clamp"))
+    mounted = workshop.robot(
+        CART.replace("t/leg", "caster/fixed")
+        + head
+        + "    board: {type: io/board, mount: {parent: plate}}"
+    )
+    assert [x.name for x in mounted.links if "board" in x.name]
+    assert [n.name for bus in mounted.buses for n in bus.nodes] == ["board"]
+
+
+def workshop_plate(kind: str) -> str:
+    return f"""
+    links:
+      body: {{parts: [{{shape: {{box: [1, 0.8, 0.1]}}, mass: 100 kg, {SOURCE}}}]}}
+    free_mount: {{kind: {kind}, link: body}}
+    """
+
+
+# -- what the robot says, what defaults say ---------------------------------------------
+
+
+def test_the_modules_own_word_comes_before_the_defaults(workshop: Workshop) -> None:
+    robot = workshop.robot(
+        CART.replace("[0.5, 0.4, 0]}", "[0.5, 0.4, 0]}, params: {torque: 7}"),
+        "defaults: {leg: {torque: 60, radius: 0.2}}\n",
+    )
+    torque = {a.module: a.max_torque for a in robot.actuators}
+    assert torque == {"fl": 7.0, "fr": 60.0, "rl": 60.0, "rr": 60.0}
+
+
+def test_defaults_reach_only_types_that_know_them(workshop: Workshop) -> None:
+    cart = CART.replace(
+        "rl: {type: t/leg, mount: {parent: body, xyz: [-0.5, 0.4, 0]}}",
+        "rl: {type: t/other, mount: {parent: body, xyz: [-0.5, 0.4, 0]}}",
+    )
+    workshop.module(
+        "t/other",
+        f"""
+        category: leg
+        mount: {{kinds: [clamp], link: box}}
+        links:
+          box: {{parts: [{{shape: {{sphere: {{radius: 0.1}}}}, mass: 1 kg, {SOURCE}}}]}}
+        """,
+    )
+    robot = workshop.robot(cart, "defaults: {leg: {torque: 60}}\n", warned=("tip-over",))
+    assert [a.max_torque for a in robot.actuators] == [60.0, 60.0, 60.0]
+
+
+def test_parts_of_assemblies_get_their_parameters_from_the_assembly(workshop: Workshop) -> None:
+    workshop.module(
+        "t/pair",
+        f"""
+        category: pair
+        params:
+          torque: {{quantity: torque, default: 3, description: Of it., {SOURCE}}}
+        modules:
+          base: {{type: t/block}}
+          leg: {{type: t/leg, mount: {{parent: base}}, params: {{torque: "${{torque * 2}}"}}}}
+        """,
+    )
+    cart = CART.replace("fl: {type: t/leg", "fl: {type: t/pair")
+    robot = workshop.robot(cart, "defaults: {leg: {torque: 60}, pair: {torque: 5}}\n")
+    torque = {a.module: a.max_torque for a in robot.actuators}
+    assert torque == {"fl.leg": 10.0, "fr": 60.0, "rl": 60.0, "rr": 60.0}
+
+
+def test_a_default_may_choose_a_module(workshop: Workshop) -> None:
+    big = "defaults: {drive: {wheel: {type: wheel/agri_200, params: {radius: 0.25}}}}\n"
+    robot = workshop.robot(
+        """
+    frame: {type: frame/tube_rectangular}
+    fl: {type: assembly/steered_drive, mount: frame.front_left}
+    fr: {type: assembly/steered_drive, mount: frame.front_right}
+    rl: {type: assembly/steered_drive, mount: frame.rear_left}
+    rr: {type: assembly/steered_drive, mount: frame.rear_right}
+    """,
+        big,
+    )
+    assert [w.radius for w in robot.wheels] == [0.25] * 4
+
+
+# -- parts that are left out --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["default: none", 'default: "none"'])
+def test_what_hangs_on_a_part_that_is_left_out_is_at_fault(workshop: Workshop, how: str) -> None:
+    workshop.module(
+        "t/stand",
+        f"""
+        params:
+          post: {{type: module, category: t, {how}, description: Of it., {SOURCE}}}
+        modules:
+          base: {{type: t/block}}
+          post: {{type: "${{post}}", mount: {{parent: base}}}}
+          lamp: {{type: t/block, mount: {{parent: post}}}}
+        """,
+    )
+    found = workshop.faults(CART + "    stand: {type: t/stand, mount: body.front}")
+    faults = [d for d in found if d.code.name not in EXPECTED]
+    assert [d.code.name for d in faults] == ["module-unknown"]
+    assert "left out" in faults[0].message
+    whole = CART + "    stand: {type: t/stand, mount: body.front, params: {post: t/block}}"
+    assert "stand_lamp_box" in [x.name for x in workshop.robot(whole).links]
+
+
+# -- channels -----------------------------------------------------------------------------
+
+PAIR = """
+    frame: {type: frame/tube_rectangular}
+    left: {type: assembly/fixed_drive, mount: frame.front_left}
+    right: {type: assembly/fixed_drive, mount: frame.front_right}
+    rear: {type: caster/swivel, mount: frame.rear_center}
+    box:
+      type: controller/propulsion_propulsion
+      can: 9
+      channels: {left: left.propulsion, right: right.drive.propulsion}
+"""
+
+
+def test_one_controller_may_serve_two_drives(workshop: Workshop) -> None:
+    robot = workshop.robot(PAIR)
+    wired = {a.module: (a.node, a.channel) for a in robot.actuators}
+    assert wired == {"left.drive": ("box", "left"), "right.drive": ("box", "right")}
+    (node,) = [n for bus in robot.buses for n in bus.nodes]
+    assert (node.name, node.id) == ("box", 9)
+
+
+def test_the_address_of_an_assembly_is_its_controllers(workshop: Workshop) -> None:
+    robot = workshop.robot(
+        """
+    frame: {type: frame/tube_rectangular}
+    fl: {type: assembly/steered_drive, mount: frame.front_left, can: 5}
+    fr: {type: assembly/steered_drive, mount: frame.front_right}
+    rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 1}
+    rr: {type: assembly/steered_drive, mount: frame.rear_right}
+    """
+    )
+    ids = {n.name: n.id for bus in robot.buses for n in bus.nodes}
+    assert ids["fl_controller"] == 5
+    assert ids["rl_controller"] == 1
+    assert len(set(ids.values())) == 4
+
+
+# -- faults that lead to no more faults ------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("modules", "codes"),
+    [
+        ("part: {type: t/nothing, mount: body.front}", ["module-type-unknown"]),
+        (
+            "part: {type: t/nothing, mount: body.front}\n"
+            "    on: {type: t/block, mount: {parent: part}}\n"
+            "    at: {type: t/block, mount: part.top}",
+            ["module-type-unknown"],
+        ),
+        ("part: {type: t/block, mount: boddy.front}", ["module-unknown"]),
+        ("part: {type: t/block, mount: body.front.left}", ["port-unknown"]),
+        ("part: {type: t/block, mount: {parent: part}}", ["mount-cycle"]),
+        (
+            "part: {type: t/block, mount: {parent: other}}\n"
+            "    other: {type: t/block, mount: {parent: part}}",
+            ["mount-cycle"],
+        ),
+    ],
+)
+def test_one_mistake_is_one_fault(workshop: Workshop, modules: str, codes: list[str]) -> None:
+    found = workshop.faults(f"{CART}    {modules}")
+    assert [d.code.name for d in found if d.code.name not in EXPECTED] == codes
+
+
+def test_a_frame_of_an_unknown_type_hides_nothing_else(workshop: Workshop) -> None:
+    done = workshop.compile(
+        """
+    body: {type: t/plaet}
+    fl: {type: t/leg, mount: {parent: body}, params: {radius: 3 kg}}
+    fr: {type: t/leg, mount: {parent: boddy}}
+    """
+    )
+    names = [d.code.name for d in done.report]
+    assert names == ["module-type-unknown", "wrong-dimension", "module-unknown"], said(done)
+
+
+def test_hints_name_what_is_near(workshop: Workshop) -> None:
+    workshop.module("t/arm", ARM)
+    arm = CART + "    arm: {type: t/arm, mount: body.front}\n"
+    hints = {
+        "{type: t/blok, mount: arm.tip}": "`t/block`",
+        "{type: t/block, mount: amr.tip}": "`arm`",
+        "{type: t/block, mount: arm.tipp}": "`tip`",
+        "{type: t/block, mount: arm}": "`arm.tip`",
+        "{type: t/block, mount: arm.tip, params: {maas: 1}}": "`mass`",
+    }
+    for text, near in hints.items():
+        found = workshop.faults(f"{arm}    block: {text}")
+        assert near in str(found[0].hint), (text, found[0])
+
+
+def test_what_an_assembly_offers_is_checked_in_the_library(workshop: Workshop) -> None:
+    workshop.module(
+        "t/pair",
+        """
+        params:
+          extra: {type: module, default: none, description: May be., source: "chosen: none"}
+        modules:
+          post: {type: t/block}
+          leg: {type: t/leg, mount: {parent: post}}
+          extra: {type: "${extra}", mount: {parent: post}}
+        can: controler
+        motors: {propulsion: leg.propulsion, steering: leg.steer}
+        ports: {top: past.top, side: post.side, far: extra.top}
+        """,
+    )
+    found = check_library(workshop.folder / "my_modules").report
+    assert [(d.code.name, d.span.line if d.span else 0) for d in found.sorted()] == [
+        ("module-unknown", 9),
+        ("motor-unknown", 10),
+        ("module-unknown", 11),
+        ("port-unknown", 11),
+    ]

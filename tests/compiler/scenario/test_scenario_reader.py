@@ -1,0 +1,137 @@
+"""Scenario documents: what becomes of them, and what is said of wrong ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from thorvaldc.compiler.pipeline import Compilation, compile_file
+from thorvaldc.model import Box, Cylinder, Ground
+from thorvaldc.model.scenario import Command, Noise, Scenario
+
+ROOT = Path(__file__).resolve().parents[3]
+SLIM = ROOT / "examples/4wd4ws_slim/robot.yaml"
+HEAD = f"""thorvaldc: 1
+scenario: trial
+robots:
+  cart: {{robot: {SLIM}, xyz: [1, 2, 0], yaw: 90 deg}}
+duration: 2 s
+"""
+
+
+def compiled(folder: Path, text: str, robot: Path | None = None) -> Compilation:
+    path = folder / "scenario.yaml"
+    path.write_text(text, encoding="utf-8")
+    return compile_file(path, robot=robot)
+
+
+def good(folder: Path, text: str, robot: Path | None = None) -> Scenario:
+    done = compiled(folder, text, robot)
+    assert [(d.code.name, d.message) for d in done.report.errors] == []
+    assert done.scenario is not None
+    assert done.model is done.scenario.fleet
+    return done.scenario
+
+
+def faults(folder: Path, text: str) -> list[tuple[str, int]]:
+    done = compiled(folder, text)
+    assert done.scenario is None
+    assert done.model is None
+    return [(d.code.name, d.span.line if d.span else 0) for d in done.report.errors]
+
+
+def test_a_scenario_with_nothing_in_it(tmp_path: Path) -> None:
+    found = good(tmp_path, HEAD)
+    assert found.duration == 2.0
+    assert found.commands == (("cart", ()),)
+    assert found.noise == Noise()
+    assert found.fleet.world is not None
+    assert found.fleet.world.ground == Ground()
+    assert found.fleet.world.blocks == ()
+
+
+def test_another_robot_takes_name_and_place(tmp_path: Path) -> None:
+    found = good(tmp_path, HEAD, ROOT / "examples/6wd6ws/robot.yaml")
+    (placed,) = found.fleet.placements
+    assert (placed.name, placed.robot.namespace, len(placed.robot.wheels)) == ("cart", "cart", 6)
+    assert placed.pose.xyz == (1.0, 2.0, 0.0)
+    fleet = good(tmp_path, HEAD, ROOT / "examples/fleet_of_four/fleet.yaml").fleet
+    assert [p.name for p in fleet.placements] == ["tall", "slim", "wide", "six"]
+
+
+def test_a_fleet_file(tmp_path: Path) -> None:
+    text = "thorvaldc: 1\nscenario: x\nfleet: {}\nduration: 1 s\n"
+    found = good(tmp_path, text.format(ROOT / "examples/fleet_of_four/fleet.yaml"))
+    assert len(found.fleet.placements) == 4
+    assert faults(tmp_path, text.format("none.yaml")) == [("fleet-robot-missing", 3)]
+    assert faults(tmp_path, text.format("scenario.yaml")) == [("fleet-in-fleet", 3)]
+
+
+def test_the_script_is_for_all_or_for_one(tmp_path: Path) -> None:
+    robots = f"robots: {{a: {{robot: {SLIM}}}, b: {{robot: {SLIM}, xyz: [0, 5, 0]}}}}\n"
+    text = "thorvaldc: 1\nscenario: x\n" + robots + "duration: 1 s\nscript:\n"
+    text += "  - {at: 0, vx: 36 kph}\n  - {at: 0.5, robot: b, wz: 1, vy: 2}\n"
+    plans = dict(good(tmp_path, text).commands)
+    assert plans["a"] == (Command(0.0, 10.0, 0.0, 0.0),)
+    assert plans["b"] == (Command(0.0, 10.0, 0.0, 0.0), Command(0.5, 0.0, 2.0, 1.0))
+    assert faults(tmp_path, text + "faults: [{type: motor_lost, wheel: fl_wheel}]\n") == [
+        ("missing-key", 8)
+    ]
+
+
+def test_the_world_comes_out_as_single_things(tmp_path: Path) -> None:
+    world = """world:
+  friction: 0.4
+  kerbs: [{from: [0, 0], to: [0, 2], height: 0.1, width: 0.2}]
+  rails: [{from: [0, 0], to: [4, 0], gauge: 0.6, diameter: 0.05}]
+  crop_rows: [{xyz: [1, 1, 0], yaw: 90 deg, rows: 2, row_spacing: 1, plants: 3, plant_spacing: 0.5}]
+  polytunnels: [{xyz: [0, 0, 0], length: 4, width: 6, post_spacing: 2}]
+  obstacles: {box: {shape: box, xyz: [5, 0, 0], size: [1, 1, 2]}}
+"""
+    found = good(tmp_path, HEAD + world)
+    assert {w.friction for w in found.fleet.placements[0].robot.wheels} == {0.4}
+    assert found.fleet.world is not None
+    blocks = {f"{b.kind}/{b.name}": b for b in found.fleet.world.blocks}
+    assert len(blocks) == 1 + 2 + 6 + 6 + 1
+    kerb = blocks["kerb/1"]
+    assert kerb.shape == Box((2.0, 0.2, 0.1))
+    assert kerb.pose.apply((1.0, 0.0, 0.05)) == pytest.approx((0.0, 2.0, 0.1), abs=1e-9)
+    rail = blocks["rail/1_left"]
+    assert rail.shape == Cylinder(0.025, 4.0)
+    assert rail.pose.apply((0.0, 0.0, 2.0)) == pytest.approx((4.0, 0.3, 0.025), abs=1e-9)
+    assert blocks["crop/1_2_3"].pose.xyz == pytest.approx((0.0, 2.0, 0.2), abs=1e-9)
+    assert blocks["post/1_right_3"].pose.xyz == pytest.approx((4.0, -3.0, 1.0), abs=1e-9)
+    assert blocks["obstacle/box"].pose.xyz == (5.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line"),
+    [
+        ("world: {ground: {type: swamp}}", "unknown-value", 6),
+        ("world: {ground: {type: slope}}", "missing-key", 6),
+        ("world: {ground: {type: plane, seed: 1}}", "conflicting-keys", 6),
+        ("world: {ground: {type: rough, wavelength: 0.05, size: [900, 900]}}", "out-of-range", 6),
+        ("world: {kerbs: [{from: [1, 1], to: [1, 1], height: 0.1}]}", "out-of-range", 6),
+        ("world: {obstacles: {a: {shape: sphere, xyz: [1, 0, 0]}}}", "missing-key", 6),
+        ("script:\n  - {at: 1}\n  - {at: 0.5}", "out-of-range", 8),
+        ("faults: [{type: ice, wheel: fl_wheel}]", "missing-key", 6),
+        ("faults: [{type: ice, wheel: fl_wheel, friction: 1, at: 2, until: 1}]", "out-of-range", 6),
+        ("expect: {tilt: {min: 2, max: 1}}", "out-of-range", 6),
+        ("expect: {tilt: {max: 1 m}}", "wrong-dimension", 6),
+        ("fleet: x.yaml", "conflicting-keys", 6),
+        ("variations:\n  vary:\n    world.friction: [0.3,\n      -1]", "out-of-range", 9),
+        ("variations:\n  vary:\n    world.friktion: [0.3]", "unknown-key", 8),
+        ("variations:\n  vary:\n    noise.gyro: {min: 0, max: 1 m}", "wrong-dimension", 8),
+        ("variations:\n  vary:\n    script:\n      - []\n      - [{vx: 1}]", "missing-key", 10),
+    ],
+)
+def test_what_is_said_of_wrong_ones(tmp_path: Path, text: str, code: str, line: int) -> None:
+    assert (code, line) in faults(tmp_path, HEAD + text + "\n")
+
+
+def test_a_robot_that_does_not_compile_is_all_that_is_said(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("thorvaldc: 1\nname: x\nmodules: {a: {type: no/ne}}\n")
+    text = "thorvaldc: 1\nscenario: x\nrobots: {cart: {robot: robot.yaml}}\nduration: 1 s\n"
+    text += "script: [{at: 0, robot: cart, vx: 1}]\n"
+    assert faults(tmp_path, text) == [("module-type-unknown", 3)]

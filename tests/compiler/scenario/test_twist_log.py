@@ -1,0 +1,181 @@
+"""Scripts of scenarios that are logs: records of ours, CSV, and bags of other robots."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag1 import Writer as FirstWriter
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from thorvaldc.compiler.pipeline import Compilation, compile_file, emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.scenario import Command
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
+from thorvaldc.simulation.records.record_writer import CsvRecorder
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+
+SLIM = Path(__file__).resolve().parents[3] / "examples/4wd4ws_slim/robot.yaml"
+HEAD = f"""thorvaldc: 1
+scenario: trial
+robots: {{cart: {{robot: {SLIM}}}, other: {{robot: {SLIM}, xyz: [0, 5, 0]}}}}
+duration: 2 s
+"""
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+Spoken = Sequence[tuple[float, float, float]]
+
+
+def compiled(folder: Path, script: str) -> Compilation:
+    path = folder / "scenario.yaml"
+    path.write_text(HEAD + f"script: {script}\n", encoding="utf-8")
+    return compile_file(path)
+
+
+def commands(folder: Path, script: str) -> dict[str, tuple[Command, ...]]:
+    done = compiled(folder, script)
+    assert [(d.code.name, d.message) for d in done.report.errors] == []
+    assert done.scenario is not None
+    return dict(done.scenario.commands)
+
+
+def fault(folder: Path, script: str) -> tuple[str, str, str]:
+    """Code, message and hint of the only error."""
+    (found,) = compiled(folder, script).report.errors
+    return found.code.name, found.message, found.hint or ""
+
+
+def bag(path: Path, topics: dict[str, Spoken], *, stamped: bool = False, mcap: bool = True) -> Path:
+    """A bag of a robot, at the times of a clock; each message is time (s), vx and wz."""
+    types = STORE.types
+    vector, time_ = types["geometry_msgs/msg/Vector3"], types["builtin_interfaces/msg/Time"]
+    kind = "geometry_msgs/msg/TwistStamped" if stamped else "geometry_msgs/msg/Twist"
+    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        for topic, spoken in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for seconds, vx, wz in spoken:
+                message = types["geometry_msgs/msg/Twist"](
+                    vector(vx, 0.0, 0.0), vector(0.0, 0.0, wz)
+                )
+                if stamped:
+                    header = types["std_msgs/msg/Header"](time_(0, 0), "base_link")
+                    message = types[kind](header, message)
+                at = 1_700_000_000_000_000_000 + round(seconds * 1e9)
+                writer.write(connection, at, STORE.serialize_cdr(message, kind))
+    return path
+
+
+DRIVE = [(k * 0.1, 0.5, 0.1) for k in range(6)]
+
+
+def test_columns_of_a_table_are_velocities(tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_text("time,wz,vx\n0,0,0.5\n0.1,0,0.5\n1.5,0.2,0.5\n2,0,0\n")
+    found = commands(tmp_path, "{log: drive.csv}")
+    wanted = (
+        Command(0.0, 0.5, 0.0, 0.0),
+        Command(1.5, 0.5, 0.0, 0.2),
+        Command(2.0, 0.0, 0.0, 0.0),
+    )
+    assert found == {"cart": wanted, "other": wanted}
+    assert commands(tmp_path, "{log: drive.csv, robot: other}") == {"cart": (), "other": wanted}
+
+
+@pytest.mark.parametrize("record", ["records", "record.mcap"])
+def test_a_record_is_driven_again_to_the_last_bit(tmp_path: Path, record: str) -> None:
+    script = "[{at: 0.5, vx: 0.5}, {at: 1, vx: 0.3, wz: 0.4, robot: other}]"
+    first = compiled(tmp_path, script)
+    hashes = []
+    for done in (first, None):
+        done = done or compiled(tmp_path, f"{{log: {record}}}")
+        assert done.scenario is not None, [d.message for d in done.report]
+        files = emit(done.scenario.fleet, ["mjcf"], Report())
+        run = ScenarioSimulation(done.scenario, files)
+        kind = McapRecorder if record.endswith(".mcap") else CsvRecorder
+        recorder = kind(tmp_path / f"new_{record}", run.robots, done.scenario.record)
+        hashes.append(run.play(Report(), [recorder]).hash)
+        recorder.close()
+        if done is first:
+            (tmp_path / f"new_{record}").rename(tmp_path / record)
+    assert hashes[0] == hashes[1]
+
+
+@pytest.mark.parametrize(("stamped", "mcap"), [(True, True), (False, True), (False, False)])
+def test_of_a_bag_a_robot_has_its_own_topic(tmp_path: Path, stamped: bool, mcap: bool) -> None:
+    topics = {"/cart/cmd_vel": DRIVE, "/other/cmd_vel": [(0.0, -0.2, 0.0)], "/joy": DRIVE}
+    bag(tmp_path / "bag", topics, stamped=stamped, mcap=mcap)
+    found = commands(tmp_path, "{log: bag}")
+    assert found["cart"][0] == Command(0.0, 0.5, 0.0, 0.1)
+    assert found["other"][0] == Command(0.0, -0.2, 0.0, 0.0)
+    if mcap:
+        assert commands(tmp_path, "{log: bag/bag.mcap}") == found
+    chosen = commands(tmp_path, "{log: bag, topic: /joy, robot: other}")
+    assert chosen == {"cart": (), "other": found["cart"]}
+
+
+def test_bags_of_the_first_ros_are_read_too(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind, vector = "geometry_msgs/msg/Twist", store.types["geometry_msgs/msg/Vector3"]
+    with FirstWriter(tmp_path / "old.bag") as writer:
+        connection = writer.add_connection("/nav/cmd_vel", kind, typestore=store)
+        for k in range(3):
+            message = store.types[kind](vector(0.4, 0.0, 0.0), vector(0.0, 0.0, 0.2))
+            writer.write(connection, k * 10**8, store.serialize_ros1(message, kind))
+    found = commands(tmp_path, "{log: old.bag, robot: cart}")
+    assert found["cart"][0] == Command(0.0, 0.4, 0.0, 0.2)
+
+
+def test_where_a_robot_was_told_nothing_its_watchdog_stopped_it(tmp_path: Path) -> None:
+    bag(tmp_path / "bag", {"/cmd_vel": [*DRIVE, (1.6, 0.5, 0.1), (1.7, 0.4, 0.0)]})
+    done = compiled(tmp_path, "{log: bag}")
+    assert done.scenario is not None
+    timeout = done.scenario.fleet.placements[0].robot.driver.command_timeout
+    assert 0.1 < timeout < 1.0
+    found = dict(done.scenario.commands)["cart"]
+    assert [(c.vx, c.wz) for c in found] == [(0.5, 0.1), (0, 0), (0.5, 0.1), (0.4, 0), (0, 0)]
+    times = [0.0, 0.5 + timeout, 1.6, 1.7, 1.7 + timeout]
+    assert [c.time for c in found] == pytest.approx(times)
+
+
+def test_what_no_velocities_are_to_be_had_of_is_told(tmp_path: Path) -> None:
+    bag(tmp_path / "bag", {"/a": DRIVE, "/b": DRIVE})
+    bag(tmp_path / "wild", {"/cmd_vel": [(0.0, float("nan"), 0.0)]})
+    (tmp_path / "drive.csv").write_text("time,vx\n0,1\n")
+    (tmp_path / "holes.csv").write_text("time,vx\n0,1\n1,\n")
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "bag/bag.mcap").read_bytes()[:300])
+    (tmp_path / "folder").mkdir()
+    for script, code, message, hint in (
+        ("{log: none.csv}", "script-log", "there is no file `none.csv`", ""),
+        ("{log: bag, robot: cart}", "script-log", "2 topics with velocities", "it has /a, /b"),
+        ("{log: bag, topic: /c}", "script-log", "is not there", "it has /a, /b"),
+        ("{log: wild, robot: cart}", "script-log", "beyond reason", ""),
+        ("{log: drive.csv, topic: /a}", "script-log", "no bag", ""),
+        ("{log: holes.csv}", "script-log", "no velocity at 1 s", ""),
+        ("{log: folder, robot: cart}", "script-log", "no file cart.csv", ""),
+        ("{log: cut.mcap}", "record-unreadable", "cannot be read as a bag", "mcap recover"),
+        ("{log: drive.csv, robot: car}", "scenario-robot-unknown", "no robot `car`", "`cart`"),
+    ):
+        found = fault(tmp_path, script)
+        assert found[0] == code, (script, found)
+        assert message in found[1]
+        assert hint in found[2]
+
+
+def test_the_log_counts_among_the_sources(tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_text("time,vx\n0,1\n")
+    first = compiled(tmp_path, "{log: drive.csv}")
+    (tmp_path / "drive.csv").write_text("time,vx\n0,0.9\n")
+    assert compiled(tmp_path, "{log: drive.csv}").source_sha256 != first.source_sha256
+    assert str(tmp_path / "drive.csv") in first.sources
+
+
+def test_without_rosbags_a_scenario_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag(tmp_path / "bag", {"/cmd_vel": DRIVE})
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    code, message, _ = fault(tmp_path, "{log: bag, robot: cart}")
+    assert code == "script-log"
+    assert "pip install 'thorvaldc[record]'" in message

@@ -1,0 +1,234 @@
+"""What a text means, where its values stand, and what is refused."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from thorvaldc.compiler.source import reader
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_file, read_text
+from thorvaldc.diagnostics import Report
+
+
+def read(text: str | bytes) -> tuple[Node | None, Report]:
+    report = Report()
+    data = text if isinstance(text, bytes) else text.encode()
+    return read_text(data, "f.yaml", report), report
+
+
+def good(text: str) -> Node:
+    node, report = read(text)
+    assert list(report) == []
+    assert node is not None
+    return node
+
+
+def fault(text: str | bytes) -> tuple[str, str]:
+    """Code and place of the only fault."""
+    _, report = read(text)
+    (found,) = report
+    return found.code.name, str(found.span)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("12", 12),
+        ("-3", -3),
+        ("+5", 5),
+        ("0", 0),
+        ("0x2A", 42),
+        ("0o17", 15),
+        ("1e3", 1000.0),
+        ("1.5", 1.5),
+        ("1.", 1.0),
+        ("-.5", -0.5),
+        ("007.5", 7.5),
+        ("true", True),
+        ("False", False),
+        ("null", None),
+        ("~", None),
+        ("", None),
+        ("12:30", "12:30"),
+        ("42:1", "42:1"),
+        ("1_000", "1_000"),
+        ("0b101", "0b101"),
+        ("2026-01-01", "2026-01-01"),
+        ("650 mm", "650 mm"),
+        ('"12"', "12"),
+        ("'on'", "on"),
+        ('"010"', "010"),
+        ("on top", "on top"),
+        ("nope", "nope"),
+    ],
+)
+def test_scalars_mean_what_yaml_1_2_says(text: str, value: Any) -> None:
+    node = good(f"a: {text}\n").get("a")
+    assert node is not None
+    assert node.value == value
+    assert type(node.value) is type(value)
+
+
+def test_quoted_numbers_are_text_and_say_so() -> None:
+    node = good("a: '3'\nb: 3\nc: |\n  3\n")
+    assert [node.value[k].quoted for k in "abc"] == [True, False, True]
+
+
+@pytest.mark.parametrize(
+    "word", [*("on", "off", "yes", "no", "y", "n"), *("ON", "Off", "Yes", "N")]
+)
+def test_ambiguous_words_are_refused_as_values_only(word: str) -> None:
+    assert fault(f"a: {word}\n") == ("yaml-ambiguous-word", "f.yaml:1:4")
+    assert good(f"{word}: 1\n").get(word) is not None
+
+
+def test_a_run_shows_every_fault_in_scalars() -> None:
+    node, report = read("a: on\nb: 010\nc: .inf\nd: 1e999\ne: 99999999999999999999\nf: !!str 3\n")
+    assert [(d.code.name, d.span.line) for d in report if d.span] == [
+        ("yaml-ambiguous-word", 1),
+        ("yaml-leading-zero", 2),
+        ("yaml-not-finite", 3),
+        ("yaml-number-range", 4),
+        ("yaml-number-range", 5),
+        ("yaml-tag", 6),
+    ]
+    assert node is not None
+    assert node.plain()["b"] == 10  # goes on with what was probably meant
+
+
+def test_digits_without_end_are_refused() -> None:
+    assert fault("a: " + "9" * 5000)[0] == "yaml-number-range"
+    assert fault("a: 0" + "9" * 5000)[0] == "yaml-leading-zero"
+    assert fault("a: 0x" + "f" * 5000)[0] == "yaml-number-range"
+
+
+def test_spans_count_characters() -> None:
+    node = good("ä: éè  # c\nb: {日本: x, '😀': 12}\n")
+    inner = node.get("b")
+    assert inner is not None
+    first, second = inner.value["日本"], inner.value["😀"]
+    assert (first.key_span, first.span) == (
+        (("f.yaml", 2, 5, 2, 7)),
+        (("f.yaml", 2, 9, 2, 10)),
+    )
+    assert second.span == ("f.yaml", 2, 17, 2, 19)
+    assert node.get("ä").span == ("f.yaml", 1, 4, 1, 6)  # type: ignore[union-attr]
+
+
+def test_a_block_ends_with_its_last_value() -> None:
+    node = good("a:\n  b: 1\n  c: [2,\n    3]\n\n# end\nd: 4\n").get("a")
+    assert node is not None
+    assert node.span == ("f.yaml", 2, 3, 4, 7)
+
+
+def test_line_ends_and_byte_order_mark_do_not_move_spans() -> None:
+    assert fault("\ufeffa: on\n") == ("yaml-ambiguous-word", "f.yaml:1:4")
+    assert fault("a: 1\r\nb: on\r\n") == ("yaml-ambiguous-word", "f.yaml:2:4")
+    assert fault("a: 1\rb: on\r") == ("yaml-ambiguous-word", "f.yaml:2:4")
+
+
+def test_aliases_share_a_value_under_their_own_keys() -> None:
+    node = good("a: &x {b: 1}\nc: *x\nd: [*x, *x]\n")
+    assert node.plain() == {"a": {"b": 1}, "c": {"b": 1}, "d": [{"b": 1}, {"b": 1}]}
+    assert node.get("c").key_span.line == 2  # type: ignore[union-attr]
+    assert node.span.end_line == 3
+
+
+def test_billion_laughs_are_cut_short() -> None:
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)]
+    began = time.perf_counter()
+    assert fault("\n".join(lines))[0] == "yaml-too-many-values"
+    assert time.perf_counter() - began < 2
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "place"),
+    [
+        ("", "yaml-empty", "f.yaml:1:1"),
+        ("# only this\n", "yaml-empty", "f.yaml:1:1"),
+        ("---\n", "yaml-empty", "f.yaml:1:1"),
+        ("a: 1\n---\nb: 2\n", "yaml-several-documents", "f.yaml:2:1"),
+        ("a: 1\na: 2\n", "yaml-duplicate-key", "f.yaml:2:1"),
+        ("a: {b: 1, c: 2, b: 3}\n", "yaml-duplicate-key", "f.yaml:1:17"),
+        ("1: a\n", "yaml-key-not-text", "f.yaml:1:1"),
+        ("1.5: a\n", "yaml-key-not-text", "f.yaml:1:1"),
+        ("null: a\n", "yaml-key-not-text", "f.yaml:1:1"),
+        ("a: {[1]: 2}\n", "yaml-key-not-text", "f.yaml:1:5"),
+        ("a: &x {b: 1}\nc: {<<: *x}\n", "yaml-merge-key", "f.yaml:2:5"),
+        ("a: &x [*x]\n", "yaml-recursive-alias", "f.yaml:1:4"),
+        ("a: !!python/object/apply:os.system ['true']\n", "yaml-tag", "f.yaml:1:4"),
+        ("a: *x\n", "yaml-syntax", "f.yaml:1:4"),
+        ("a: [1, 2\nb: 3\n", "yaml-syntax", "f.yaml:1:4"),
+        ("a: {b: 1,\n    c: [2}\n", "yaml-syntax", "f.yaml:2:10"),
+        ('a: "x\n', "yaml-syntax", "f.yaml:1:4"),
+        ("a: b: c\n", "yaml-syntax", "f.yaml:1:5"),
+        ("a: @x\n", "yaml-syntax", "f.yaml:1:4"),
+        ("a: 1\n b: 2\n", "yaml-syntax", "f.yaml:2:3"),
+        ("a:\n\tb: 1\n", "yaml-tab", "f.yaml:2:1"),
+        ("a: x\x01y\n", "yaml-character", "f.yaml:1:5"),
+        ("a: x\u2028y\n", "yaml-character", "f.yaml:1:5"),
+        (b"a: 1\nb: \xe4\n", "yaml-encoding", "f.yaml:2:4"),
+        ("a: b".encode("utf-16"), "yaml-encoding", "f.yaml:1:1"),
+    ],
+)
+def test_refused(text: str | bytes, code: str, place: str) -> None:
+    assert fault(text) == (code, place)
+
+
+def test_an_expression_in_braces_is_told_to_be_quoted() -> None:
+    _, report = read("a: {x: ${y}, z: 1}\n")
+    (found,) = report
+    assert found.hint is not None
+    assert "quoted" in found.hint
+
+
+@pytest.mark.parametrize("opener", ["[", "{a: ", "- ", "? ", "- ? "])
+def test_deep_nesting_is_refused_without_exhausting_the_stack(opener: str) -> None:
+    _, report = read(opener * 40_000)
+    assert {d.code.name for d in report} <= {"yaml-too-deep", "yaml-syntax"}
+    assert len(report) == 1
+
+
+def test_more_than_a_megabyte_is_not_read() -> None:
+    assert fault("#" * (reader.MAX_BYTES + 1))[0] == "yaml-file-too-large"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a: b\n" * 150_000, "- &a" + "\n- *a" * 150_000, "on: on\n" * 100_000, "[a,[" * 200_000],
+)
+def test_large_and_odd_texts_are_refused_quickly(text: str) -> None:
+    began = time.perf_counter()
+    _, report = read(text)
+    assert report.has_errors
+    assert time.perf_counter() - began < 5
+
+
+def test_a_thousand_joints_are_read_quickly() -> None:
+    joint = (
+        "  j{}: {{type: revolute, parent: a, child: b, xyz: [0, 1.5, 650 mm], lower: -90 deg}}\n"
+    )
+    text = ("joints:\n" + "".join(joint.format(i) for i in range(1000))).encode()
+    began = time.process_time()
+    assert read_text(text, "f.yaml", Report()) is not None
+    assert time.process_time() - began < 0.5  # some hundredths on an idle machine
+
+
+def test_files(tmp_path: Path) -> None:
+    def code(path: Path) -> str:
+        report = Report()
+        assert read_file(path, "shown", report) is None
+        (found,) = report
+        assert found.span is not None
+        assert found.span.file == "shown"
+        return found.code.name
+
+    assert code(tmp_path / "missing.yaml") == "file-not-found"
+    assert code(tmp_path) == "file-is-a-directory"
+    assert code(tmp_path / ("x" * 300)) == "file-unreadable"
+    assert code(Path("a\0b")) == "file-unreadable"

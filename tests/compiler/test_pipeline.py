@@ -1,0 +1,302 @@
+"""From a file to a model and outputs: places, hashes, fleets, the same bytes everywhere."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.examples import FOLDER
+from tests.workshop import CART, Workshop
+from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, MODEL_FILE, Compilation, compile_file, emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.serialize import from_json
+
+ROOT = FOLDER.parent
+
+
+def compiled(path: Path | str) -> Compilation:
+    done = compile_file(path)
+    assert done.model is not None, [d.message for d in done.report]
+    return done
+
+
+# -- places -----------------------------------------------------------------------------
+
+
+def test_reports_show_paths_as_the_user_gave_them(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = workshop.robot_file(CART.replace("fl: {type: t/leg", "fl: {type: t/lag"))
+    monkeypatch.chdir(workshop.folder.parent)
+    for given in (str(file), os.path.relpath(file), f"./{os.path.relpath(file)}"):
+        (fault,) = [d for d in compile_file(given).report if d.code.name == "module-type-unknown"]
+        assert fault.span is not None
+        assert Path(fault.span.file) == Path(given)
+        assert (fault.span.line, fault.span.column) == (6, 14)
+
+
+def test_every_place_in_a_report_leads_to_a_file(workshop: Workshop) -> None:
+    workshop.module(
+        "t/part", "links: {a: {}}\nports: {p: {kind: clamp, link: b}}\nmount: {kinds: [clamp]}\n"
+    )
+    done = workshop.compile(
+        CART + "    part: {type: t/part, mount: body.front}\n"
+        "    odd: {type: battery/enclosure, mount: body.front}"
+    )
+    places = {d.span.file for d in done.report if d.span}
+    places |= {label.span.file for d in done.report for label in d.labels}
+    assert len(places) >= 2
+    for place in places:
+        assert done.sources[place].is_file(), place
+
+
+def test_what_is_said_later_is_located_as_well(workshop: Workshop) -> None:
+    workshop.write("xacro/x.xacro", "<robot name='x'><link name='a'/><gazebo/><gazebo/></robot>")
+    for name in ("one", "two"):
+        workshop.robot_file(CART, "extras: [{xacro: ../xacro/x.xacro}]\n", f"{name}/robot.yaml")
+    fleet = workshop.write(
+        "fleets/fleet.yaml",
+        """
+        thorvaldc: 1
+        name: pair
+        robots:
+          a: {robot: ../one/robot.yaml}
+          b: {robot: ../two/robot.yaml, xyz: [0, 5, 0]}
+        """,
+    )
+    for file, wanted in (
+        (workshop.folder / "one/robot.yaml", ["one"]),
+        (fleet, ["one", "two"]),
+    ):
+        done = compiled(file)
+        assert done.model is not None
+        found = Report()
+        emit(done.model, ["mjcf"], found)
+        (note, *_) = found
+        assert note.message.endswith(": 2 x <gazebo>")
+        places = [d.span.file for d in done.located(found) if d.span is not None]
+        assert places == [str(workshop.folder / name / "robot.yaml") for name in wanted]
+        assert all(place in done.sources for place in places)
+
+
+def test_places_in_a_model_do_not_depend_on_where_it_lies(tmp_path: Path) -> None:
+    models = []
+    for name in ("here", "over there/deep"):
+        workshop = Workshop(tmp_path / name)
+        models.append(compiled(workshop.robot_file(CART)))
+    assert models[0].model == models[1].model
+    assert models[0].source_sha256 == models[1].source_sha256
+    assert isinstance(models[0].model, Robot)
+    assert {link.origin.file for link in models[0].model.links} == {"robot.yaml"}
+
+
+# -- hashes -----------------------------------------------------------------------------
+
+
+def test_the_hash_follows_every_document_that_was_read(workshop: Workshop) -> None:
+    text = CART + "    part: {type: t/block, mount: body.front}"
+    first = compiled(workshop.robot_file(text)).source_sha256
+    assert compiled(workshop.robot_file(text)).source_sha256 == first
+    block = workshop.folder / "my_modules/t/block/module.yaml"
+    block.write_text(block.read_text(encoding="utf-8") + "# more\n", encoding="utf-8")
+    second = compiled(workshop.robot_file(text)).source_sha256
+    workshop.write("my_modules/palette.yaml", 'mine: "#000000"\n')
+    third = compiled(workshop.robot_file(text)).source_sha256
+    fourth = compiled(workshop.robot_file(text + "\n    # robot")).source_sha256
+    assert len({first, second, third, fourth}) == 4
+    # A module that the robot does not use does not count.
+    workshop.module("t/other", "links: {a: {}}")
+    assert compiled(workshop.robot_file(text + "\n    # robot")).source_sha256 == fourth
+
+
+# -- names of every kind ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["with spaces", "måneåker", "農場", "a'b\"c", "-o", "%s {x} ${y}"])
+def test_folders_may_have_any_name(tmp_path: Path, name: str) -> None:
+    workshop = Workshop(tmp_path / name)
+    workshop.write("my_modules/t/part/a mesh ü.obj", MESH)
+    workshop.module(
+        "t/part",
+        'mount: {kinds: [clamp]}\nlinks: {a: {parts: [{shape: {mesh: {file: "a mesh ü.obj"}}, '
+        'source: "chosen: for a test"}]}}\n',
+    )
+    file = workshop.robot_file(CART + "    part: {type: t/part, mount: body.front}")
+    done = compiled(file)
+    assert isinstance(done.model, Robot)
+    assert done.model.meshes[0].name.isascii()
+    files = emit(done.model, DEFAULT_TARGETS, Report())
+    assert name.encode() not in b"".join(files.values())
+
+
+MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_descriptions_may_be_in_any_alphabet(workshop: Workshop) -> None:
+    words = 'Трактор für 水稲 – «çà» \N{TRACTOR} & <tag> "q"'
+    robot = workshop.robot(CART, f"description: '{words}'\n")
+    assert robot.description == words
+    files = emit(robot, DEFAULT_TARGETS, Report())
+    again = from_json(files[MODEL_FILE].decode())
+    assert isinstance(again, Robot)
+    assert again.description == words
+
+
+@pytest.mark.parametrize("bom", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+def test_line_ends_and_byte_order_marks_do_not_matter(
+    workshop: Workshop, bom: bytes, end: bytes
+) -> None:
+    file = workshop.robot_file(CART)
+    expected = compiled(file).model
+    file.write_bytes(bom + file.read_bytes().replace(b"\n", end))
+    assert compiled(file).model == expected
+
+
+# -- outputs ----------------------------------------------------------------------------
+
+SCRIPT = """
+import hashlib, sys
+from thorvaldc.diagnostics import Report
+from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+for path in sys.argv[1:]:
+    done = compile_file(path)
+    report = Report()
+    files = emit(done.model, DEFAULT_TARGETS, report)
+    for name, data in files.items():
+        print(name, hashlib.sha256(data).hexdigest())
+    for diagnostic in [*done.report, *report]:
+        print(diagnostic.span, diagnostic.message)
+    print(done.source_sha256)
+"""
+
+
+def test_the_same_bytes_whatever_the_hash_seed(workshop: Workshop) -> None:
+    mine = str(workshop.robot_file(CART))
+    examples = [
+        str(FOLDER / name) for name in ("4wd4ws_wide/robot.yaml", "fleet_of_four/fleet.yaml")
+    ]
+    outputs = []
+    for seed in ("0", "1", "7"):
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT, mine, *examples],
+            check=True,
+            capture_output=True,
+            env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)},
+        )
+        outputs.append(done.stdout)
+    assert outputs[0] == outputs[1] == outputs[2]
+    assert len(outputs[0].splitlines()) > 20
+
+
+def test_a_compilation_leaves_no_trace_in_the_next(workshop: Workshop) -> None:
+    example = FOLDER / "4wd4ws_wide/robot.yaml"
+    alone = emit(compiled(example).model, DEFAULT_TARGETS, Report())  # type: ignore[arg-type]
+    workshop.write("my_modules/palette.yaml", 'tyre: "#ff0000"\n')
+    for head in ("", "driver: {rate: 10}\n", "namespace: other\n"):
+        workshop.compile(CART.replace("t/leg", "caster/fixed"), head)
+    workshop.compile("body: {type: none}")
+    assert emit(compiled(example).model, DEFAULT_TARGETS, Report()) == alone  # type: ignore[arg-type]
+
+
+def test_emit_gives_the_model_and_each_target_once(workshop: Workshop) -> None:
+    robot = workshop.robot(CART)
+    files = emit(robot, ["urdf", "urdf"], Report())
+    assert list(files) == [MODEL_FILE, "urdf/robot.urdf"]
+    assert from_json(files[MODEL_FILE].decode()) == robot
+    assert list(emit(robot, [], Report())) == [MODEL_FILE]
+    with pytest.raises(KeyError):
+        emit(robot, ["nothing"], Report())
+
+
+def test_no_model_where_there_is_an_error(workshop: Workshop) -> None:
+    done = workshop.compile(CART + "    part: {type: t/block}")
+    assert done.report.has_errors
+    assert done.model is None
+    assert done.source_sha256 != ""
+
+
+# -- fleets -----------------------------------------------------------------------------
+
+
+def fleet(workshop: Workshop, robots: str) -> Compilation:
+    return compile_file(workshop.write("fleet.yaml", f"thorvaldc: 1\nname: f\nrobots:\n{robots}"))
+
+
+def test_a_fleet_places_robots_in_name_spaces_of_their_own(workshop: Workshop) -> None:
+    workshop.robot_file(CART, "namespace: own\n", "robots/one.yaml")
+    done = fleet(
+        workshop,
+        "  a: {robot: robots/one.yaml}\n"
+        "  b: {robot: robots/one.yaml, xyz: [3 m, 0, 0.1], yaw: 450 deg}\n",
+    )
+    assert isinstance(done.model, Fleet), [d.message for d in done.report]
+    first, second = done.model.placements
+    assert (first.name, first.robot.namespace, second.robot.namespace) == ("a", "a", "b")
+    assert second.pose.xyz == (3.0, 0.0, 0.1)
+    assert second.pose.rpy()[2] == pytest.approx(math.pi / 2)
+    assert first.robot.links == second.robot.links
+
+
+def test_faults_of_a_robot_are_said_once_and_in_its_file(workshop: Workshop) -> None:
+    workshop.robot_file(CART + "    part: {type: t/blok, mount: body.front}", "", "robots/one.yaml")
+    done = fleet(workshop, "  a: {robot: robots/one.yaml}\n  b: {robot: robots/one.yaml}\n")
+    (fault,) = [d for d in done.report if d.code.name == "module-type-unknown"]
+    assert fault.span is not None
+    assert Path(fault.span.file) == workshop.folder / "robots/one.yaml"
+    assert done.model is None
+
+
+def test_all_faults_of_all_robots_of_a_fleet(workshop: Workshop) -> None:
+    workshop.robot_file(CART + "    part: {type: t/blok, mount: body.front}", "", "robots/one.yaml")
+    workshop.robot_file(CART + "    part: {type: t/block}", "", "robots/two.yaml")
+    done = fleet(
+        workshop,
+        "  a: {robot: robots/one.yaml}\n  b: {robot: robots/two.yaml}\n  c: {robot: no.yaml}\n",
+    )
+    names = [d.code.name for d in done.report]
+    assert {"module-type-unknown", "root-ambiguous", "fleet-robot-missing"} <= set(names)
+
+
+def test_a_fleets_hash_follows_its_robots(workshop: Workshop) -> None:
+    file = workshop.robot_file(CART, "", "robots/one.yaml")
+    before = fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256
+    file.write_text(file.read_text(encoding="utf-8") + "# more\n", encoding="utf-8")
+    assert fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256 != before
+
+
+def test_a_grid_places_equal_robots_row_by_row(workshop: Workshop) -> None:
+    workshop.robot_file(CART, "", "robots/one.yaml")
+    done = fleet(
+        workshop,
+        "  a:\n    robot: robots/one.yaml\n    xyz: [1 m, 2 m, 0]\n    yaw: 90 deg\n"
+        "    grid: {rows: 2, columns: 3, spacing: 1500 mm}\n"
+        "  b: {robot: robots/one.yaml, xyz: [-5 m, 0, 0], grid: {spacing: 1 m}}\n",
+    )
+    assert isinstance(done.model, Fleet), [d.message for d in done.report]
+    *grid, alone = done.model.placements
+    assert [p.name for p in grid] == [f"a_{k}" for k in range(1, 7)]
+    assert [p.robot.namespace for p in grid] == [p.name for p in grid]
+    assert [p.pose.xyz[:2] for p in grid] == [(x, y) for x in (1.0, 2.5) for y in (2.0, 3.5, 5.0)]
+    assert [p.pose.rpy()[2] for p in grid] == pytest.approx([math.pi / 2] * 6)
+    assert (alone.name, alone.pose.xyz[0]) == ("b_1", -5.0)
+
+
+def test_a_grid_too_narrow_is_said_once(workshop: Workshop) -> None:
+    workshop.robot_file(CART, "", "robots/one.yaml")
+    done = fleet(
+        workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, columns: 3, spacing: 1 mm}}\n"
+    )
+    said = [d.message for d in done.report if d.code.name == "fleet-overlap"]
+    assert said == ["`a_2` stands where `a_1` stands"]
+    done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, spacing: -1 m}}\n")
+    assert [d.code.name for d in done.report.errors] == ["out-of-range"]
+    assert "fleet-overlap" not in [d.code.name for d in done.report]
+    done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 1000, spacing: 1 m}}\n")
+    assert [d.code.name for d in done.report.errors] == ["out-of-range"]

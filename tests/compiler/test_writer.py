@@ -1,0 +1,329 @@
+"""A build is written whole or not at all, and never over what is not ours."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import resource
+import signal
+import stat
+import subprocess
+import sys
+import time
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from thorvaldc.compiler import writer
+from thorvaldc.compiler.writer import WriteError, write_build
+
+ONE = {"model.json": b"1", "mjcf/robot.xml": b"<a/>", "meshes/a.stl": b"solid"}
+TWO = {"model.json": b"2", "mjcf/robot.xml": b"<b/>", "urdf/robot.urdf": b"<c/>"}
+
+
+def write(files: dict[str, bytes], folder: Path) -> None:
+    write_build(files, folder, name="r", source_sha256="ab", version="1")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != "manifest.json"
+    }
+
+
+def is_whole(folder: Path) -> bool:
+    """What the manifest says is what is there."""
+    head = json.loads((folder / "manifest.json").read_text())
+    there = {path: sha256(data).hexdigest() for path, data in contents(folder).items()}
+    return bool(head["complete"]) and there == head["files"]
+
+
+def leftovers(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir() if p.name.startswith("."))
+
+
+def test_a_build_replaces_the_last_one(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    write(ONE, out)
+    assert contents(out) == ONE
+    write(TWO, out)
+    assert contents(out) == TWO
+    assert is_whole(out)
+    assert not (out / "meshes").exists()
+    assert leftovers(tmp_path / "deep") == []
+
+
+def test_the_manifest_says_what_is_there(tmp_path: Path) -> None:
+    write(ONE, tmp_path / "out")
+    head = json.loads((tmp_path / "out/manifest.json").read_text())
+    assert head["compiler"] == "thorvaldc 1"
+    assert head["source_sha256"] == "ab"
+    assert list(head["files"]) == sorted(ONE)
+    assert head["files"]["model.json"] == sha256(b"1").hexdigest()
+
+
+def test_permissions_follow_the_umask_and_stay(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    before = os.umask(0o027)
+    try:
+        write(ONE, out)
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(out.stat().st_mode) == 0o750
+    assert stat.S_IMODE((out / "model.json").stat().st_mode) == 0o640
+    out.chmod(0o700)
+    write(TWO, out)
+    assert stat.S_IMODE(out.stat().st_mode) == 0o700
+
+
+def test_files_of_others_in_a_build_folder_stay(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    (out / "mjcf/MUJOCO_LOG.TXT").write_text("mine")
+    (out / "notes").mkdir()
+    (out / "notes/a.txt").write_text("mine too")
+    inode = (out / "notes/a.txt").stat().st_ino
+    write(TWO, out)
+    assert contents(out) == {**TWO, "mjcf/MUJOCO_LOG.TXT": b"mine", "notes/a.txt": b"mine too"}
+    assert (out / "notes/a.txt").stat().st_ino == inode
+    assert not (out / "meshes").exists()
+    assert json.loads((out / "manifest.json").read_text())["complete"]
+    assert leftovers(out) == []
+
+
+def test_a_folder_of_somebody_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(WriteError, match=r"thesis\.tex.*-o"):
+        write(ONE, tmp_path)
+    assert contents(tmp_path) == {"thesis.tex": b"years of work"}
+
+
+def test_a_manifest_of_another_program_does_not_make_the_folder_ours(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text('{"files": ["a"]}')
+    with pytest.raises(WriteError, match=r"manifest\.json"):
+        write(ONE, tmp_path)
+
+
+def test_a_file_in_the_way_is_refused_and_kept(tmp_path: Path) -> None:
+    write(ONE, tmp_path / "out")
+    (tmp_path / "out/urdf").mkdir()
+    (tmp_path / "out/urdf/robot.urdf").write_text("by hand")
+    with pytest.raises(WriteError, match=r"urdf/robot\.urdf"):
+        write(TWO, tmp_path / "out")
+    assert contents(tmp_path / "out") == {**ONE, "urdf/robot.urdf": b"by hand"}
+
+
+def test_a_manifest_cannot_point_outside(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    (tmp_path / "precious").write_text("x")
+    head = json.loads((out / "manifest.json").read_text())
+    head["files"]["../precious"] = ""
+    (out / "manifest.json").write_text(json.dumps(head))
+    (out / "other.txt").write_text("")  # so that files are moved one by one
+    write(TWO, out)
+    assert (tmp_path / "precious").read_text() == "x"
+
+
+@pytest.mark.parametrize(
+    "path", ["../a", "/a", "a/../b", "", "a\\b", "./a", "a//b", "manifest.json"]
+)
+def test_a_backend_cannot_write_outside(path: str, tmp_path: Path) -> None:
+    with pytest.raises(WriteError, match="cannot be in a build"):
+        write({path: b""}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_path_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(WriteError, match="it is a file, not a folder"):
+        write(ONE, tmp_path / "out")
+    with pytest.raises(WriteError, match=r"File exists|Not a directory"):
+        write(ONE, tmp_path / "out" / "deeper")
+    assert (tmp_path / "out").read_text() == "x"
+
+
+@pytest.mark.parametrize("deeper", ["", "deeper", "still/deeper"])
+def test_a_read_only_folder_is_refused_and_left_alone(tmp_path: Path, deeper: str) -> None:
+    locked = tmp_path / "locked"
+    if deeper == "":
+        write(ONE, locked)
+    else:
+        locked.mkdir()
+    before = contents(locked)
+    locked.chmod(0o555)
+    try:
+        with pytest.raises(WriteError, match="is read-only"):
+            write(TWO, locked / deeper)
+    finally:
+        locked.chmod(0o755)
+    assert contents(locked) == before
+
+
+def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    write(ONE, tmp_path / "link")
+    write(TWO, tmp_path / "link")
+    assert (tmp_path / "link").is_symlink()
+    assert contents(tmp_path / "real") == TWO
+
+
+def test_the_current_folder_stays_the_same_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(ONE, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    inode = tmp_path.stat().st_ino
+    write(TWO, Path("."))
+    assert tmp_path.stat().st_ino == inode
+    assert sorted(os.listdir(".")) == ["manifest.json", "mjcf", "model.json", "urdf"]
+
+
+def in_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "_exchange", lambda a, b: False)
+
+
+def test_without_the_exchange_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place(monkeypatch)
+    write(ONE, tmp_path / "out")
+    write(TWO, tmp_path / "out")
+    assert contents(tmp_path / "out") == TWO
+    assert is_whole(tmp_path / "out")
+    assert leftovers(tmp_path) == []
+
+
+@pytest.mark.parametrize("at", range(1, 12))
+def test_a_fault_while_moving_one_by_one_rolls_back(
+    at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_place(monkeypatch)
+    out = tmp_path / "out"
+    write(ONE, out)
+    real, calls = os.rename, []
+
+    def rename(a: Path, b: Path) -> None:
+        calls.append(b)
+        if len(calls) == at:
+            raise OSError(errno.EIO, "Input/output error")
+        real(a, b)
+
+    monkeypatch.setattr(os, "rename", rename)
+    try:
+        write(TWO, out)
+    except WriteError:
+        assert contents(out) == ONE
+    else:
+        assert at > 8  # it took no more calls than that
+        assert contents(out) == TWO
+    assert is_whole(out)
+
+
+def test_a_build_killed_while_moving_can_be_built_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    script = (
+        "import os, sys, pathlib\n"
+        "from thorvaldc import writer\n"
+        "writer._exchange = lambda a, b: False\n"
+        "real, n = os.rename, []\n"
+        "def rename(a, b):\n"
+        "    n.append(1)\n"
+        "    if len(n) == 7: os.kill(os.getpid(), 9)\n"
+        "    real(a, b)\n"
+        "os.rename = rename\n"
+        "writer.write_build({'model.json': b'2', 'x/y': b''}, pathlib.Path(sys.argv[1]),"
+        " name='r', source_sha256='', version='1')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(out)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not json.loads((out / "manifest.json").read_text())["complete"]
+    write(TWO, out)
+    assert contents(out) == TWO
+    assert is_whole(out)
+    assert leftovers(tmp_path) == []
+
+
+WRITE_MANY = """
+import sys, pathlib
+from thorvaldc.writer import write_build
+print("ready", flush=True)
+n = 0
+while True:
+    n += 1
+    files = {f"d{i % 7}/{i}": b"%d" % n * 1000 for i in range(40 + n % 3)}
+    write_build(files, pathlib.Path(sys.argv[1]), name="r", source_sha256="", version="1")
+"""
+
+
+@pytest.mark.parametrize("round_", range(8))
+def test_kill_9_at_any_moment_leaves_a_whole_build(round_: int, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITE_MANY, str(out)], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.05 + 0.0137 * round_)
+        process.kill()
+    assert is_whole(out)
+    write(ONE, out)
+    assert leftovers(tmp_path) == []
+
+
+def test_ctrl_c_leaves_a_whole_build_and_nothing_else(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITE_MANY, str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+    assert is_whole(out)
+    assert leftovers(tmp_path) == []
+
+
+def test_two_builds_at_a_time(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", WRITE_MANY, str(out)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        for _ in range(2)
+    ]
+    for process in both:
+        assert process.stdout is not None
+        process.stdout.readline()
+    time.sleep(0.5)
+    for process in both:
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        process.kill()
+        process.communicate()
+    assert is_whole(out)
+
+
+def test_a_full_disk_leaves_the_last_build(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(WriteError, match="File too large"):
+            write({**TWO, "big": b"x" * 2000}, out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert contents(out) == ONE
+    assert is_whole(out)
+    assert leftovers(tmp_path) == []

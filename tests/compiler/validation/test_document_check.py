@@ -1,0 +1,272 @@
+"""What is said of documents that do not fit: one message for each mistake, at its place."""
+
+from __future__ import annotations
+
+import pytest
+
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.validation.document_check import check, sound
+from thorvaldc.diagnostics import Diagnostic, Report
+from thorvaldc.schema import Kind
+
+ROBOT = "thorvaldc: 1\nname: r\nmodules:\n  a: {type: x}\n"
+MODULE = "thorvaldc: 1\ndescription: x\n"
+
+
+def faults(text: str, kind: Kind = "robot") -> list[Diagnostic]:
+    report = Report()
+    node = read_text(text.encode(), "f.yaml", report)
+    assert node is not None
+    assert check(node, kind, report) is not report.has_errors
+    return report.sorted()
+
+
+def only(text: str, kind: Kind = "robot") -> Diagnostic:
+    (found,) = faults(text, kind)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "code", "place", "message", "hint"),
+    [
+        (
+            ROBOT + "descripton: x\n",
+            "robot",
+            "unknown-key",
+            "5:1",
+            "the robot document has no key `descripton`",
+            "did you mean `description`?",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, xyz: [0, 0, 0]}"),
+            "robot",
+            "unknown-key",
+            "4:16",
+            "`a` has no key `xyz`",
+            "`xyz` belongs under `mount`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, gear_ratio: 3}"),
+            "robot",
+            "unknown-key",
+            "4:16",
+            "`a` has no key `gear_ratio`",
+            "parameters of the module's type belong under `params`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{}"),
+            "robot",
+            "missing-key",
+            "4:3",
+            "`a` has no `type`",
+            "add it, as in `type: assembly/steered_drive`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "[x]"),
+            "robot",
+            "wrong-type",
+            "4:6",
+            "a mapping is wanted, not a list",
+            None,
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: 3}"),
+            "robot",
+            "wrong-type",
+            "4:13",
+            "text is wanted, not `3`",
+            "as in `assembly/steered_drive`",
+        ),
+        (
+            ROBOT + "driver: {rate: true}\n",
+            "robot",
+            "wrong-type",
+            "5:16",
+            "a frequency is wanted, not `true`",
+            "as in `50 Hz`",
+        ),
+        (
+            ROBOT + "driver:\n",
+            "robot",
+            "wrong-type",
+            "5:1",
+            "`driver` has no value",
+            "leave the key out, or give it a value, "
+            "as in `{rate: 50 Hz, max_linear_velocity: 1 m/s}`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, can: 3.0}"),
+            "robot",
+            "wrong-type",
+            "4:21",
+            "a whole number, `auto` or a mapping is wanted, not `3.0`",
+            "as in `3`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, can: {serial: 0x12}}"),
+            "robot",
+            "wrong-type",
+            "4:30",
+            "text is wanted, not `18`",
+            'as in `"0x12"`',
+        ),
+        (
+            ROBOT.replace("  a:", "  Front Left:"),
+            "robot",
+            "bad-id",
+            "4:3",
+            "`Front Left` is not a name",
+            "names have lower-case letters, digits and `_`, and begin with a letter, "
+            "as in `front_left`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, mount: a-b.c}"),
+            "robot",
+            "bad-id",
+            "4:23",
+            "`a-b.c` does not name a part",
+            "write names joined by dots, as in `frame.front_left`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, mount: {parent: b, xyz: [0, 0]}}"),
+            "robot",
+            "wrong-length",
+            "4:40",
+            "`xyz` has 2 elements; 3 are wanted",
+            "as in `[0, 0.285, 70 mm]`",
+        ),
+        (
+            ROBOT.replace("{type: x}", "{type: x, mount: {parent: b, xyz: [0, 0, 5 kg]}}"),
+            "robot",
+            "wrong-dimension",
+            "4:47",
+            "`5 kg` is a mass; a length is wanted",
+            "give it as in `650 mm`",
+        ),
+        (
+            ROBOT + "driver: {rate: '${50}'}\n",
+            "robot",
+            "expression-not-allowed",
+            "5:16",
+            "a robot document has no expressions",
+            "write the value; expressions belong in module documents",
+        ),
+        (
+            "thorvaldc: 2\n" + ROBOT[13:],
+            "robot",
+            "language-version",
+            "1:12",
+            "version `2` of the language is not known",
+            "write `thorvaldc: 1`; a newer compiler may know more",
+        ),
+        (
+            MODULE + "joints: {j: {type: hinge, parent: a, child: b}}\n",
+            "module",
+            "unknown-value",
+            "3:20",
+            "`type` cannot be `hinge`",
+            "it is one of `revolute`, `continuous`, `prismatic`, `fixed`",
+        ),
+        (
+            MODULE + "joints: {j: {type: '${x}', parent: a, child: b, lower: 5 kg}}\n",
+            "module",
+            "wrong-dimension",
+            "3:56",
+            "`5 kg` is a mass; an angle or a length is wanted",
+            "give it as in `15 deg`",
+        ),
+        (
+            MODULE + "links: {a: {parts: [{shape: {sphere: {radius: 1}}, mass: 1}]}}\n",
+            "module",
+            "missing-key",
+            "3:52",
+            "`mass` needs `source` beside it",
+            "add it, as in `source: estimated: proportions in figure 3 of the paper`",
+        ),
+        (
+            MODULE + "links: {a: {parts: [{color: red}]}}\n",
+            "module",
+            "conflicting-keys",
+            "3:21",
+            "an element of `parts` has none of `shape`, `mass`; one is wanted",
+            "add `shape` or `mass`",
+        ),
+        (
+            MODULE + "modules: {a: {type: b}}\nports: {x: {kind: a}}\n",
+            "module",
+            "wrong-type",
+            "4:12",
+            "text is wanted, not a mapping",
+            "as in `steering.top`",
+        ),
+        (
+            "thorvaldc: 1\nname: f\nrobots: {a: {robot: r.yaml, yaw: 3 m}}\n",
+            "fleet",
+            "wrong-dimension",
+            "3:34",
+            "`3 m` is a length; an angle is wanted",
+            "give it as in `15 deg`",
+        ),
+    ],
+)
+def test_messages(
+    text: str, kind: Kind, code: str, place: str, message: str, hint: str | None
+) -> None:
+    found = only(text, kind)
+    assert (found.code.name, str(found.span), found.message, found.hint) == (
+        code,
+        f"f.yaml:{place}",
+        message,
+        hint,
+    )
+
+
+def test_keys_that_exclude_each_other_are_both_shown() -> None:
+    found = only(ROBOT.replace("{type: x}", "{type: x, mount: {port: b.c, parent: b}}"))
+    assert (found.code.name, str(found.span)) == ("conflicting-keys", "f.yaml:4:35")
+    assert [str(label.span) for label in found.labels] == ["f.yaml:4:24"]
+
+
+def test_all_mistakes_are_found_at_once_each_where_it_is() -> None:
+    text = """thorvaldc: 1
+name: R
+driver: {rate: 5 kg, speed: 3}
+modules:
+  a: {typ: x, mount: [1]}
+  b: {type: x, params: {X: 1}, can: -1}
+  c: foo
+"""
+    assert [(d.code.name, d.span.line) for d in faults(text) if d.span] == [
+        ("bad-id", 2),
+        ("wrong-dimension", 3),
+        ("unknown-key", 3),
+        ("missing-key", 5),
+        ("unknown-key", 5),
+        ("wrong-type", 5),
+        ("bad-id", 6),
+        ("out-of-range", 6),
+        ("wrong-type", 7),
+    ]
+
+
+def test_what_the_reader_refused_is_not_refused_again() -> None:
+    assert only(ROBOT + "name2: on\n".replace("name2", "description")).code.name == (
+        "yaml-ambiguous-word"
+    )
+
+
+@pytest.mark.parametrize("text", ["[1]", "x", "3", "true"])
+def test_a_document_is_a_mapping(text: str) -> None:
+    assert only(text).code.name == "wrong-type"
+
+
+def test_what_is_sound_goes_on_without_the_values_at_fault() -> None:
+    report = Report()
+    text = ROBOT + "driver: {rate: 5 kg, command_timeout: 1 s}\nname2: x\n"
+    node = read_text(text.encode(), "f.yaml", report)
+    assert node is not None
+    assert not check(node, "robot", report)
+    left = sound(node, report)
+    assert left.plain()["driver"] == {"rate": None, "command_timeout": "1 s"}
+    assert left.plain()["modules"] == {"a": {"type": "x"}}
+    assert left.get("driver").span == node.get("driver").span  # type: ignore[union-attr]

@@ -1,0 +1,76 @@
+"""The paper's odometry: right without noise, repeatable, and what it cannot do."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.conformance.wheels import wheel
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry
+from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+
+SQUARE = [(0.55, 0.45), (0.55, -0.45), (-0.55, 0.45), (-0.55, -0.45)]
+GEOMETRY = BaseGeometry.from_wheels(
+    [wheel(f"w{i}", x, y, "steered") for i, (x, y) in enumerate(SQUARE)]
+)
+
+
+def joints(twist: Twist, error: float = 0.0) -> JointStates:
+    made = RandomPairs(GEOMETRY).command(twist).joints
+    angles = [a + error * (-1) ** i for i, a in enumerate(made.angles)]
+    return JointStates(0.0, made.speeds, angles, [0.0] * 4)
+
+
+@pytest.mark.parametrize("special", [True, False])
+@pytest.mark.parametrize(
+    "twist",
+    [
+        Twist(0.5, 0.0, 0.4),
+        Twist(0.3, -0.6, -0.5),
+        Twist(0.0, 0.0, 1.0),
+        Twist(0.4, 0.3, 0.0),
+        ZERO_TWIST,
+    ],
+)
+def test_without_noise_it_finds_the_twist(twist: Twist, special: bool) -> None:
+    made = RandomPairs(GEOMETRY, RandomPairsOptions(special_cases=special))
+    assert made.odometry(joints(twist)).twist == pytest.approx(twist, abs=1e-9)
+
+
+def test_pairs_repeat_with_their_seed() -> None:
+    states = joints(Twist(0.5, 0.1, 0.4), 0.02)
+    one, two = RandomPairs(GEOMETRY), RandomPairs(GEOMETRY)
+    other = RandomPairs(GEOMETRY, RandomPairsOptions(seed=2))
+    first = [one.odometry(states) for _ in range(3)]
+    assert first == [two.odometry(states) for _ in range(3)]
+    assert first[0] != first[1]
+    assert first[0] != other.odometry(states)
+    one.reset()
+    assert one.odometry(states) == first[0]
+
+
+def test_hardly_bent_counts_as_straight() -> None:
+    """Directions within `parallel` of one another have no intersection worth having."""
+    states = joints(Twist(0.5, 0.0, 0.002), 0.002)
+    assert RandomPairs(GEOMETRY).odometry(states).twist.wz == 0.0
+    plain = RandomPairs(GEOMETRY, RandomPairsOptions(special_cases=False))
+    assert plain.odometry(states).twist.wz != 0.0
+
+
+def test_one_wheel_has_no_pair() -> None:
+    one = BaseGeometry.from_wheels([wheel("w", 0.5, 0.0, "steered"), wheel("c", 0, 0, "swivel")])
+    assert "fewer than two wheels" in (RandomPairs.unsuited(one) or "")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"pairs_per_wheel": 0}, "1 to 1000"),
+        ({"parallel": 0.0}, "between 0 and 1"),
+        ({"hysteresis": -1.0}, "0 to 10"),
+    ],
+)
+def test_options_out_of_range(options: dict[str, float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        RandomPairsOptions(**options)  # type: ignore[arg-type]

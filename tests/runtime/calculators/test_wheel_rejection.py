@@ -1,0 +1,261 @@
+"""Wheels that slip, stall or are not where their encoders say: found, named, left out."""
+
+from __future__ import annotations
+
+import math
+import random
+from itertools import pairwise
+
+import pytest
+
+from tests.conformance.wheels import wheel
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry, Noise, WheelGeometry
+from thorvaldc.runtime.calculators.general import General, GeneralOptions
+from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimator
+from thorvaldc.runtime.se2 import Cov3, Twist
+
+FOUR = [
+    wheel(f"w{i}", x, y, "steered")
+    for i, (x, y) in enumerate([(0.55, 0.45), (0.55, -0.45), (-0.55, 0.45), (-0.55, -0.45)])
+]
+SIX = [
+    wheel(f"w{i}", x, y, "steered")
+    for i, (x, y) in enumerate(
+        [(1.0, 0.6), (0.9, -0.6), (0.2, 0.7), (-0.1, -0.7), (-1.0, 0.6), (-0.8, -0.6)]
+    )
+]
+MOTIONS = [Twist(0.8, 0.0, 0.0), Twist(0.5, 0.3, 0.4), Twist(-0.3, 0.6, -0.3), Twist(0, 0, 0.7)]
+
+
+def joints(
+    wheels: list[WheelGeometry], twist: Twist, noise: Noise | None = None, seed: int = 1
+) -> JointStates:
+    """What the joints say in that motion, with errors of ``noise``, or with none."""
+    rng = random.Random(seed)
+    command = General(BaseGeometry.from_wheels(wheels)).command(twist)
+    speeds, angles = list(command.joints.speeds), list(command.joints.angles)
+    if noise is not None:
+        speeds = [v * (1.0 + rng.gauss(0.0, noise.speed_ratio)) for v in speeds]
+        angles = [a + rng.gauss(0.0, noise.angle) for a in angles]
+    return JointStates(0.0, speeds, angles, [0.0] * len(wheels))
+
+
+def spoilt(states: JointStates, i: int, wrong: str) -> JointStates:
+    speeds, angles = list(states.speeds), list(states.angles)
+    if wrong == "+20 deg":
+        angles[i] += math.radians(20.0)
+    elif wrong == "both":
+        angles[i] -= math.radians(25.0)
+        speeds[i] *= 1.6
+    else:
+        speeds[i] *= float(wrong)
+    return JointStates(0.0, speeds, angles, states.angle_rates)
+
+
+def estimator(wheels: list[WheelGeometry], **options: float) -> TwistEstimator:
+    return TwistEstimator(BaseGeometry.from_wheels(wheels), None, Estimation(**options))  # type: ignore[arg-type]
+
+
+def sigmas(covariance: Cov3) -> list[float]:
+    return [math.sqrt(covariance[j][j]) for j in range(3)]
+
+
+@pytest.mark.parametrize("wrong", ["1.1", "1.3", "2", "0", "-1", "+20 deg", "both"])
+@pytest.mark.parametrize("wheels", [FOUR, SIX], ids=["4", "6"])
+@pytest.mark.parametrize("motion", MOTIONS, ids=str)
+def test_one_wrong_wheel_is_named_and_does_no_harm(
+    wheels: list[WheelGeometry], motion: Twist, wrong: str
+) -> None:
+    states = joints(wheels, motion)
+    found = estimator(wheels)
+    healthy = found.estimate(states)
+    assert healthy.dropped == ()
+    assert max(healthy.chi_squares) < 1e-9
+    for i in range(len(wheels)):
+        told = found.estimate(spoilt(states, i, wrong))
+        assert told.dropped == (i,)
+        assert told.chi_squares[i] == max(told.chi_squares)
+        assert max(d for k, d in enumerate(told.chi_squares) if k != i) < 1e-2
+        # The part of it that is kept is within what it is believed to err by.
+        for got, true, sigma in zip(told.twist, motion, sigmas(told.covariance), strict=True):
+            assert abs(got - true) <= 0.25 * sigma
+        for got, true in zip(sigmas(told.covariance), sigmas(healthy.covariance), strict=True):
+            assert got >= true * 0.999
+
+
+def test_what_agrees_of_a_wrong_wheel_is_still_used() -> None:
+    states = joints(FOUR, MOTIONS[1])
+    found = estimator(FOUR)
+    slips = found.estimate(spoilt(states, 2, "1.5")).covariance
+    none = found.estimate(spoilt(states, 2, "both")).covariance
+    assert all(a < b for a, b in zip(sigmas(slips), sigmas(none), strict=True))
+
+
+def test_two_wrong_wheels_are_named_where_the_others_suffice() -> None:
+    rng = random.Random(4)
+    named = total = 0
+    for seed in range(60):
+        i, k = rng.sample(range(6), 2)
+        states = joints(SIX, MOTIONS[seed % 3], Noise(), seed)
+        both = spoilt(spoilt(states, i, "1.4"), k, rng.choice(["0", "+20 deg", "0.7"]))
+        told = estimator(SIX).estimate(both)
+        alone = estimator(SIX, faulty=1).estimate(both)
+        total += 1
+        named += set(told.dropped) == {i, k}
+        # Who may leave out one only cannot explain it, and says so.
+        assert alone.dropped == () or set(alone.dropped) <= {i, k}
+        for got, true, sigma in zip(
+            told.twist, MOTIONS[seed % 3], sigmas(told.covariance), strict=True
+        ):
+            assert abs(got - true) <= 6.0 * sigma
+    assert named >= 0.95 * total
+
+
+def test_two_slipping_wheels_of_four() -> None:
+    """Directions are left that tell which."""
+    rng = random.Random(5)
+    named = 0
+    for seed in range(40):
+        i, k = rng.sample(range(4), 2)
+        states = joints(FOUR, MOTIONS[seed % 3], Noise(), seed)
+        told = estimator(FOUR).estimate(spoilt(spoilt(states, i, "1.5"), k, "0"))
+        named += set(told.dropped) == {i, k}
+    assert named >= 34
+
+
+def test_without_an_explanation_all_are_kept_and_the_covariance_grows() -> None:
+    states = joints(FOUR, MOTIONS[1])
+    angles = [a + d for a, d in zip(states.angles, (0.5, -0.4, 0.3, -0.6), strict=True)]
+    speeds = [v * f for v, f in zip(states.speeds, (0.3, 1.7, -1.0, 0.8), strict=True)]
+    bad = JointStates(0.0, speeds, angles, states.angle_rates)
+    told = estimator(FOUR).estimate(bad)
+    plain = estimator(FOUR, faulty=0).estimate(bad)
+    assert told.dropped == ()
+    assert told.twist == plain.twist
+    assert min(sigmas(told.covariance)) >= 5.0 * min(sigmas(plain.covariance))
+
+
+def test_two_wheels_that_disagree_name_none() -> None:
+    """Either may be wrong; the covariance covers both."""
+    wheels = FOUR[:2]
+    states = joints(wheels, Twist(0.8, 0.0, 0.0))
+    told = estimator(wheels).estimate(spoilt(states, 0, "+20 deg"))
+    assert told.dropped == ()
+    assert told.covariance[2][2] > 10.0 * estimator(wheels).estimate(states).covariance[2][2]
+
+
+def test_of_three_wheels_on_an_axle_none_can_be_named() -> None:
+    """Each pair agrees: three explanations, as likely, and what they differ by is told."""
+    wheels = [wheel(f"w{i}", 0.0, y, "fixed") for i, y in enumerate((0.5, 0.0, -0.5))]
+    states = joints(wheels, Twist(0.5, 0.0, 0.0))
+    found = estimator(wheels)
+    told = found.estimate(spoilt(states, 0, "1.5"))
+    assert told.dropped == ()
+    # 0.25 m/s too much at one end: 0.5 m/s or 0.75 m/s, or the turn between.
+    assert math.sqrt(told.covariance[0][0]) > 0.05
+    assert math.sqrt(told.covariance[2][2]) > 0.1
+
+
+def test_wheels_that_scrub_by_their_place_are_not_blamed() -> None:
+    """A skid steered robot in a turn: no wheel agrees, and none is at fault."""
+    wheels = [
+        wheel(f"w{i}", x, y, "fixed")
+        for i, (x, y) in enumerate([(0.4, 0.3), (0.4, -0.3), (-0.4, 0.3), (-0.4, -0.3)])
+    ]
+    told = estimator(wheels).estimate(JointStates(0.0, [2.0, 5.0, 2.0, 5.0], [0.0] * 4, [0.0] * 4))
+    assert told.dropped == ()
+    assert told.chi_squares == (0.0,) * 4
+
+
+def test_casters_keep_their_place_among_the_wheels() -> None:
+    wheels = [wheel("c", 0.0, 0.0, "swivel"), *FOUR]
+    states = joints(wheels, MOTIONS[1])
+    told = estimator(wheels).estimate(spoilt(states, 3, "0"))
+    assert told.dropped == (3,)
+    assert len(told.chi_squares) == 5
+    assert told.chi_squares[0] == 0.0
+
+
+def test_healthy_wheels_are_seldom_left_out() -> None:
+    found = estimator(FOUR)
+    noise = Noise()
+    dropped = sum(
+        bool(found.estimate(joints(FOUR, MOTIONS[seed % 3], noise, seed)).dropped)
+        for seed in range(1500)
+    )
+    assert dropped <= 0.015 * 1500
+
+
+def test_slips_say_how_fast_and_where() -> None:
+    states = joints(FOUR, Twist(0.8, 0.0, 0.0))
+    found = estimator(FOUR)
+    slips = found.slips(spoilt(states, 1, "1.5"), Twist(0.8, 0.0, 0.0))
+    assert slips[0] == pytest.approx((0.0, 0.0))
+    assert slips[1] == pytest.approx((-0.4, 0.0))  # the tread runs backwards over the ground
+    sideways = found.slips(states, Twist(0.8, 0.1, 0.0))
+    assert sideways[3] == pytest.approx((0.0, 0.1))
+
+
+def test_polish_goes_to_the_maximum_of_the_likelihood() -> None:
+    """With directions as bad as 4 deg the first step is not quite there; then it stays."""
+    noise = Noise(speed_ratio=0.002, angle=math.radians(4.0))
+    geometry = BaseGeometry.from_wheels(FOUR)
+    steps = [TwistEstimator(geometry, noise, Estimation(faulty=0, polish=n)) for n in range(6)]
+    states = joints(FOUR, MOTIONS[1], noise, 3)
+    twists = [s.estimate(states).twist for s in steps]
+    moved = [max(abs(p - q) for p, q in zip(a, b, strict=True)) for a, b in pairwise(twists)]
+    assert moved[0] > 1e-5
+    assert moved[4] < 1e-3 * moved[0]
+
+
+def test_a_gyro_tells_what_no_wheel_does() -> None:
+    wheels = [wheel("d", 0.5, 0.0, "steered"), wheel("c", -0.5, 0.3, "swivel")]
+    speeds, angles = [5.0, 0.0], [0.1, 0.0]
+    blind = estimator(wheels).estimate(JointStates(0.0, speeds, angles, [0.0, 0.0]))
+    told = estimator(wheels).estimate(JointStates(0.0, speeds, angles, [0.0, 0.0], None, 0.4))
+    assert (blind.rank, told.rank) == (2, 3)
+    assert told.twist.wz == pytest.approx(0.4, abs=1e-6)
+    assert math.sqrt(told.covariance[2][2]) == pytest.approx(Noise().gyro, rel=1e-3)
+    # It also helps where the wheels know by themselves, and never harms.
+    states = joints(FOUR, MOTIONS[1])
+    with_gyro = JointStates(0.0, states.speeds, states.angles, states.angle_rates, None, 0.4)
+    alone, both = estimator(FOUR).estimate(states), estimator(FOUR).estimate(with_gyro)
+    assert both.covariance[2][2] < alone.covariance[2][2]
+    assert both.twist == pytest.approx(alone.twist, abs=1e-9)
+
+
+def test_a_passive_wheel_that_holds_its_direction_tells_of_side_slip() -> None:
+    wheels = [*FOUR, wheel("p", -1.5, 0.0, "passive")]
+    states = joints(FOUR, Twist(0.8, 0.0, 0.0))
+    more = JointStates(0.0, [*states.speeds, 0.0], [*states.angles, 0.0], [0.0] * 5)
+    without, told = estimator(FOUR).estimate(states), estimator(wheels).estimate(more)
+    assert told.covariance[2][2] < without.covariance[2][2]
+    # Dragged sideways it disagrees, with one degree of freedom.
+    askew = joints(FOUR, Twist(0.8, 0.3, 0.0))
+    more = JointStates(0.0, [*askew.speeds, 0.0], [*askew.angles, 0.0], [0.0] * 5)
+    assert estimator(wheels).estimate(more).dropped == (4,)
+
+
+@pytest.mark.parametrize(
+    "options", [{"gate": 0.0}, {"gate": 1.0}, {"faulty": 3}, {"polish": -1}, {"polish": 11}]
+)
+def test_options_out_of_range_are_refused(options: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(options))} is"):
+        Estimation(**options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("options", [{"faulty_wheels": 3}, {"polish": 11}])
+def test_options_of_general_are_checked(options: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(options))} is"):
+        GeneralOptions(**options)  # type: ignore[arg-type]
+    assert General(BaseGeometry.from_wheels(FOUR), GeneralOptions(polish=2)).estimator.options == (
+        Estimation(polish=2)
+    )
+
+
+@pytest.mark.parametrize("name", ["angle", "speed_floor", "correlation", "gyro"])
+def test_noise_that_cannot_be_is_refused(name: str) -> None:
+    for value in (-0.1, math.nan, math.inf):
+        with pytest.raises(ValueError, match=f"noise {name} is"):
+            Noise(**{name: value})

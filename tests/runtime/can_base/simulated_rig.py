@@ -1,0 +1,96 @@
+"""A robot that runs on its simulated buses, in virtual time and in one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.model import Robot
+from thorvaldc.runtime.base_interface import BaseHandle
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+FORWARD = Twist(0.5, 0.0, 0.0)
+
+
+class Rig:
+    """``twist`` is commanded in every cycle; ``None``: nothing is.
+
+    ``frames`` holds (time in ns, frame) of all that went over the first bus.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        seed: int = 0,
+        base: BaseHandle | None = None,
+        power: bool = True,
+        drives: Robot | None = None,
+    ) -> None:
+        """``drives``: whose devices are on the bus, where it is not the driver's own robot."""
+        self.robot = robot
+        self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base)
+        if power:
+            self.simulated.power_on()
+        self.ports = {bus.name: self.simulated.client(bus.name, fifo=True) for bus in robot.buses}
+        self.base = CanBase(robot, self.ports, threaded=False)
+        self.port = next(iter(self.ports.values()))
+        self.runner = BaseRunner(robot, self.base, self.port)
+        self.twist: Twist | None = ZERO_TWIST
+        self.runner.feed = self._command
+        self.frames: list[tuple[int, CanFrame]] = []
+        wire = self.simulated.wire()
+        wire.observers.append(lambda time, frame, _: self.frames.append((time, frame)))
+
+    def _command(self, driver: BaseDriver, now: float) -> None:
+        if self.twist is not None:
+            driver.command(self.twist, now)
+
+    @property
+    def now(self) -> float:
+        return self.port.now
+
+    @property
+    def state(self) -> State:
+        return self.runner.state
+
+    @property
+    def reason(self) -> str:
+        return self.base.supervisor.reason
+
+    def run(self, seconds: float) -> None:
+        self.runner.run(self.now + seconds)
+
+    def until(self, condition: Callable[[], bool], limit: float = 30.0) -> float:
+        """Run until it holds; how long (s) that took."""
+        start = self.now
+        self.runner.run(start + limit, stop=condition)
+        assert condition(), f"not within {limit} s: {self.state} {self.reason}"
+        return self.now - start
+
+    def ready(self) -> None:
+        self.until(lambda: self.state is State.READY)
+        self.run(0.1)
+
+    def drive(self, twist: Twist = FORWARD, seconds: float = 2.0) -> None:
+        """Be ready first, then drive."""
+        if not self.runner.ready:
+            self.ready()
+        self.twist = twist
+        self.run(seconds)
+        assert self.state is State.ACTIVE, f"{self.state} {self.reason}"
+
+    def speed(self) -> float:
+        """m/s of the fastest wheel, by its motor: what it really does."""
+        rolling = []
+        for wheel in self.robot.wheels:
+            actuator = self.robot.actuator_of(wheel.spin_joint)
+            if actuator is not None and actuator.name in self.simulated.motors:
+                motor = self.simulated.motors[actuator.name]
+                rolling.append(abs(motor.read(self.now).velocity) * wheel.radius)
+        return max(rolling)

@@ -1,0 +1,101 @@
+"""The base on its simulated buses: it starts, drives and stops."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.cia402 import DriveState
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Node
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.canopen_device import NmtState
+from thorvaldc.simulation.bus.cia402_device import Cia402Drive
+from thorvaldc.simulation.bus.roboteq_device import RoboteqController
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+@functools.cache
+def example(name: str) -> Robot:
+    done = compile_file(EXAMPLES / name / "robot.yaml")
+    assert isinstance(done.model, Robot)
+    return done.model
+
+
+def four_wheels() -> Robot:
+    return example("4wd4ws_wide")
+
+
+@functools.cache
+def drives() -> Robot:
+    """Drives after CiA 402 whose home is where they stand: a search takes twelve seconds."""
+    robot = cia402_robot()
+    here = {"steering_homing_method": 35, "steering_home_offset": 0}
+
+    def at_home(node: Node) -> Node:
+        objects = [replace(o, value=here.get(o.name, o.value)) for o in node.objects]
+        return replace(node, objects=tuple(objects))
+
+    buses = [replace(bus, nodes=tuple(at_home(n) for n in bus.nodes)) for bus in robot.buses]
+    return replace(robot, buses=tuple(buses))
+
+
+ROBOTS = {
+    "roboteq": four_wheels,
+    "cia402": cia402_robot,
+    "two propulsions": lambda: example("2wd0ws_greenhouse"),
+    "nine wheels": lambda: example("9wd9ws"),
+}
+
+
+@pytest.mark.parametrize("make", ROBOTS.values(), ids=list(ROBOTS))
+def test_a_robot_starts_drives_stops_and_is_let_go(make: functools.partial[Robot]) -> None:
+    rig = Rig(make())
+    rig.ready()
+    names = [change.state for change in rig.runner.changes]
+    assert names == [State.INIT, State.PREOP, State.CONFIG, State.HOMING, State.READY]
+    assert rig.speed() == 0.0
+    start = rig.now
+    rig.drive(Twist(0.4, 0.0, 0.0), 4.0)
+    joints = rig.runner.driver.state.joints
+    assert joints is not None
+    pose = rig.runner.driver.state.pose
+    assert rig.speed() == pytest.approx(0.4, rel=0.02)
+    assert 1.2 < pose.x < 1.7
+    assert abs(pose.y) < 0.01
+    rig.twist = ZERO_TWIST
+    assert rig.until(lambda: rig.state is State.READY) < 2.0
+    assert rig.base.incomplete == 0
+    assert rig.runner.timing.overruns == 0
+    rig.runner.shutdown()
+    assert rig.speed() == 0.0
+    for device in rig.simulated.devices.values():
+        if isinstance(device, RoboteqController | Cia402Drive):
+            assert device.state is NmtState.PRE_OPERATIONAL
+    assert rig.now > start
+
+
+def test_the_drives_are_off_at_the_end() -> None:
+    rig = Rig(drives())
+    rig.drive()
+    rig.runner.shutdown()
+    for device in rig.simulated.devices.values():
+        if isinstance(device, Cia402Drive):
+            assert all(a.states.state is DriveState.SWITCH_ON_DISABLED for a in device.axes)
+
+
+def test_the_same_run_twice_is_the_same() -> None:
+    runs = []
+    for _ in range(2):
+        rig = Rig(four_wheels(), seed=7)
+        rig.drive(Twist(0.3, 0.2, 0.1), 1.0)
+        runs.append((rig.frames, rig.runner.driver.state.pose))
+    assert runs[0] == runs[1]

@@ -1,0 +1,71 @@
+"""Driver, bus, simulated controllers and MuJoCo, together and in virtual time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from tests.runtime.can_base.simulated_rig import Rig
+from tests.runtime.can_base.test_can_base import EXAMPLES, drives, four_wheels
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model import Robot
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.manoeuvre import Segment, twist_at
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+
+
+def test_the_odometry_experiment_over_the_bus() -> None:
+    """The asymmetric six-wheeler drives about 80 m in 77 s; odometry ends within 0.1 m.
+
+    All that is known of the joints are the controllers' frames: whole revolutions per minute
+    and whole counts, at times that nothing keeps together.
+    """
+    scenario = compile_file(EXAMPLES / "odometry_experiment" / "ideal.yaml").scenario
+    assert scenario is not None
+    robot = scenario.fleet.placements[0].robot
+    base = MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"])))
+    rig = Rig(robot, base=base)
+    rig.ready()
+    commands = scenario.commands[0][1]
+    plan = [Segment(rig.now + c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
+    at = rig.now + scenario.duration
+
+    def feed(driver: BaseDriver, now: float) -> None:
+        driver.command(twist_at(plan, now), now)
+
+    rig.runner.feed = feed
+    rig.runner.reset_odometry()
+    start = last = base.true_pose()
+    path = 0.0
+    begun = rig.now
+    while rig.now < at + 0.5:
+        rig.run(0.1)
+        pose = base.true_pose()
+        path += math.hypot(pose.x - last.x, pose.y - last.y)
+        last = pose
+    assert 77.0 < rig.now - begun < 78.5
+    assert path > 75.0
+    true, found = base.true_pose().relative_to(start), rig.runner.driver.state.pose
+    assert math.hypot(true.x - found.x, true.y - found.y) <= 0.1
+    assert abs(math.remainder(true.yaw - found.yaw, math.tau)) < 0.02
+    assert rig.base.incomplete == 0
+    rig.runner.shutdown()
+
+
+@pytest.mark.parametrize("make", [drives, four_wheels], ids=["cia402", "roboteq"])
+def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> None:
+    """Motors with a load are late: neither a drive nor the driver takes that for a fault."""
+    robot = make()
+    rig = Rig(robot, base=MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"]))), seed=3)
+    rig.ready()
+    top, turn = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
+    for vx, vy, wz in ((top, 0, 0), (-top, 0, 0), (0, top, 0), (0, 0, turn), (0, -top, -turn)):
+        rig.twist = Twist(vx, vy, wz)
+        rig.run(2.0)
+        assert rig.state is State.ACTIVE, rig.reason
+    rig.twist = None  # and the longest ramp that there is, to rest
+    rig.until(lambda: rig.state is State.READY, 5.0)

@@ -1,0 +1,99 @@
+"""Drivers of other packages, by entry point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib import metadata
+
+import pytest
+
+from tests.runtime.can_base.simulated_rig import Rig
+from tests.runtime.can_base.test_can_base import four_wheels
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.runtime.can_base import battery_and_io_drivers as devices
+from thorvaldc.runtime.can_base import motor_controller as controller
+from thorvaldc.runtime.can_base.battery_and_io_drivers import KcBatteryDriver
+from thorvaldc.runtime.can_base.roboteq_driver import RoboteqScript
+from thorvaldc.simulation.bus import device_builders as builders
+
+
+class Mine(RoboteqScript):
+    """A controller of another kind, which happens to speak the same."""
+
+
+class MyBattery(KcBatteryDriver):
+    @property
+    def warning(self) -> str:
+        return "mine"
+
+
+@dataclass
+class Entry:
+    name: str
+    found: object
+    value: str = "mine:Mine"
+
+    def load(self) -> object:
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
+
+
+def offer(monkeypatch: pytest.MonkeyPatch, group: str, *entries: Entry) -> None:
+    real = metadata.entry_points
+
+    def offered(**given: str) -> object:
+        return list(entries) if given.get("group") == group else real(**given)
+
+    monkeypatch.setattr(metadata, "entry_points", offered)
+
+
+def renamed(robot: Robot, node: str, protocol: str) -> Robot:
+    """The robot with another protocol for a node; its simulated device stays what it is."""
+    bus = robot.buses[0]
+    before = next(n.protocol for n in bus.nodes if n.name == node)
+    nodes = tuple(replace(n, protocol=protocol) if n.name == node else n for n in bus.nodes)
+    builders.BUILDERS.setdefault(protocol, builders.BUILDERS[before])
+    return replace(robot, buses=(replace(bus, nodes=nodes),))
+
+
+def test_a_robot_drives_by_a_motor_controller_of_another_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    offer(monkeypatch, controller.ENTRY_POINT_GROUP, Entry("acme_servo", Mine))
+    monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
+    rig = Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
+    kinds = [type(c) for c in rig.base.supervisor.controllers]
+    assert kinds.count(Mine) == 1
+    rig.drive()
+
+
+def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    offer(monkeypatch, devices.ENTRY_POINT_GROUP, Entry("acme_battery", MyBattery))
+    monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
+    robot = four_wheels()
+    name = robot.batteries[0].node
+    assert name is not None
+    rig = Rig(renamed(robot, name, "acme_battery"))
+    rig.ready()
+    assert rig.runner.warnings() == [f"{name}: mine"]
+
+
+@pytest.mark.parametrize(
+    ("found", "says"),
+    [
+        (ImportError("no acme"), "cannot be loaded: no acme"),
+        (KcBatteryDriver, "is no MotorController"),
+        (object(), "is no MotorController"),
+    ],
+)
+def test_a_driver_that_cannot_be_used(
+    found: object, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offer(monkeypatch, controller.ENTRY_POINT_GROUP, Entry("acme_servo", found))
+    monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
+    with pytest.raises(DiagnosticError) as caught:
+        Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
+    assert caught.value.diagnostic.code.name == "bus-driver-unknown"
+    assert says in caught.value.diagnostic.message

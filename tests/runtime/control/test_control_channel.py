@@ -1,0 +1,377 @@
+"""The control channel: what clients ask, and what becomes of those that do it wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import stat
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.runtime.control.control_client import ControlClient
+from thorvaldc.runtime.control.control_server import (
+    LONGEST_LINE,
+    MOST_CLIENTS,
+    ControlServer,
+    control_path,
+)
+from thorvaldc.runtime.control.driver_services import driving_services
+from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError, Services
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.simulation.bus.bus_server import BusServer
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.wire import Wire as CanWire
+from thorvaldc.simulation.physics.sim_base import SimBase
+
+ROBOT = make_robot(FOUR_STEERED)
+
+
+class Running:
+    """A driver with a channel, whose cycles are done by hand."""
+
+    def __init__(self) -> None:
+        self.driver = BaseDriver(ROBOT, SimBase(ROBOT))
+        self.multiplexer = Multiplexer.of(ROBOT)
+        self.services = Services(driving_services(self.driver, self.multiplexer))
+        self.server = ControlServer("r", self.services)
+        self.now = 0.0
+
+    def cycles(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.now += 0.02
+            self.server.poll(self.now)
+            self.multiplexer.feed(self.driver, self.now)
+            self.driver.tick(self.now)
+
+
+@pytest.fixture
+def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:  # a socket's path is short
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        running = Running()
+        yield running
+        running.server.close()
+
+
+class Wire:
+    """A client that sends bytes as they are."""
+
+    def __init__(self, running: Running) -> None:
+        self.running = running
+        self.stream = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.stream.connect(str(running.server.path))
+        self.stream.settimeout(1.0)
+        self.unread = b""
+
+    def send(self, *lines: bytes) -> None:
+        self.stream.sendall(b"".join(lines))
+
+    def answer(self) -> dict[str, Any]:
+        for _ in range(100):
+            self.running.cycles()
+            if b"\n" in self.unread or select_ready(self.stream):
+                break
+        while b"\n" not in self.unread:
+            data = self.stream.recv(1 << 16)
+            assert data, "let go"
+            self.unread += data
+        line, _, self.unread = self.unread.partition(b"\n")
+        found = json.loads(line)
+        assert isinstance(found, dict)
+        return found
+
+    def ask(self, line: bytes) -> dict[str, Any]:
+        self.send(line + b"\n")
+        return self.answer()
+
+
+def select_ready(stream: socket.socket) -> bool:
+    import select
+
+    return bool(select.select([stream], [], [], 0.0)[0])
+
+
+@pytest.fixture
+def wire(running: Running) -> Iterator[Wire]:
+    wire = Wire(running)
+    yield wire
+    wire.stream.close()
+
+
+# -- what is asked ----------------------------------------------------------------------------
+
+
+def test_a_client_drives_and_reads_the_state(running: Running, wire: Wire) -> None:
+    twist = b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}, "id": 7}'
+    assert wire.ask(twist) == {"ok": True, "result": None, "id": 7}
+    running.cycles(23)
+    state = wire.ask(b'{"call": "state"}')["result"]
+    assert state["source"] == "auto_nav"
+    assert state["in_force"]["vx"] == pytest.approx(0.4)
+    assert state["mode"] == "driving"
+    assert state["pose"]["x"] > 0.0
+
+
+def test_a_client_that_dies_lets_its_twist_time_out(running: Running, wire: Wire) -> None:
+    wire.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
+    wire.send(b'{"call": "twist", "argum')  # in the middle of a line
+    wire.stream.close()
+    running.cycles(23)
+    assert running.driver.state.ramped.vx == pytest.approx(0.4)
+    running.cycles(60)
+    assert running.multiplexer.select(running.now).source == ""
+    assert running.driver.state.ramped.vx == 0.0
+
+
+def test_a_client_that_leaves_its_answers_unread(running: Running, wire: Wire) -> None:
+    wire.send(b'{"call": "description"}\n' * 3)
+    running.cycles()
+    wire.send(b'{"call": "description"}\n')
+    wire.stream.close()  # the driver reads "connection reset" then
+    running.cycles(3)
+    other = Wire(running)
+    assert other.ask(b'{"call": "state"}')["ok"]
+    other.stream.close()
+
+
+def test_the_stop_holds_until_it_is_released(running: Running, wire: Wire) -> None:
+    twist = b'{"call": "twist", "arguments": {"source": "teleop_joy", "vx": 0.4}}'
+    assert wire.ask(b'{"call": "safety-stop"}')["ok"]
+    wire.ask(twist)
+    running.cycles(5)
+    assert running.driver.state.ramped.vx == 0.0
+    assert wire.ask(b'{"call": "state"}')["result"]["locks"] == ["safety_stop"]
+    assert wire.ask(b'{"call": "release_safety_stop"}')["ok"]
+    wire.ask(twist)
+    running.cycles(5)
+    assert running.driver.state.ramped.vx > 0.0
+
+
+def test_parameters_and_odometry(running: Running, wire: Wire) -> None:
+    call = b'{"call": "set_drive_parameters", "arguments": %s}'
+    assert wire.ask(call % b'{"max_linear_velocity": 0.3, "radii": {"w0": 0.19}}')["ok"]
+    running.cycles(2)
+    assert running.driver.settings.max_linear_velocity == 0.3
+    assert running.driver.parameters.radii[0] == 0.19
+    refused = {
+        b"{}": "needs `set`, `radii` or a limit",
+        b'{"set": "rail"}': "has no parameter set `rail`",
+        b'{"max_linear_velocity": -1}': "must be positive",
+        b'{"radii": {"w9": 0.2}}': "no wheel `w9`",
+        b'{"set": "", "radii": {"w0": 0.2}}': "`set` goes alone",
+    }
+    for arguments, reason in refused.items():
+        answer = wire.ask(call % arguments)
+        assert not answer["ok"]
+        assert reason in answer["error"], answer
+    wire.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
+    running.cycles(20)
+    assert running.driver.state.pose.x > 0.0
+    assert wire.ask(b'{"call": "reset_odometry"}')["ok"]
+    assert running.driver.state.pose.x < 0.02
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (b"state", "a line is no JSON"),
+        (b"[1]", "a line is no mapping"),
+        (b"\xff\xfe", "a line is no JSON"),
+        (b"[" * 20000, "a line is no JSON"),
+        (b"{}", "names no service"),
+        (b'{"call": 5}', "names no service"),
+        (b'{"call": "stat"}', "did you mean `state`?"),
+        (b'{"call": "state", "arguments": []}', "is no mapping"),
+        (b'{"call": "state", "args": {}}', "a request has no `args`"),
+        (b'{"call": "state", "arguments": {"a": 1}}', "has no argument `a`"),
+        (b'{"call": "twist"}', "needs the argument `source`"),
+        (b'{"call": "twist", "arguments": {"source": 1}}', "`source` is 1; text is wanted"),
+        (b'{"call": "twist", "arguments": {"source": "x"}}', "no source of twists `x`"),
+        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": NaN}}', "must be finite"),
+        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 1e400}}', "must be finite"),
+        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 1e12}}', "beyond all"),
+        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": true}}', "a number is want"),
+        (b'{"call": "lock", "arguments": {"name": "x"}}', "there is no lock `x`"),
+    ],
+)
+def test_what_cannot_be_done_is_one_plain_line(wire: Wire, line: bytes, reason: str) -> None:
+    answer = wire.ask(line)
+    assert answer["ok"] is False
+    assert reason in answer["error"]
+    assert "\n" not in answer["error"]
+    assert wire.ask(b'{"call": "state"}')["ok"]  # the channel goes on
+
+
+def test_an_endless_line_is_broken_off(running: Running, wire: Wire) -> None:
+    piece = b"x" * LONGEST_LINE
+    wire.send(piece)
+    running.cycles()
+    wire.send(piece)
+    answer = wire.answer()
+    assert "longer than" in answer["error"]
+    running.cycles(3)
+    assert wire.stream.recv(1) == b""
+
+
+def test_a_flood_does_not_hold_the_cycle(running: Running, wire: Wire) -> None:
+    """Requests that come faster than they are answered wait for the cycles to come."""
+    wire.send(b'{"call": "description"}\n' * 1000)
+    running.cycles()
+    other = Wire(running)
+    assert other.ask(b'{"call": "state"}')["ok"]
+    other.stream.close()
+    for _ in range(1000):
+        assert wire.answer()["ok"]
+
+
+def test_too_many_clients_are_let_go(running: Running) -> None:
+    wires = [Wire(running) for _ in range(MOST_CLIENTS)]
+    running.cycles(MOST_CLIENTS)
+    one_more = Wire(running)
+    running.cycles()
+    assert one_more.stream.recv(1) == b""
+    assert wires[-1].ask(b'{"call": "state"}')["ok"]
+    for wire in [*wires, one_more]:
+        wire.stream.close()
+
+
+def test_only_the_user_can_connect(running: Running) -> None:
+    assert stat.S_IMODE(running.server.path.stat().st_mode) == 0o600
+
+
+def test_a_name_is_run_once_and_free_again_after(running: Running) -> None:
+    with pytest.raises(OSError, match=r"a driver is run at .* already"):
+        ControlServer("r", running.services)
+    running.server.close()
+    assert not control_path("r").exists()
+    # One that was killed leaves its socket behind.
+    killed = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    killed.bind(str(control_path("r")))
+    killed.close()
+    server = ControlServer("r", running.services)
+    server.close()
+
+
+def test_a_file_of_the_users_is_left_alone(running: Running, tmp_path: Path) -> None:
+    """As where somebody names the robot's file in place of a channel."""
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:
+        file = Path(folder, "robot.yaml")
+        file.write_text("mine")
+        with pytest.raises(OSError, match="is no socket, and is left as it is"):
+            ControlServer(str(file), running.services)
+        with pytest.raises(OSError, match="is no socket, and is left as it is"):
+            BusServer(Timeline(), {str(file): CanWire(Timeline(), 500_000)})
+        assert file.read_text() == "mine"
+
+
+def test_a_path_is_taken_as_it_stands(running: Running, tmp_path: Path) -> None:
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:
+        server = ControlServer(f"{folder}/x", running.services)
+        assert os.listdir(folder) == ["x"]
+        server.close()
+
+
+# -- the client ---------------------------------------------------------------------------------
+
+
+def test_a_client_calls_from_another_thread(running: Running) -> None:
+    found: list[Any] = []
+
+    def talk() -> None:
+        client = ControlClient("r")
+        found.append(client.call("description")["robot"])
+        with pytest.raises(ServiceError, match="no lock `x`"):
+            client.call("lock", name="x")
+        found.append(client.call("state")["robot"])
+        client.close()
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    while thread.is_alive():
+        running.cycles()
+        thread.join(0.001)
+    assert found == ["test_robot", "test_robot"]
+
+
+def test_where_no_driver_is_run_or_it_ends(running: Running) -> None:
+    with pytest.raises(OSError, match=r"no driver is run at .*x-control"):
+        ControlClient("x")
+    client = ControlClient("r", answer_time=0.05)
+    with pytest.raises(ConnectionError, match="does not answer"):
+        client.call("state")
+    running.server.poll(0.0)
+    running.server.close()
+    with pytest.raises(ConnectionError, match="has ended"):
+        client.call("state")
+    client.close()
+
+
+# -- services -----------------------------------------------------------------------------------
+
+
+def test_services_are_listed_with_their_arguments() -> None:
+    services = Services(
+        [Service("a", "Does a.", lambda now, n: n + now, (Argument("n", "integer"),))]
+    )
+    listed = services.call("services", {}, 0.0)
+    assert listed[0] == {
+        "name": "a",
+        "summary": "Does a.",
+        "arguments": [{"name": "n", "kind": "integer", "required": True}],
+    }
+    assert services.call("a", {"n": 2}, 0.5) == 2.5
+    with pytest.raises(ServiceError, match="a whole number is wanted"):
+        services.call("a", {"n": 2.0}, 0.0)
+
+
+# -- whatever is sent ---------------------------------------------------------------------------
+
+TEXTS = st.text('aé\ud800\n"\\', max_size=6)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | TEXTS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner),
+    max_leaves=8,
+)
+NAMES = st.sampled_from(["twist", "lock", "state", "set_drive_parameters", "services", "source"])
+REQUESTS = st.fixed_dictionaries(
+    {},
+    optional={
+        "call": NAMES | VALUES,
+        "arguments": st.dictionaries(
+            st.sampled_from(["source", "vx", "name", "locked", "set", "radii"]), VALUES
+        )
+        | VALUES,
+        "id": VALUES,
+        "more": VALUES,
+    },
+)
+LINES = st.binary(max_size=60).filter(lambda line: b"\n" not in line) | REQUESTS.map(
+    lambda request: json.dumps(request).encode()
+)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(LINES)
+def test_every_line_has_one_answer(running: Running, line: bytes) -> None:
+    wire = Wire(running)
+    with contextlib.closing(wire.stream):
+        answer = wire.ask(line)
+        assert answer["ok"] in (True, False)
+        if not answer["ok"]:
+            assert answer["error"]
+            assert "\n" not in answer["error"]
+        assert wire.unread == b""
+    running.cycles()

@@ -1,0 +1,282 @@
+"""What can be asked of a robot that runs: services, outputs, batteries, foreign devices."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import pytest
+
+from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from tests.runtime.can_base.test_can_base import drives, four_wheels
+from tests.simulation.bus.robots import compiled
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.model import Robot
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.foreign_frame_relay import WAITING, Relay
+from thorvaldc.runtime.runner import Refused
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice, IoBoard, KcBattery
+from thorvaldc.simulation.bus.roboteq_device import RoboteqController
+
+COMMAND, STATE = 0x240, 0x1C0
+
+
+# -- drives -----------------------------------------------------------------------------
+
+
+def test_the_present_angle_becomes_zero_at_the_next_homing() -> None:
+    rig = Rig(four_wheels())
+    rig.drive(Twist(0.3, 0.0, 0.3), 3.0)
+    rig.twist = ZERO_TWIST
+    rig.until(lambda: rig.state is State.READY)
+    drive = rig.simulated.devices["fl_controller"]
+    assert isinstance(drive, RoboteqController)
+    angle = drive.channels[1].position
+    true = drive.channels[1].state.position
+    assert abs(angle) > 0.1
+    rig.runner.set_home_count_current_position_zero("fl_controller")
+    rig.run(0.1)
+    assert drive.kept["home_count"] != 0
+    assert rig.simulated.devices["fr_controller"].kept["home_count"] == 0
+    rig.runner.home_steering()
+    rig.ready()
+    assert drive.channels[1].position == pytest.approx(0.0, abs=0.015)
+    assert drive.channels[1].state.position == pytest.approx(true, abs=0.02)
+
+
+def test_zero_of_all_and_of_none() -> None:
+    rig = Rig(four_wheels())
+    rig.ready()
+    rig.runner.set_home_count_current_position_zero()
+    with pytest.raises(Refused, match="no controller `nobody`"):
+        rig.runner.set_home_count_current_position_zero("nobody")
+    other = Rig(drives())
+    other.ready()
+    with pytest.raises(Refused, match="home switch"):
+        other.runner.set_home_count_current_position_zero()
+
+
+def test_a_controllers_own_settings() -> None:
+    rig = Rig(four_wheels())
+    rig.ready()
+    rig.runner.setup_motor_controller("fl_controller", "max_propulsion_speed", 300)
+    rig.runner.setup_motor_controller("fl_controller", "tpdo2_cycle_time", 50)
+    rig.run(0.2)
+    drive = rig.simulated.devices["fl_controller"]
+    assert isinstance(drive, RoboteqController)
+    assert drive.channels[0].max_rpm == 300
+    assert drive.pdos is not None
+    assert drive.pdos.event_period(1) == 0.05
+    with pytest.raises(Refused, match="no setting `max_speed`; there are direction"):
+        rig.runner.setup_motor_controller("fl_controller", "max_speed", 1)
+    with pytest.raises(Refused, match="cannot be"):
+        rig.runner.setup_motor_controller("fl_controller", "home_count", float("nan"))
+    rig.twist = FORWARD
+    rig.run(1.0)
+    with pytest.raises(Refused, match="stop it first"):
+        rig.runner.setup_motor_controller("fl_controller", "direction", 1)
+
+
+def test_drive_parameters_and_odometry() -> None:
+    rig = Rig(four_wheels())
+    rig.drive()
+    with pytest.raises(Refused):
+        rig.runner.set_drive_parameters("rail")
+    with pytest.raises(Refused):
+        rig.runner.set_drive_parameters(radii={"nobody": 0.3})
+    name = rig.robot.wheels[0].name
+    rig.runner.set_drive_parameters(radii={name: 0.21}, limits={"max_linear_velocity": 0.2})
+    rig.run(2.0)
+    assert rig.runner.driver.parameters.radii[0] == 0.21
+    assert rig.speed() < 0.22
+    assert rig.runner.driver.state.pose.x > 0.5
+    rig.runner.reset_odometry()
+    assert rig.runner.driver.state.pose == ORIGIN
+
+
+def test_services_from_another_thread_are_done_by_the_loop() -> None:
+    rig = Rig(four_wheels())
+    rig.ready()
+    seen: list[str] = []
+
+    def ask() -> None:
+        stop = rig.runner.submit(lambda: seen.append(threading.current_thread().name))
+        stop.result(10.0)
+        refused = rig.runner.submit(rig.runner.reset)
+        seen.append(str(refused.exception(10.0)))
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    while asker.is_alive():
+        rig.run(0.02)
+    assert seen == [threading.current_thread().name, "there is nothing to reset"]
+
+
+# -- outputs and batteries --------------------------------------------------------------
+
+
+def test_outputs_of_an_io_board() -> None:
+    rig = Rig(drives())
+    board = rig.simulated.devices["board"]
+    assert isinstance(board, IoBoard)
+    rig.ready()
+    assert board.outputs == 0b10  # relay_1_at_start, and nothing was switched
+    rig.runner.set_output("board", "beacon_red", True)
+    rig.run(0.3)
+    assert board.outputs == 0b110
+    assert rig.runner.boards[0].state_of("beacon_red") is True
+    rig.runner.set_output("board", "relay_1", False)
+    board.inputs = 5
+    rig.run(0.3)
+    assert board.outputs == 0b100
+    assert rig.runner.boards[0].inputs == 5
+    with pytest.raises(Refused, match="no output `horn`; it has relay_0"):
+        rig.runner.set_output("board", "horn", True)
+    with pytest.raises(Refused, match="no IO board `bord`; there are board"):
+        rig.runner.set_output("bord", "relay_0", True)
+
+
+def test_all_three_frames_of_a_battery_are_its_own() -> None:
+    """The original took one and let two go to the foreign devices."""
+    rig = Rig(drives())
+    battery = rig.simulated.devices["battery"]
+    assert isinstance(battery, KcBattery)
+    battery.voltage, battery.current, battery.charge, battery.health = 47.5, -3.25, 0.64, 0.9
+    battery.temperatures = [21, 22, 23, 24, 25, -6]
+    rig.ready()
+    found = rig.runner.batteries()["battery"]
+    assert found.voltage == 47.5
+    assert found.current == -3.25
+    assert found.charge == pytest.approx(0.64, abs=0.011)
+    assert found.health == 0.9
+    assert found.cycles == 12
+    assert found.temperatures == [21, 22, 23, 24, 25, -6]
+    assert rig.runner.from_devices() == [] or all(
+        r.cob_id == STATE for r in rig.runner.from_devices()
+    )
+    assert rig.runner.warnings() == []
+    battery.charge, battery.alarms = 0.05, 0x10
+    rig.run(0.3)
+    assert rig.runner.warnings() == ["battery: alarms 0x0010"]
+    battery.alarms = 0
+    rig.run(0.3)
+    assert rig.runner.warnings() == ["battery: 5 % left"]
+    battery.power_off()
+    rig.run(1.5)
+    assert "battery is silent" in rig.runner.warnings()
+    assert rig.state is State.READY  # it drives nothing
+
+
+# -- foreign devices --------------------------------------------------------------------
+
+
+def test_frames_of_foreign_devices_pass_both_ways() -> None:
+    rig = Rig(drives())
+    sprayer = rig.simulated.devices["sprayer"]
+    assert isinstance(sprayer, ForeignDevice)
+    rig.ready()
+    rig.runner.from_devices()
+    rig.runner.send_to_device(COMMAND, b"\x01\x02")
+    rig.run(0.1)
+    assert sprayer.heard == [CanFrame(COMMAND, b"\x01\x02")]
+    assert [found.cob_id for found in rig.runner.from_devices()] == [STATE]  # its answer
+    rig.runner.mute_devices()
+    with pytest.raises(Refused, match="muted"):
+        rig.runner.send_to_device(COMMAND, b"")
+    rig.runner.mute_devices(False)
+    rig.run(0.2)
+    rig.runner.send_to_device(COMMAND, b"")
+    assert rig.runner.relay_drops() == {"0x240 muted": 1}
+
+
+@pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x201, 0x601, 0x700 + 127, STATE, 0x241])
+def test_nothing_else_passes(cob_id: int) -> None:
+    """In the original any node could send any identifier through the relay."""
+    rig = Rig(drives())
+    rig.ready()
+    at = rig.now
+    with pytest.raises(Refused, match="not allowed"):
+        rig.runner.send_to_device(cob_id, b"\xde\xad")
+    rig.run(0.2)
+    assert not [f for t, f in rig.frames if t / 1e9 > at and f.data == b"\xde\xad"]
+    assert rig.runner.relay_drops() == {f"{cob_id:#05x} not allowed": 1}
+
+
+def relay() -> Relay:
+    return Relay(drives().buses[0])
+
+
+def test_the_rate_is_limited_on_the_average() -> None:
+    """10 Hz: what jitters passes, what comes too often does not."""
+    found = relay()
+    jittery = [0.1 * i + (0.03 if i % 2 else 0.0) for i in range(20)]
+    assert [found.offer(CanFrame(COMMAND, b""), t) for t in jittery] == [""] * 20
+    found = relay()
+    said = [found.offer(CanFrame(COMMAND, b""), 0.01 * i) for i in range(1000)]
+    assert 98 <= said.count("") <= 102 or said.count("waiting")
+    assert found.dropped[COMMAND, "too often"] >= 890
+
+
+def test_a_burst_keeps_what_is_allowed_and_counts_the_rest() -> None:
+    """In the original a hundred frames in a cycle lost all of them."""
+    found = relay()
+    reasons = [found.offer(CanFrame(COMMAND, bytes([i])), 1.0) for i in range(100)]
+    assert 1 <= reasons.count("") <= 2
+    assert found.dropped[COMMAND, "too often"] == 100 - reasons.count("")
+    assert found.to_send() == CanFrame(COMMAND, b"\0")
+
+
+def test_a_full_queue_of_reports_loses_the_oldest() -> None:
+    found = relay()
+    for i in range(WAITING + 10):
+        found.take(STATE, bytes([i]), 0.1 * i)
+    kept = found.received()
+    assert [r.data[0] for r in kept] == list(range(10, WAITING + 10))
+    assert found.dropped[STATE, "waiting"] == 10
+    found.take(0x1C1, b"", 0.0)
+    assert found.received() == []
+
+
+def test_too_long_a_frame_and_one_that_could_not_be_sent() -> None:
+    bus = drives().buses[0]
+    short = [replace(f, length=2) if f.cob_id == COMMAND else f for f in bus.frames]
+    found = Relay(replace(bus, frames=tuple(short)))
+    assert found.offer(CanFrame(COMMAND, b"123"), 0.0) == "too long"
+    assert found.offer(CanFrame(COMMAND, b"12"), 1.0) == ""
+    frame = found.to_send()
+    assert frame is not None
+    found.sent(frame, False)
+    assert found.dropped == {(COMMAND, "too long"): 1, (COMMAND, "not sent"): 1}
+    assert found.passed[COMMAND] == 0
+
+
+# -- several buses ----------------------------------------------------------------------
+
+TWO_BUSES = """
+thorvaldc: 1
+name: two_buses
+buses: {left: {bitrate: 500 kbit/s}, right: {bitrate: 250 kbit/s}}
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m, height: 650 mm}}
+  fl: {type: assembly/steered_drive, mount: frame.front_left, can: {id: 1, bus: left}}
+  fr: {type: assembly/steered_drive, mount: frame.front_right, can: {id: 1, bus: right}}
+  rl: {type: assembly/steered_drive, mount: frame.rear_left, can: {id: 2, bus: left}}
+  rr: {type: assembly/steered_drive, mount: frame.rear_right, can: {id: 2, bus: right}}
+"""
+
+
+def two_buses() -> Robot:
+    return compiled(TWO_BUSES)
+
+
+def test_a_robot_with_two_buses_drives_and_stops_as_one() -> None:
+    rig = Rig(two_buses())
+    rig.drive(Twist(0.4, 0.0, 0.0), 3.0)
+    assert rig.runner.driver.state.pose.x > 0.5
+    for name, wire in rig.simulated.wires.items():
+        assert wire.frames > 500, name
+    rig.simulated.devices["fr_controller"].power_off()
+    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.speed() == 0.0, 2.0)
+    rig.runner.shutdown()

@@ -1,0 +1,159 @@
+"""A robot on its bus, driven and asked over the channel; in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.examples import example_robot
+from tests.runtime.can_base.simulated_rig import Rig
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.tools.teleoperation.bus_vehicle import RunningVehicle
+from thorvaldc.tools.teleoperation.keyboard import Keyboard
+from thorvaldc.tools.teleoperation.operator import Limits
+from thorvaldc.tools.teleoperation.teleop_loop import operate
+
+
+class Driven:
+    """A rig whose commands come through its control."""
+
+    def __init__(self) -> None:
+        self.rig = Rig(example_robot("4wd4ws_wide"))
+        self.control = RunnerControl(self.rig.runner)
+        self.speeds: dict[str, float] = {}
+        self.rig.runner.feed = self.feed
+        self.rig.ready()
+
+    def feed(self, driver: Any, now: float) -> None:
+        for source, vx in self.speeds.items():
+            self.call("twist", source=source, vx=vx)
+        self.control.feed(driver, now)
+
+    def call(self, service: str, **arguments: Any) -> Any:
+        return self.control.call(service, **arguments)
+
+
+@pytest.fixture
+def driven() -> Driven:
+    return Driven()
+
+
+def test_a_source_drives_the_robot_on_its_bus(driven: Driven) -> None:
+    driven.speeds["auto_nav"] = 0.4
+    driven.rig.run(2.0)
+    state = driven.call("state")
+    assert (state["supervisor"], state["source"]) == ("active", "auto_nav")
+    assert driven.rig.speed() == pytest.approx(0.4, abs=0.02)
+    assert state["batteries"]["battery_left"]["charge"] == pytest.approx(0.9)
+    # A person takes over, and leaves.
+    driven.speeds["teleop_joy"] = 0.0
+    driven.rig.run(2.0)
+    assert driven.rig.speed() == 0.0
+    del driven.speeds["teleop_joy"]
+    driven.rig.run(2.0)
+    assert driven.rig.speed() == pytest.approx(0.4, abs=0.02)
+
+
+def test_nobody_publishes_and_it_comes_to_rest(driven: Driven) -> None:
+    driven.speeds["auto_nav"] = 0.4
+    driven.rig.run(2.0)
+    driven.speeds.clear()
+    driven.rig.run(2.0)
+    assert driven.rig.speed() == 0.0
+    assert driven.rig.state is State.READY
+
+
+def test_the_safety_stop_stops_the_drives_and_not_only_zeroes_the_speed(driven: Driven) -> None:
+    driven.speeds["auto_nav"] = 0.4
+    driven.rig.run(2.0)
+    driven.call("safety_stop")
+    driven.rig.run(1.0)
+    assert driven.rig.state is State.ESTOP
+    assert driven.rig.speed() == 0.0
+    state = driven.call("state")
+    assert state["fault"] == "the safety stop is engaged"
+    assert state["locks"] == ["safety_stop"]
+    with pytest.raises(ServiceError, match="the safety stop is engaged; release it first"):
+        driven.call("reset_faults")
+    driven.call("release_safety_stop")
+    driven.rig.run(1.0)
+    assert driven.rig.speed() == 0.0  # released is not yet allowed
+    with pytest.raises(ServiceError, match="command zero first"):
+        driven.call("reset_faults")
+    driven.speeds.clear()
+    driven.rig.run(1.0)
+    driven.call("reset_faults")
+    driven.rig.until(lambda: driven.rig.state is State.READY)
+
+
+def test_services_of_the_original(driven: Driven) -> None:
+    driven.call("set_output", board="io", output="beacon_red")
+    driven.call("mute_devices")
+    driven.call("reset_odometry")
+    driven.call("set_home_count_current_position_zero")
+    driven.call("home_steering")
+    assert driven.rig.state is State.HOMING
+    driven.rig.until(lambda: driven.rig.state is State.READY)
+    assert driven.call("state")["outputs"]["io"]["beacon_red"] is True
+    assert driven.call("from_devices") == []
+
+
+@pytest.mark.parametrize(
+    ("service", "arguments", "reason"),
+    [
+        ("set_output", {"board": "io", "output": "beacon_blue"}, "has no output `beacon_blue`"),
+        ("set_output", {"board": "x", "output": "y"}, "there is no IO board `x`"),
+        ("setup_motor_controller", {"node": "x", "setting": "y", "value": 1}, "no controller `x`"),
+        ("send_to_device", {"cob_id": 0x205, "data": "zz"}, "bytes in hexadecimal are wanted"),
+        ("send_to_device", {"cob_id": 0x900, "data": "00"}, "an identifier of 11 bits"),
+        ("send_to_device", {"cob_id": 0x205, "data": "00"}, "0x205: "),
+        ("reset_faults", {}, "there is nothing to reset"),
+        ("from_devices", {"bus": "x"}, "there is no bus `x`"),
+    ],
+)
+def test_what_is_refused(
+    driven: Driven, service: str, arguments: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(ServiceError) as refused:
+        driven.call(service, **arguments)
+    assert reason in str(refused.value)
+
+
+def test_an_operator_drives_the_robot_on_its_bus() -> None:
+    """Keys by the bus's own virtual time."""
+    rig = Rig(example_robot("4wd4ws_wide"))
+    control = RunnerControl(rig.runner)
+    rig.runner.feed = control.feed
+    vehicle = RunningVehicle(rig.runner, control)
+    shown: list[list[str]] = []
+
+    def typed() -> Iterator[list[str]]:
+        while not rig.runner.ready:
+            yield ["i"]  # held too early: it does not drive off once it can
+        early = rig.now + 0.5
+        while rig.now < early:
+            yield ["i"]
+        assert rig.speed() == 0.0
+        resting = rig.now + 1.5
+        while rig.now < resting:
+            yield []
+        ends = rig.now + 3.0
+        while rig.now < ends:
+            yield ["i"]
+        yield ["q"]
+
+    keys = typed()
+    keyboard = Keyboard(Limits.of(vehicle.description), lambda: next(keys), 0.5)
+    operate(vehicle, keyboard, "teleop_joy", shown.append, clock=lambda: rig.now)
+    assert rig.runner.driver.state.pose.x > 1.0
+    assert rig.speed() < 0.1
+    assert any("homing  drives: teleop_joy" in lines[1] for lines in shown)
+    held = "ready  drives: teleop_joy  held: a motion was commanded before it was ready"
+    assert any(held in lines[1] for lines in shown)
+    assert any("active  drives: teleop_joy" in lines[1] for lines in shown)
+    vehicle.close()
+    assert rig.speed() == 0.0

@@ -1,0 +1,57 @@
+"""Ramps between twists: their corners, their straightness, and waiting for the wheels."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from thorvaldc.model import DriverSettings
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.twist_ramp import LEAD, Ramp
+
+SETTINGS = DriverSettings(50.0, 0.5, 1.5, 1.0, 1.5, 1.0)
+DT = 0.02
+
+
+def steps(ramp: Ramp, goal: Twist, seconds: float) -> list[Twist]:
+    return [ramp.step(goal, DT) for _ in range(round(seconds / DT))]
+
+
+def test_acceleration_begins_and_ends_gently() -> None:
+    ramp = Ramp(SETTINGS, 1.0, 0.2)
+    seen = [0.0, 0.0, *(twist.vx for twist in steps(ramp, Twist(1.2, 0.0, 0.0), 2.0))]
+    accelerations = [(b - a) / DT for a, b in pairwise(seen)]
+    jerks = [(b - a) / DT for a, b in pairwise(accelerations)]
+    assert max(accelerations) == pytest.approx(1.5)
+    assert max(map(abs, jerks)) <= 1.5 / 0.2 + 1e-6
+    assert seen[-1] == 1.2
+    without = [t.vx for t in steps(Ramp(SETTINGS, 1.0, 0.0), Twist(1.2, 0.0, 0.0), 2.0)]
+    # Later by half of what it is smoothed over.
+    assert sum(without) - sum(seen) == pytest.approx(1.2 * 0.1 / DT)
+
+
+def test_the_way_from_rest_and_to_rest_keeps_the_centre_of_rotation() -> None:
+    ramp, goal = Ramp(SETTINGS, 1.0, 0.2), Twist(0.8, -0.2, 0.5)
+    for twist in (*steps(ramp, goal, 1.5), *steps(ramp, ZERO_TWIST, 1.5)):
+        assert twist.vx * goal.wz == pytest.approx(twist.wz * goal.vx, abs=1e-12)
+        assert twist.vx * goal.vy == pytest.approx(twist.vy * goal.vx, abs=1e-12)
+    assert ramp.twist == ZERO_TWIST
+
+
+def test_it_waits_for_the_wheels() -> None:
+    ramp = Ramp(SETTINGS, 2.0, 0.2)
+    steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
+    ramp.draw_back(Twist(0.2, 0.0, 0.0))
+    ahead = math.hypot(ramp.twist.vx - 0.2, 2.0 * ramp.twist.wz)
+    assert ahead == pytest.approx(LEAD)
+    steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
+    ramp.draw_back(Twist(0.2, 0.0, 0.0), aligned=False)
+    size = math.hypot(ramp.twist.vx, 2.0 * ramp.twist.wz)
+    assert size == pytest.approx(0.2 * ramp.twist.vx / size + LEAD)
+    assert ramp.twist.wz / ramp.twist.vx == pytest.approx(0.4)
+    following = ramp.step(Twist(1.0, 0.0, 0.4), DT)
+    assert following.vx - ramp.twist.vx < 1.5 * DT + 1e-9
+    ramp.restart(ZERO_TWIST)
+    assert ramp.step(ZERO_TWIST, DT) == ZERO_TWIST

@@ -1,0 +1,478 @@
+"""A drive after CiA 402, driven by its objects as any drive would be."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from typing import Any
+
+import pytest
+
+from tests.simulation.bus.master import Master
+from thorvaldc.simulation.bus.canopen_device import Profile
+from thorvaldc.simulation.bus.cia402_axis import AxisSettings
+from thorvaldc.simulation.bus.cia402_device import Cia402Drive
+from thorvaldc.simulation.bus.pdo import Pdo
+from thorvaldc.simulation.bus.simulated_motors import IdealMotor
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.wire import Wire
+
+NODE = 10
+COUNT = 4 * 1024 * 42 / math.tau  # counts for a rad
+TOP, ACCELERATION = 7.0, 7.5
+STOP = math.pi
+LIMIT = 3.078
+SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, DISABLE, RESET = 0x06, 0x07, 0x0F, 0x02, 0x00, 0x80
+STATES = {
+    0x40: "switch on disabled",
+    0x21: "ready to switch on",
+    0x23: "switched on",
+    0x27: "operation enabled",
+    0x07: "quick stop active",
+    0x0F: "fault reaction active",
+    0x08: "fault",
+}
+
+
+class Drive:
+    """A drive with a motor between stops half a turn away, and its master."""
+
+    def __init__(self, position: float = 0.0, **more: Any) -> None:
+        self.wire = Wire(Timeline())
+        self.master = Master(Client(self.wire, "master"))
+        self.motor = IdealMotor(TOP, ACCELERATION, 100.0, -STOP, STOP, position=position)
+        given = {"lower": -LIMIT, "upper": LIMIT, **more}
+        settings = AxisSettings(42.0, 1024, COUNT, COUNT, TOP, ACCELERATION, 100.0, **given)
+        self.device = Cia402Drive(
+            "drive",
+            self.wire,
+            500_000,
+            NODE,
+            Profile(heartbeat_period=0.0),
+            [(settings, self.motor)],
+            received=[
+                Pdo(1, 0x200, 1, ((0x6040, 0, 16), (0x607A, 0, 32))),
+                Pdo(2, 0x300, 255, ((0x6040, 0, 16), (0x60FF, 0, 32))),
+            ],
+            sent=[Pdo(1, 0x180, 1, ((0x6041, 0, 16), (0x6064, 0, 32)))],
+        )
+        self.axis = self.device.axes[0]
+        self.device.power_on()
+        self.master.client.sleep(0.2)
+        self.master.nmt(1)
+
+    def sleep(self, seconds: float) -> None:
+        self.master.client.sleep(seconds)
+        self.master.client.received.clear()
+
+    def set(self, index: int, value: float, size: int = 4, subindex: int = 0) -> None:
+        self.master.write(NODE, index, subindex, round(value), size)
+
+    def get(self, index: int, subindex: int = 0) -> int:
+        return self.master.number(NODE, index, subindex, signed=True)
+
+    def control(self, *words: int) -> None:
+        for word in words:
+            self.set(0x6040, word, 2)
+
+    @property
+    def state(self) -> str:
+        return STATES[self.word & (0x4F if self.word & 0x40 or self.word & 0x08 else 0x6F)]
+
+    @property
+    def word(self) -> int:
+        return self.master.number(NODE, 0x6041)
+
+    def enable(self, mode: int) -> None:
+        self.set(0x6060, mode, 1)
+        self.control(SHUTDOWN, SWITCH_ON, ENABLE)
+
+    @property
+    def joint(self) -> tuple[float, float]:
+        state = self.motor.read(self.wire.timeline.seconds)
+        return state.position, state.velocity
+
+
+# -- states -------------------------------------------------------------------------------
+
+
+def test_the_way_to_operation_enabled() -> None:
+    drive = Drive()
+    found = [drive.state]
+    for word in (SWITCH_ON, SHUTDOWN, SWITCH_ON, ENABLE, SWITCH_ON, SHUTDOWN, ENABLE, DISABLE):
+        drive.control(word)
+        drive.sleep(0.01)
+        found.append(drive.state)
+    assert found == [
+        "switch on disabled",
+        "switch on disabled",  # not by this word
+        "ready to switch on",
+        "switched on",
+        "operation enabled",
+        "switched on",
+        "ready to switch on",
+        "operation enabled",  # both at once, as newer editions of CiA 402 allow
+        "switch on disabled",
+    ]
+
+
+def test_quick_stop_ramps_and_lets_go() -> None:
+    drive = Drive()
+    drive.enable(3)
+    drive.set(0x60FF, 2.0 * COUNT)
+    drive.sleep(0.6)
+    assert drive.joint[1] == pytest.approx(2.0, abs=1e-3)
+    drive.set(0x6085, 4.0 * COUNT)
+    drive.control(QUICK_STOP)
+    drive.sleep(0.1)
+    assert drive.state == "quick stop active"
+    assert 1.2 < drive.joint[1] < 1.7
+    drive.sleep(0.5)
+    assert drive.joint[1] == 0.0
+    assert drive.state == "switch on disabled"
+
+
+def test_quick_stop_that_stays() -> None:
+    drive = Drive()
+    drive.set(0x605A, 6, 2)
+    drive.enable(3)
+    drive.set(0x60FF, COUNT)
+    drive.sleep(0.3)
+    drive.control(QUICK_STOP)
+    drive.sleep(0.5)
+    assert drive.state == "quick stop active"
+    assert drive.joint[1] == 0.0
+    drive.control(ENABLE)
+    drive.sleep(0.3)
+    assert drive.state == "operation enabled"
+    assert drive.joint[1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_nothing_moves_while_it_is_not_enabled() -> None:
+    drive = Drive()
+    drive.set(0x6060, 3, 1)
+    drive.set(0x60FF, COUNT)
+    drive.control(SHUTDOWN, SWITCH_ON)
+    drive.sleep(0.5)
+    assert drive.joint == (0.0, 0.0)
+    drive.control(ENABLE)
+    drive.sleep(0.5)
+    drive.control(DISABLE)
+    drive.sleep(1.0)
+    assert drive.joint[1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("option", "state", "speed"),
+    [
+        (0, "operation enabled", 1.0),
+        (1, "fault", 0.0),
+        (2, "switch on disabled", 0.0),
+        (3, "switch on disabled", 0.0),
+    ],
+)
+def test_what_it_does_when_the_master_is_lost(option: int, state: str, speed: float) -> None:
+    """Object 0x6007, by a heartbeat of the master that stays away (0x1016)."""
+    drive = Drive()
+    drive.set(0x6007, option, 2)
+    drive.set(0x1029, 1, 1, subindex=1)
+    drive.set(0x1016, 127 << 16 | 200, subindex=1)
+    drive.enable(3)
+    drive.set(0x60FF, COUNT)
+    for _ in range(5):
+        drive.master.send(0x77F, b"\5")
+        drive.sleep(0.1)
+    assert drive.joint[1] == pytest.approx(1.0, abs=1e-3)
+    drive.sleep(0.7)
+    assert drive.state == state
+    assert drive.joint[1] == pytest.approx(speed, abs=1e-3)
+
+
+def test_a_fault_needs_a_reset_that_rises() -> None:
+    drive = Drive()
+    drive.enable(3)
+    drive.axis.fail(0x2310)
+    drive.sleep(0.05)
+    assert drive.state == "fault"
+    assert drive.master.number(NODE, 0x603F) == 0x2310
+    drive.control(ENABLE)
+    assert drive.state == "fault"
+    drive.control(RESET)
+    assert drive.state == "switch on disabled"
+    assert drive.master.number(NODE, 0x603F) == 0
+    drive.axis.fail(0x2310)
+    drive.control(RESET)
+    assert drive.state == "fault", "the bit was high already"
+    drive.control(0, RESET)
+    assert drive.state == "switch on disabled"
+
+
+def test_leaving_operational_stops_it() -> None:
+    drive = Drive()
+    drive.set(0x6007, 3, 2)
+    drive.enable(3)
+    drive.set(0x60FF, COUNT)
+    drive.sleep(0.5)
+    drive.master.nmt(128)
+    drive.sleep(0.5)
+    assert drive.joint[1] == 0.0
+    assert drive.state == "switch on disabled"
+
+
+# -- modes --------------------------------------------------------------------------------
+
+
+def test_profile_velocity_ramps_by_its_accelerations() -> None:
+    drive = Drive()
+    drive.set(0x6083, 2.0 * COUNT)
+    drive.set(0x6084, 4.0 * COUNT)
+    drive.enable(3)
+    drive.set(0x60FF, 1.0 * COUNT)
+    drive.sleep(0.25)
+    assert drive.joint[1] == pytest.approx(0.5, abs=0.02)
+    assert not drive.word & 1 << 10
+    drive.sleep(0.4)
+    assert drive.joint[1] == pytest.approx(1.0, abs=1e-3)
+    assert drive.word & 1 << 10, "target reached"
+    assert drive.get(0x606C) == pytest.approx(COUNT, abs=1)
+    drive.set(0x60FF, 0)
+    drive.sleep(0.125)
+    assert drive.joint[1] == pytest.approx(0.5, abs=0.03)
+    drive.sleep(0.2)
+    assert drive.word & 1 << 12, "speed is zero"
+
+
+def test_speed_is_limited_and_says_so() -> None:
+    drive = Drive()
+    drive.set(0x607F, 0.5 * COUNT)
+    drive.enable(3)
+    drive.set(0x60FF, COUNT)
+    drive.sleep(0.5)
+    assert drive.joint[1] == pytest.approx(0.5, abs=0.01)
+    assert drive.word & 1 << 11
+
+
+def test_software_limits_end_a_motion() -> None:
+    drive = Drive()
+    drive.enable(3)
+    drive.set(0x60FF, 3.0 * COUNT)
+    drive.sleep(4.0)
+    assert drive.joint[0] == pytest.approx(LIMIT, abs=0.02)
+    assert drive.joint[1] == pytest.approx(0.0, abs=0.01)
+    assert drive.word & 1 << 11
+    drive.set(0x60FF, -1.0 * COUNT)
+    drive.sleep(0.5)
+    assert drive.joint[1] == pytest.approx(-1.0, abs=0.01), "back is allowed"
+
+
+def test_without_limits_the_stops_hold_and_it_is_a_fault() -> None:
+    drive = Drive(lower=None, upper=None)
+    drive.enable(3)
+    drive.set(0x60FF, 2.0 * COUNT)
+    drive.sleep(3.0)
+    assert drive.joint == (STOP, 0.0)
+    assert drive.state == "fault"
+
+
+def test_profile_position_moves_and_arrives() -> None:
+    drive = Drive()
+    drive.set(0x6081, 1.0 * COUNT)
+    drive.enable(1)
+    drive.set(0x607A, 1.0 * COUNT)
+    drive.control(ENABLE | 0x10)
+    drive.sleep(0.005)
+    assert drive.word & 1 << 12, "set-point acknowledged"
+    drive.control(ENABLE)
+    assert not drive.word & 1 << 12
+    drive.sleep(0.5)
+    assert 0.3 < drive.joint[0] < 0.6
+    assert not drive.word & 1 << 10
+    drive.sleep(0.8)
+    assert drive.joint[0] == pytest.approx(1.0, abs=1e-4)
+    assert drive.word & 1 << 10
+    assert drive.get(0x6064) == pytest.approx(COUNT, abs=1)
+
+
+def test_profile_position_by_steps_and_at_once() -> None:
+    drive = Drive()
+    drive.set(0x6081, 2.0 * COUNT)
+    drive.enable(1)
+    for target in (0.5, 1.0):
+        drive.set(0x607A, target * COUNT)
+        drive.control(ENABLE | 0x10)
+        drive.control(ENABLE)
+    drive.sleep(1.5)
+    assert drive.joint[0] == pytest.approx(1.0, abs=1e-3), "one after the other"
+    drive.set(0x607A, -2.0 * COUNT)
+    drive.control(ENABLE | 0x10)
+    drive.control(ENABLE)
+    drive.sleep(0.2)
+    drive.set(0x607A, 0.5 * COUNT)
+    drive.control(ENABLE | 0x30)
+    drive.sleep(1.2)
+    assert drive.joint[0] == pytest.approx(0.5, abs=1e-3), "at once, from where it was"
+    drive.control(ENABLE)
+    drive.control(ENABLE | 0x50)
+    drive.sleep(1.2)
+    assert drive.joint[0] == pytest.approx(1.0, abs=1e-3), "relative to the target before"
+
+
+def test_profile_position_halts_and_goes_on() -> None:
+    drive = Drive()
+    drive.set(0x6081, 1.0 * COUNT)
+    drive.enable(1)
+    drive.set(0x607A, 2.0 * COUNT)
+    drive.control(ENABLE | 0x10)
+    drive.sleep(0.5)
+    drive.control(ENABLE | 0x110)
+    drive.sleep(0.5)
+    halted = drive.joint[0]
+    assert drive.joint[1] == 0.0
+    assert halted < 1.0
+    drive.control(ENABLE | 0x10)
+    drive.sleep(3.0)
+    assert drive.joint[0] == pytest.approx(2.0, abs=1e-3)
+
+
+def test_a_target_beyond_the_limit_ends_at_it() -> None:
+    drive = Drive()
+    drive.enable(1)
+    drive.set(0x607A, 5.0 * COUNT)
+    drive.control(ENABLE | 0x10)
+    drive.sleep(3.0)
+    assert drive.joint[0] == pytest.approx(LIMIT, abs=1e-3)
+    assert drive.word & 1 << 11
+
+
+def cyclic(drive: Drive, targets: list[float]) -> list[tuple[int, int]]:
+    """A control cycle for each target: RPDO, SYNC; the status and positions that come back."""
+    found = []
+    for target in targets:
+        drive.master.send(0x20A, struct.pack("<Hi", ENABLE, round(target * COUNT)))
+        drive.master.send(0x080, b"")
+        answer = drive.master.wait(0x18A, 0.01)
+        if answer is not None:
+            found.append(struct.unpack("<Hi", answer))
+        drive.sleep(0.02 - 0.0008)
+    return found
+
+
+def test_cyclic_position_follows_between_the_targets() -> None:
+    drive = Drive()
+    drive.enable(8)
+    found = cyclic(drive, [0.02 * k for k in range(50)])
+    assert len(found) == 50, "a report for each SYNC"
+    positions = [p / COUNT for _, p in found]
+    assert positions[-1] == pytest.approx(0.94, abs=0.03), "two cycles behind"
+    steps = [b - a for a, b in itertools.pairwise(positions[5:])]
+    assert all(0.015 < step < 0.025 for step in steps), steps
+    assert not found[-1][0] & 1 << 13
+
+
+def test_a_blocked_motor_is_a_following_error() -> None:
+    drive = Drive()
+    drive.set(0x6065, 0.1 * COUNT)
+    drive.set(0x6066, 50, 2)
+    drive.enable(8)
+    cyclic(drive, [0.0] * 3)
+    drive.motor.blocked = True
+    cyclic(drive, [0.02 * k for k in range(1, 6)])
+    assert drive.state == "operation enabled"
+    cyclic(drive, [0.1 + 0.02 * k for k in range(1, 6)])
+    drive.sleep(0.2)
+    assert drive.state == "fault"
+    assert drive.master.number(NODE, 0x603F) == 0x8611
+
+
+def test_no_window_no_following_error() -> None:
+    drive = Drive()
+    drive.set(0x6065, 0xFFFFFFFF)
+    drive.enable(8)
+    drive.motor.blocked = True
+    cyclic(drive, [0.05 * k for k in range(20)])
+    assert drive.state == "operation enabled"
+
+
+@pytest.mark.parametrize("what", ["blocked", "frozen"])
+def test_a_speed_that_does_not_come_is_a_fault(what: str) -> None:
+    drive = Drive()
+    drive.enable(9)
+    if what == "blocked":
+        drive.motor.blocked = True
+    else:
+        drive.axis.encoder.frozen = True
+    drive.set(0x60FF, 1.0 * COUNT)
+    drive.sleep(0.7)
+    assert drive.state == "fault"
+    assert drive.master.number(NODE, 0x603F) == 0x8400
+    drive.sleep(0.5)
+    assert drive.joint[1] == 0.0
+
+
+def test_cyclic_velocity_needs_no_sync_by_an_event_driven_pdo() -> None:
+    drive = Drive()
+    drive.enable(9)
+    drive.master.send(0x30A, struct.pack("<Hi", ENABLE, round(COUNT)))
+    drive.sleep(0.3)
+    assert drive.joint[1] == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_brake_opens_before_it_moves() -> None:
+    plain, braked = Drive(), Drive(brake=True)
+    for drive in (plain, braked):
+        drive.set(0x6060, 9, 1)
+        drive.set(0x60FF, COUNT)
+        drive.control(SHUTDOWN, SWITCH_ON, ENABLE)
+        drive.sleep(0.015)
+    assert plain.joint[0] > 0.0
+    assert braked.joint[0] == 0.0
+    braked.sleep(0.05)
+    assert braked.joint[0] > 0.0
+
+
+# -- homing -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("method", "home"), [(17, -LIMIT), (18, LIMIT), (-1, -STOP), (-2, STOP), (37, 0.7)]
+)
+def test_homing_finds_zero(method: int, home: float) -> None:
+    """It was switched on anywhere; afterwards it counts from where the offset says."""
+    drive = Drive(position=0.7)
+    assert drive.get(0x6064) == 0
+    drive.set(0x6098, method & 0xFF, 1)
+    drive.set(0x607C, -home * COUNT)
+    drive.enable(6)
+    drive.control(ENABLE | 0x10)
+    drive.sleep(12.0)
+    assert drive.word & 1 << 12, "attained"
+    assert not drive.word & 1 << 13
+    joint, speed = drive.joint
+    assert speed == 0.0
+    assert joint == pytest.approx(home, abs=0.02)
+    assert drive.get(0x6064) / COUNT == pytest.approx(joint, abs=0.01)
+
+
+def test_a_homing_method_that_it_lacks_is_an_error() -> None:
+    drive = Drive()
+    drive.set(0x6098, 5, 1)
+    drive.enable(6)
+    drive.control(ENABLE | 0x10)
+    drive.sleep(0.1)
+    assert drive.word & 1 << 13
+    assert drive.joint == (0.0, 0.0)
+
+
+def test_homing_is_forgotten_with_the_power() -> None:
+    drive = Drive(position=0.7)
+    drive.set(0x6098, 37, 1)
+    drive.enable(6)
+    drive.control(ENABLE | 0x10)
+    drive.sleep(0.1)
+    assert drive.word & 1 << 12
+    drive.device.power_off()
+    drive.device.power_on()
+    drive.sleep(0.2)
+    assert not drive.word & 1 << 12

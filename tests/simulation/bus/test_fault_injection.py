@@ -1,0 +1,263 @@
+"""Faults by a script: what is seen on the bus of each, when it comes and when it goes."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.examples import example_robot
+from tests.robots import SPAN
+from tests.simulation.bus.master import Master
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.error_state import ErrorState
+from thorvaldc.compiler.pipeline import read_faults
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults
+from thorvaldc.simulation.bus.fault_injection import Faults
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "bus_faults" / "bad_day.yaml"
+FL = "fl_controller"
+
+
+class Run:
+    """The bus with drives after CiA 402 (ids 1 to 4), and faults on it."""
+
+    def __init__(self, *faults: BusFault, robot: Robot | None = None, seed: int = 0) -> None:
+        self.simulated = SimulatedRobot(robot or cia402_robot(), seed=seed)
+        self.master = Master(self.simulated.client(receive_limit=100_000))
+        self.said: list[tuple[float, str, bool]] = []
+        self.faults = Faults(
+            self.simulated,
+            BusFaults(faults),
+            lambda time, fault, begins: self.said.append((time, fault.kind, begins)),
+        )
+        self.simulated.power_on()
+
+    def beats(self, node: int, seconds: float) -> int:
+        """Heartbeats of a node in the time that follows."""
+        return len(self.master.all(0x700 + node, seconds))
+
+
+def fault(kind: str, node: str | None = FL, at: float | None = 1.0, **more: Any) -> BusFault:
+    return BusFault(kind, "main", node, at, more.pop("frame", None), SPAN, **more)
+
+
+def test_power_cut_of_one_and_back() -> None:
+    run = Run(fault("power_cut", duration=1.0))
+    run.simulated.run(1.0)
+    run.master.client.received.clear()
+    assert run.beats(1, 0.9) == 0
+    run.simulated.run(0.1)
+    boots = run.master.all(0x701, 0.3)
+    assert boots[0] == b"\0"
+    assert run.said == [(1.0, "power_cut", True), (2.0, "power_cut", False)]
+
+
+def test_power_cut_of_the_whole_bus() -> None:
+    run = Run(fault("power_cut", None, duration=1.0))
+    run.simulated.run(1.001)
+    assert not any(device.powered for device in run.simulated.devices.values())
+    run.master.client.received.clear()
+    run.simulated.run(0.9)
+    assert len(run.master.client.received) == 0
+    run.simulated.run(0.2)
+    assert all(device.powered for device in run.simulated.devices.values())
+
+
+@pytest.mark.parametrize("number", [1, 17, 40])
+def test_power_cut_at_a_frame_destroys_that_frame(number: int) -> None:
+    run = Run(fault("power_cut", None, at=None, frame=number))
+    run.simulated.run(2.0)
+    assert run.simulated.wire().frames == number - 1
+    assert run.simulated.wire().errors >= 1
+
+
+def test_a_delay_after_a_frame() -> None:
+    run = Run(fault("power_cut", None, at=None, frame=10, delay=0.005))
+    run.simulated.run(2.0)
+    assert run.simulated.wire().frames >= 10
+    time, _, _ = run.said[0]
+    assert 0.0 < time < 2.0
+
+
+def test_mute_and_heartbeat_stop() -> None:
+    run = Run(fault("mute", duration=1.0), fault("heartbeat_stop", "fr_controller", duration=1.0))
+    run.simulated.run(1.0)
+    run.master.client.received.clear()
+    assert run.beats(1, 0.99) == run.beats(2, 0.0) == 0
+    run.simulated.run(0.01)
+    assert run.beats(1, 1.0) == 10
+    again = Run(fault("heartbeat_stop"))
+    again.simulated.run(1.05)
+    again.master.client.received.clear()
+    assert again.master.number(1, 0x1018, 4) == 0x101, "it is there, but does not say so"
+
+
+def test_duplicate_id() -> None:
+    run = Run(fault("duplicate_id", id=2))
+    run.simulated.run(1.3)
+    run.master.client.received.clear()
+    run.master.send(0x602, struct.pack("<BHB4x", 0x40, 0x1018, 4))
+    found = {struct.unpack_from("<I", data, 4)[0] for data in run.master.all(0x582, 0.02)}
+    assert found == {0x101, 0x102}
+
+
+def test_babble_takes_the_bus() -> None:
+    run = Run(fault("babble", cob_id=0x001, period=150e-6, duration=1.0))
+    run.simulated.run(1.0)
+    run.master.client.received.clear()
+    assert run.beats(2, 1.0) <= 1, "nothing of lower priority gets through"
+    run.simulated.run(0.1)
+    run.master.client.received.clear()
+    assert run.beats(2, 1.0) == 10
+
+
+def test_emcy() -> None:
+    run = Run(fault("emcy", code=0x2310, register=2))
+    run.simulated.run(0.99)
+    run.master.client.received.clear()
+    found = run.master.wait(0x081, 0.1)
+    assert found is not None
+    assert struct.unpack_from("<HB", found) == (0x2310, 3)
+
+
+@pytest.mark.parametrize("kind", ["frozen_encoder", "blocked_motor"])
+def test_motors_and_encoders(kind: str) -> None:
+    robot = example_robot("4wd4ws_wide")
+    run = Run(fault(kind, channel="propulsion"), robot=robot)
+    run.simulated.run(0.3)
+    run.master.nmt(1)
+    node = next(n for n in robot.buses[0].nodes if n.name == FL)
+    for k in range(150):
+        run.master.send(0x200 + node.id, struct.pack("<ii", k, 500))
+        run.simulated.run(0.02)
+    # Stall, and for the encoder its own flag; both stop the motor.
+    flags = run.master.all(0x380 + node.id, 0.2)[-1][0]
+    assert flags == (0x99 if kind == "frozen_encoder" else 0x19)
+
+
+def test_wrong_bitrate_is_cured_by_going_back() -> None:
+    run = Run(fault("wrong_bitrate", bitrate=250_000, duration=2.0))
+    run.simulated.run(1.0)
+    run.master.client.received.clear()
+    assert run.beats(1, 1.9) == 0
+    assert run.simulated.wire().errors > 10
+    run.simulated.run(0.5)
+    run.master.client.received.clear()
+    assert run.beats(1, 1.0) == 10
+    assert run.beats(2, 1.0) == 10
+
+
+def test_bus_off_comes_back_by_itself() -> None:
+    run = Run(fault("bus_off"))
+    states: list[ErrorState] = []
+    controller = run.simulated.devices[FL].controller
+    inner = controller.on_state
+
+    def watch(state: ErrorState) -> None:
+        states.append(state)
+        if inner is not None:
+            inner(state)
+
+    controller.on_state = watch
+    run.simulated.run(1.1)
+    assert states == [ErrorState.BUS_OFF, ErrorState.ACTIVE]
+
+
+def test_lost_frames_are_lost_for_the_receiver_alone() -> None:
+    run = Run(fault("lost_frames", at=0.5, cob_id=0x601, share=1.0, duration=1.0))
+    run.simulated.run(0.6)
+    run.master.send(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0))
+    assert run.master.wait(0x581) is None
+    assert run.master.number(2, 0x1000) == 0xFFFF0192
+    assert run.simulated.devices[FL].controller.lost == 1
+    assert run.simulated.wire().errors == 0
+    run.simulated.run(1.0)
+    assert run.master.number(1, 0x1000) == 0xFFFF0192
+
+
+def test_noise_costs_time_but_nothing_is_lost() -> None:
+    noisy, quiet = Run(fault("noise", None, at=0.0, share=0.3)), Run()
+    for run in (noisy, quiet):
+        run.simulated.run(3.0)
+    assert noisy.simulated.wire().errors > 50
+    assert quiet.simulated.wire().errors == 0
+    assert noisy.simulated.wire().frames == pytest.approx(quiet.simulated.wire().frames, abs=3)
+
+
+# -- the document -----------------------------------------------------------------------------
+
+
+def read(text: str, folder: Path) -> tuple[BusFaults | None, list[tuple[str, str]]]:
+    path = folder / "faults.yaml"
+    path.write_text("thorvaldc: 1\nfaults:\n" + text, encoding="utf-8")
+    report = Report()
+    script = read_faults(path, cia402_robot(), report)
+    return script, [(d.code.name, d.message) for d in report]
+
+
+def test_the_example_is_read() -> None:
+    report = Report()
+    script = read_faults(EXAMPLE, example_robot("4wd4ws_wide"), report)
+    assert list(report) == []
+    assert script is not None
+    assert script.seed == 3
+    assert [f.kind for f in script.faults] == [
+        "noise", "power_cut", "frozen_encoder", "duplicate_id", "emcy", "power_cut",
+    ]  # fmt: skip
+    noise, cut, frozen, twice, emcy, whole = script.faults
+    assert noise.share == pytest.approx(0.02)
+    assert (cut.node, cut.time, cut.duration) == (FL, 5.0, 2.0)
+    assert (frozen.channel, twice.id, emcy.code) == ("steering", 1, 0x3210)
+    assert whole.node is None
+    simulated = SimulatedRobot(example_robot("4wd4ws_wide"), seed=script.seed)
+    Faults(simulated, script)
+    simulated.power_on()
+    simulated.run(30.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("  - {fault: mute, at: 1 s}", "missing-key"),
+        ("  - {fault: mute, node: fl_controller}", "missing-key"),
+        ("  - {fault: mute, node: fl_controller, at: 1 s, frame: 3}", "conflicting-keys"),
+        ("  - {fault: mute, node: fl_controller, at: 1 s, share: 0.2}", "conflicting-keys"),
+        ("  - {fault: noise, node: fl_controller, at: 1 s, share: 0.2}", "conflicting-keys"),
+        ("  - {fault: bus_off, node: fl_controller, at: 1 s, for: 1 s}", "conflicting-keys"),
+        ("  - {fault: noise, at: 1 s, share: 1.2}", "out-of-range"),
+        ("  - {fault: noise, at: -1 s, share: 0.2}", "out-of-range"),
+        ("  - {fault: duplicate_id, node: fl_controller, id: 0, at: 1 s}", "can-id-range"),
+        ("  - {fault: duplicate_id, node: battery, id: 16, at: 1 s}", "can-id-range"),
+        ("  - {fault: frozen_encoder, node: fl_controller, channel: x, at: 0}", "channel-unknown"),
+        ("  - {fault: mute, bus: other, node: fl_controller, at: 1 s}", "can-bus-unknown"),
+        ("  - {fault: explode, node: fl_controller, at: 1 s}", "unknown-value"),
+        ("  - {fault: mute, node: fl_controller, at: 1 kg}", "wrong-dimension"),
+    ],
+)
+def test_what_is_wrong_in_a_document_is_said(text: str, code: str, tmp_path: Path) -> None:
+    script, said = read(text, tmp_path)
+    assert code in [name for name, _ in said], said
+    assert script is None
+
+
+def test_every_kind_of_fault_can_be_struck() -> None:
+    """All of the schema's kinds are known, and do something or raise nothing."""
+    more: dict[str, Any] = {
+        "id": 9, "cob_id": 0x400, "period": 0.01, "code": 0x1000, "channel": "steering",
+        "bitrate": 125_000, "share": 0.5,
+    }  # fmt: skip
+    faults = [
+        fault(kind, None if spec.node == "no" else FL, duration=0.5 if spec.lasts else None, **more)
+        for kind, spec in FAULT_KINDS.items()
+    ]
+    run = Run(*faults)
+    run.simulated.run(3.0)
+    begun = [kind for _, kind, begins in run.said if begins]
+    assert begun == list(FAULT_KINDS)
+    assert [f.kind for f in run.faults.active] == ["duplicate_id", "emcy", "bus_off"]

@@ -1,0 +1,450 @@
+"""The simulated bus under python-can and canopen, which know nothing of it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import can
+import canopen
+import pytest
+
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can import simulated_bus_protocol as protocol
+from thorvaldc.can.simulated_bus_client import RemoteClient
+from thorvaldc.simulation.bus import python_can_plugin as interface
+from thorvaldc.simulation.bus.bus_server import BusServer, serving
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.wire import Wire
+
+
+def message(identifier: int, data: bytes = b"", **more: Any) -> can.Message:
+    return can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **more)
+
+
+@pytest.fixture(autouse=True)
+def _known() -> None:
+    interface.register()
+
+
+@pytest.fixture
+def channel(tmp_path: Path) -> str:
+    return str(tmp_path / "bus.sock")
+
+
+@pytest.fixture
+def wire() -> Wire:
+    return Wire(Timeline())
+
+
+# -- virtual time, in one thread ---------------------------------------------------------------
+
+
+def test_two_buses_on_a_wire(wire: Wire) -> None:
+    with (
+        can.Bus(interface="thorvaldc_sim", channel=wire) as a,
+        interface.SimulatedBus(wire, name="b") as b,
+    ):
+        sent = message(0x123, b"\1\2\3")
+        a.send(sent)
+        got = b.recv(1.0)
+        assert got is not None
+        assert got.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
+        assert 0.0 < got.timestamp < 0.001, "virtual: it takes its bits and no more"
+        assert a.recv(0.0) is None
+        assert a.state is can.BusState.ACTIVE
+
+
+def test_time_outs_are_virtual(wire: Wire) -> None:
+    with interface.SimulatedBus(wire) as bus:
+        began = time.perf_counter()
+        assert bus.recv(3600.0) is None
+        assert bus.port.now == pytest.approx(3600.0)
+        assert time.perf_counter() - began < 1.0
+
+
+def test_filters_do_not_shorten_or_lengthen_a_time_out(wire: Wire) -> None:
+    filters = [{"can_id": 0x200, "can_mask": 0x7FF}]
+    with interface.SimulatedBus(wire, can_filters=filters) as bus:
+        other = Client(wire, "other")
+        for k in range(20):
+            wire.timeline.after((k + 1) * 10_000_000, lambda: other.send(interface.CanFrame(0x100)))
+        assert bus.recv(0.1) is None
+        assert bus.port.now == pytest.approx(0.1)
+        wire.timeline.after(1_000_000, lambda: other.send(interface.CanFrame(0x200)))
+        got = bus.recv(0.1)
+        assert got is not None
+        assert got.arbitration_id == 0x200
+
+
+def test_own_messages_and_remote_frames(wire: Wire) -> None:
+    with (
+        interface.SimulatedBus(wire, receive_own_messages=True) as a,
+        interface.SimulatedBus(wire, name="b") as b,
+    ):
+        a.send(message(0x100, is_remote_frame=True, dlc=4))
+        own, got = a.recv(0.1), b.recv(0.1)
+        assert own is not None
+        assert got is not None
+        assert (own.is_rx, got.is_rx) == (False, True)
+        assert got.is_remote_frame
+        assert got.dlc == 4
+
+
+def test_a_full_queue_and_bus_off_are_errors_of_python_can(wire: Wire) -> None:
+    with interface.SimulatedBus(wire) as bus:  # alone: nobody acknowledges
+        for _ in range(32):
+            bus.send(message(0x100))
+        assert isinstance(bus.port, Client)
+        with pytest.raises(can.CanOperationError, match="full"):
+            bus.send(message(0x100), timeout=0.0)
+        assert bus.port.now == 0.0
+        with pytest.raises(can.CanOperationError, match="full"):
+            bus.send(message(0x100))
+        assert bus.port.now == pytest.approx(1.0)
+        assert bus.state is can.BusState.PASSIVE
+        bus.port.controller.go_bus_off()
+        assert bus.state is can.BusState.ERROR
+        with pytest.raises(can.CanOperationError, match="bus-off"):
+            bus.send(message(0x100))
+        bus.state = can.BusState.ACTIVE
+        assert bus.state is can.BusState.ACTIVE
+        with pytest.raises(can.CanOperationError, match="classical"):
+            bus.send(message(0x100, bytes(12), is_fd=True))
+
+
+def test_cyclic_sending_is_virtual(wire: Wire) -> None:
+    with (
+        interface.SimulatedBus(wire) as a,
+        interface.SimulatedBus(wire, name="b") as b,
+    ):
+        task = a.send_periodic(message(0x100, b"\1"), 0.02)
+        times = [m.timestamp for m in (b.recv(0.1) for _ in range(50)) if m is not None]
+        assert times[-1] - times[0] == pytest.approx(49 * 0.02, abs=1e-4)
+        task.modify_data(message(0x100, b"\2"))  # type: ignore[attr-defined]
+        got = b.recv(0.1)
+        assert got is not None
+        assert got.data == b"\2"
+        task.stop()
+        assert b.recv(0.1) is None
+
+
+# -- by the clock, over a socket ---------------------------------------------------------------
+
+
+@pytest.fixture
+def robot(channel: str) -> Iterator[tuple[SimulatedRobot, str]]:
+    simulated = SimulatedRobot(
+        cia402_robot(),
+        kept={"fr_controller": {"node_id": 255}, "rl_controller": {"node_id": 255}},
+    )
+    simulated.power_on()
+    simulated.run(0.3)
+    with serving(simulated.timeline, {channel: simulated.wire()}):
+        yield simulated, channel
+
+
+def test_canopen_reads_and_writes_our_objects(robot: tuple[SimulatedRobot, str]) -> None:
+    simulated, channel = robot
+    with canopen.Network() as network:
+        network.connect(interface="thorvaldc_sim", channel=channel)
+        node = network.add_node(1, canopen.ObjectDictionary())
+        node.sdo.RESPONSE_TIMEOUT = 2.0
+        assert node.sdo.upload(0x1018, 4) == b"\x01\x01\0\0"
+        assert node.sdo.upload(0x1008, 0) == b"CiA 402 drive", "in segments"
+        node.sdo.download(0x1017, 0, (50).to_bytes(2, "little"))
+        assert node.sdo.upload(0x1017, 0) == b"\x32\0"
+        with pytest.raises(canopen.SdoAbortedError) as refused:
+            node.sdo.upload(0x5000, 0)
+        assert refused.value.code == 0x06020000
+        node.sdo.download(0x60FF, 0, (1000).to_bytes(4, "little"), force_segment=True)
+        assert node.sdo.upload(0x60FF, 0) == b"\xe8\3\0\0"
+        node.nmt.state = "OPERATIONAL"
+        node.nmt.wait_for_heartbeat(2.0)
+        assert node.nmt.state == "OPERATIONAL"
+        drive = simulated.devices["fl_controller"]
+        drive.timeline.at(0, lambda: drive.emergency(0x2310, 4))  # type: ignore[attr-defined]
+        found = node.emcy.wait(0x2310, timeout=2.0)
+        assert found is not None
+        assert found.register == 5
+
+
+def test_canopen_scans_for_nodes(robot: tuple[SimulatedRobot, str]) -> None:
+    """It sends 127 requests in one go, far more than a controller's queue holds."""
+    with canopen.Network() as network:
+        network.connect(interface="thorvaldc_sim", channel=robot[1])
+        network.scanner.search()
+        time.sleep(0.3)
+        # Frames of batteries look like PDOs to it, of nodes that there are not.
+        assert {1, 4} <= set(network.scanner.nodes)
+
+
+def test_lss_master_of_canopen(robot: tuple[SimulatedRobot, str]) -> None:
+    simulated, channel = robot
+    with canopen.Network() as network:
+        network.connect(interface="thorvaldc_sim", channel=channel)
+        master = network.lss
+        assert master.send_switch_state_selective(0, 402, 65536, 0x104)
+        assert master.inquire_node_id() == 4
+        assert master.inquire_lss_address(0x5D) == 0x104
+        master.configure_node_id(14)
+        master.store_configuration()
+        with pytest.raises(canopen.lss.LssError):
+            master.configure_bit_timing(5)
+        master.send_switch_state_global(master.WAITING_STATE)
+        network.nmt.send_command(0x82)
+        master.RESPONSE_TIMEOUT = 0.15
+        # Two have no id: fastscan finds first the one with the lower serial number.
+        for serial, node_id in ((0x102, 12), (0x103, 13)):
+            # An answer that comes too late, on a machine that is busy, is none: it asks again.
+            found, identity = next(
+                (scan for scan in (master.fast_scan() for _ in range(3)) if scan[0]), (False, None)
+            )
+            assert (found, identity) == (True, [0, 402, 65536, serial])
+            master.configure_node_id(node_id)
+            master.store_configuration()
+            master.send_switch_state_global(master.WAITING_STATE)
+            time.sleep(0.1)
+        assert not master.fast_scan()[0]
+    ids = [d.kept["node_id"] for n, d in simulated.devices.items() if n.endswith("_controller")]
+    assert ids == [1, 12, 13, 14]
+
+
+def test_several_programs_on_one_bus(wire: Wire, channel: str) -> None:
+    with serving(wire.timeline, {channel: wire}):
+        buses = [can.Bus(interface="thorvaldc_sim", channel=channel) for _ in range(3)]
+        try:
+            for k in range(200):
+                buses[k % 3].send(message(k, bytes([k])), timeout=1.0)
+            for i, bus in enumerate(buses):
+                # In the order of arbitration, not in that of sending.
+                expected = [k for k in range(200) if k % 3 != i]
+                got = [m for m in (bus.recv(5.0) for _ in expected) if m is not None]
+                assert sorted(m.arbitration_id for m in got) == expected
+                assert got[0].timestamp == pytest.approx(time.time(), abs=5.0)
+        finally:
+            for bus in buses:
+                bus.shutdown()
+
+
+def test_a_message_takes_the_time_of_its_bits_by_the_clock(channel: str) -> None:
+    """200 frames of 8 bytes at 50 kbit/s: half a second, as on a real bus."""
+    slow = Wire(Timeline(), 50_000)
+    with serving(slow.timeline, {channel: slow}):
+        a, b = RemoteClient(channel, "a"), RemoteClient(channel, "b")
+        began = time.monotonic()
+        for k in range(200):
+            assert a.send(interface.CanFrame(0x100, bytes([0x55, k] * 4)), timeout=2.0)
+        for _ in range(200):
+            assert b.receive(2.0) is not None
+        took = time.monotonic() - began
+        a.close()
+        b.close()
+    assert 0.40 < took < 1.5
+
+
+def test_state_is_told_over_the_socket(wire: Wire, channel: str) -> None:
+    with (
+        serving(wire.timeline, {channel: wire}),
+        can.Bus(interface="thorvaldc_sim", channel=channel) as bus,
+    ):
+        for _ in range(32):
+            bus.send(message(0x100))
+        with pytest.raises(can.CanOperationError, match="full"):
+            bus.send(message(0x100), timeout=0.0)
+        bus.recv(0.3)
+        assert bus.state is can.BusState.PASSIVE
+
+
+def test_a_bus_that_is_stopped_says_so(wire: Wire, channel: str) -> None:
+    with serving(wire.timeline, {channel: wire}):
+        bus = can.Bus(interface="thorvaldc_sim", channel=channel)
+    with pytest.raises(can.CanOperationError, match="stopped"):
+        bus.recv(1.0)
+    with pytest.raises(can.CanOperationError):
+        bus.send(message(0x100))
+    bus.shutdown()
+    assert not Path(channel).exists()
+
+
+def test_no_bus_at_a_channel(channel: str) -> None:
+    with pytest.raises(can.CanInitializationError, match="no bus is run"):
+        can.Bus(interface="thorvaldc_sim", channel=channel)
+
+
+def test_a_channel_in_use_is_refused_and_a_dead_one_is_not(wire: Wire, channel: str) -> None:
+    with (
+        serving(wire.timeline, {channel: wire}),
+        pytest.raises(OSError, match=r"is run at .* already"),
+    ):
+        BusServer(Timeline(), {channel: wire})
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(channel)
+    with serving(wire.timeline, {channel: wire}):
+        RemoteClient(channel).close()
+
+
+def test_what_is_no_socket_is_left_alone(wire: Wire, tmp_path: Path) -> None:
+    precious = tmp_path / "robot.yaml"
+    precious.write_text("thorvaldc: 1\n", encoding="utf-8")
+    with pytest.raises(OSError, match="is no socket"):
+        BusServer(Timeline(), {str(precious): wire})
+    assert precious.read_text(encoding="utf-8") == "thorvaldc: 1\n"
+
+
+@pytest.fixture
+def welcoming(channel: str) -> Iterator[Callable[[bytes], tuple[RemoteClient, socket.socket]]]:
+    """A server that is scripted: it welcomes a client, and says the given in the same breath."""
+    welcome = protocol.pack_json(protocol.WELCOME, {"bitrate": 500_000, "epoch": 0.0, "now": 0})
+    with socket.socket(socket.AF_UNIX) as listener, ExitStack() as ends:
+        listener.bind(channel)
+        listener.listen()
+
+        def attach(more: bytes) -> tuple[RemoteClient, socket.socket]:
+            streams: list[socket.socket] = []
+
+            def serve() -> None:
+                stream = ends.enter_context(listener.accept()[0])
+                stream.sendall(welcome + more)
+                streams.append(stream)
+
+            thread = threading.Thread(target=serve)
+            thread.start()
+            client = RemoteClient(channel, send_limit=3)
+            thread.join()
+            ends.callback(client.close)
+            return client, streams[0]
+
+        yield attach
+
+
+def test_frames_that_come_with_the_welcome_are_not_lost(
+    welcoming: Callable[[bytes], tuple[RemoteClient, socket.socket]],
+) -> None:
+    frames = [interface.CanFrame(k, bytes([k])) for k in range(1, 4)]
+    stream = b"".join(protocol.pack_frame(protocol.FRAME, frame) for frame in frames)
+    client, server = welcoming(stream[:-5])
+    server.sendall(stream[-5:])
+    assert [got.frame for got in (client.receive(2.0) for _ in frames) if got] == frames
+
+
+def test_what_is_on_its_way_to_the_server_counts_as_sent(
+    welcoming: Callable[[bytes], tuple[RemoteClient, socket.socket]],
+) -> None:
+    """A change of state tells what the server dropped; it cannot know what is still to come."""
+    client, server = welcoming(b"")
+    assert all(client.send(interface.CanFrame(1)) for _ in range(3))
+    passive = {"state": "error-passive", "dropped": 0}
+    server.sendall(protocol.pack_json(protocol.STATE, passive))
+    server.sendall(protocol.pack_frame(protocol.FRAME, interface.CanFrame(2)))
+    assert client.receive(2.0) is not None
+    assert not client.send(interface.CanFrame(1)), "three are under way"
+    active = {"state": "error-active", "dropped": 2}
+    server.sendall(protocol.pack_json(protocol.STATE, active))
+    server.sendall(protocol.pack_frame(protocol.FRAME, interface.CanFrame(2)))
+    assert client.receive(2.0) is not None
+    assert client.send(interface.CanFrame(1))
+
+
+def test_after_a_restart_there_is_room_again(wire: Wire, channel: str) -> None:
+    with serving(wire.timeline, {channel: wire}), closing(RemoteClient(channel)) as client:
+        while client.send(interface.CanFrame(1)):  # nobody acknowledges
+            pass
+        client.restart()
+        assert client.send(interface.CanFrame(1), timeout=2.0)
+
+
+def test_clients_are_served_while_the_simulation_falls_behind_the_clock(
+    wire: Wire, channel: str
+) -> None:
+    def slow() -> None:
+        time.sleep(0.02)
+        wire.timeline.after(5_000_000, slow)
+
+    wire.timeline.at(0, slow)
+    with serving(wire.timeline, {channel: wire}) as server:
+        a, b = RemoteClient(channel), RemoteClient(channel)
+        for k in range(5):
+            assert a.send(interface.CanFrame(k), timeout=2.0)
+            assert b.receive(2.0) is not None
+        a.close()
+        b.close()
+    assert server.behind > 50_000_000
+
+
+def test_a_channel_name_too_long_for_a_socket(wire: Wire) -> None:
+    with pytest.raises(OSError, match="more than 100 bytes"):
+        BusServer(Timeline(), {"/tmp/" + "x" * 120: wire})
+
+
+# -- lockstep ----------------------------------------------------------------------------------
+
+
+def test_lockstep_is_refused_by_the_clock(wire: Wire, channel: str) -> None:
+    with (
+        serving(wire.timeline, {channel: wire}),
+        pytest.raises(can.CanInitializationError, match="lockstep"),
+    ):
+        can.Bus(interface="thorvaldc_sim", channel=channel, lockstep=True)
+
+
+def test_a_burst_in_lockstep_waits_for_room(wire: Wire, channel: str) -> None:
+    with (
+        serving(wire.timeline, {channel: wire}, lockstep=True),
+        can.Bus(interface="thorvaldc_sim", channel=channel, lockstep=True) as bus,
+        can.Bus(interface="thorvaldc_sim", channel=channel) as other,
+    ):
+        for k in range(100):
+            bus.send(message(k))
+        bus.port.sleep(0.1)  # type: ignore[attr-defined]
+        assert all(other.recv(1.0) is not None for _ in range(100))
+
+
+def play(channel: str, pauses: tuple[float, float]) -> list[tuple[float, int, bytes]]:
+    """Two programs in lockstep, each as slow as it likes; what the second one hears."""
+    simulated = SimulatedRobot(cia402_robot(), seed=5)
+    simulated.power_on()
+    heard: list[tuple[float, int, bytes]] = []
+
+    def master() -> None:
+        with can.Bus(interface="thorvaldc_sim", channel=channel, lockstep=True) as bus:
+            for k in range(20):
+                time.sleep(pauses[0])
+                bus.send(message(0x080))
+                bus.send(message(0x000, bytes([1, k % 5])))
+                bus.port.sleep(0.02)  # type: ignore[attr-defined]
+
+    def monitor() -> None:
+        with can.Bus(
+            interface="thorvaldc_sim", channel=channel, lockstep=True, listen_only=True
+        ) as bus:
+            while bus.port.now < 0.3:  # type: ignore[attr-defined]
+                got = bus.recv(0.05)
+                if got is not None:
+                    time.sleep(pauses[1])
+                    heard.append((got.timestamp, got.arbitration_id, bytes(got.data)))
+
+    with serving(simulated.timeline, {channel: simulated.wire()}, lockstep=True):
+        first = RemoteClient(channel, "holds the time", lockstep=True)
+        threads = [threading.Thread(target=work) for work in (master, monitor)]
+        for thread in threads:
+            thread.start()
+        time.sleep(0.1)  # both are there
+        first.close()
+        for thread in threads:
+            thread.join(20.0)
+    return heard
+
+
+def test_programs_in_lockstep_see_the_same_however_slow_they_are(channel: str) -> None:
+    quick = play(channel, (0.0, 0.0))
+    slow = play(channel, (0.01, 0.001))
+    assert len(quick) > 60
+    assert quick == slow

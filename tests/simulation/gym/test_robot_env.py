@@ -1,0 +1,282 @@
+"""Environments pass Gymnasium's own checker, repeat by their seed, and end when they must."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from thorvaldc import environments
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.simulation.pictures import PictureError, graphics
+
+ROOT = Path(__file__).resolve().parents[3]
+SLIM = ROOT / "examples/4wd4ws_slim/robot.yaml"
+TALL = ROOT / "examples/4wd2ws_tall/robot.yaml"
+CART = ROOT / "examples/2wd0ws_greenhouse/robot.yaml"
+FIELD = ROOT / "examples/scenarios/field_edge.yaml"
+
+
+@pytest.fixture(scope="module")
+def gymnasium() -> Any:
+    import gymnasium
+
+    return gymnasium
+
+
+@pytest.fixture
+def draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo draws here, by what it finds now, and as before when the test is over."""
+    monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))
+    try:
+        graphics.choose_graphics()
+    except PictureError as fault:
+        if os.environ.get("CI"):
+            pytest.fail(str(fault))
+        pytest.skip(str(fault))
+
+
+def made(gymnasium: Any, file: Path, **options: Any) -> Any:
+    return gymnasium.make(environments.NAME, file=str(file), **options)
+
+
+@pytest.mark.usefixtures("draws")
+@pytest.mark.parametrize("action", ["twist", "joints"])
+@pytest.mark.parametrize("file", [TALL, CART, FIELD], ids=lambda path: path.parent.name)
+def test_gymnasium_finds_no_fault(gymnasium: Any, file: Path, action: str) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    env = made(gymnasium, file, action=action, spread=(0.1, 0.1, 0.2))
+    check_env(env.unwrapped)  # whose warnings are errors here
+    env.close()
+
+
+def test_a_twist_drives_and_the_odometry_tells(gymnasium: Any) -> None:
+    env = made(gymnasium, SLIM, duration=3.0).unwrapped
+    limit = env.robot.driver.max_linear_velocity
+    env.reset(seed=1)
+    for count in range(1, 31):
+        found, reward, terminated, truncated, info = env.step(np.array([0.8 / limit, 0.0, 0.0]))
+        assert reward == 0.0
+        assert not terminated
+        assert truncated == (count == 30)
+    assert info["cause"] == "time"
+    assert info["time"] == pytest.approx(3.0)
+    told = dict(zip(env.observation_names, found, strict=True))
+    assert told["vx"] == pytest.approx(0.8, abs=0.02)
+    assert told["x"] == pytest.approx(info["true_pose"][0], abs=0.02)
+    assert 1.5 < told["x"] < 2.4
+    assert told["fl_wheel_speed"] == pytest.approx(0.8 / env.robot.wheels[0].radius, rel=0.03)
+
+
+def test_joints_do_as_they_are_told(gymnasium: Any) -> None:
+    env = made(gymnasium, TALL, action="joints", rate=5.0).unwrapped
+    env.reset(seed=1)
+    motor = env.robot.actuator_of(env.robot.wheels[0].spin_joint)
+    turned = 0.5
+    scale = math.pi / 2
+    joint = env.robot.joint(env.robot.wheels[0].steering_joint)
+    if joint.upper is not None:
+        scale = max(abs(joint.lower), joint.upper)
+    asked = np.array([0.1] * 4 + [turned / scale, -1.0], dtype=np.float32)
+    for _ in range(10):
+        found, *_, info = env.step(asked)
+    told = dict(zip(env.observation_names, found, strict=True))
+    assert told["rl_wheel_speed"] == pytest.approx(0.1 * motor.max_velocity, rel=0.05)
+    assert told["fl_wheel_angle"] == pytest.approx(turned, abs=0.02)
+    assert told["fr_wheel_angle"] == pytest.approx(-scale, abs=0.05)
+    assert abs(info["true_pose"]).max() > 0.1
+    with pytest.raises(ValueError, match="finite numbers"):
+        env.step(np.array([math.nan] * 6))
+    # A new episode does not go on with the last one's commands.
+    env.reset(seed=1)
+    assert set(env._joints.commands.speeds) == {0.0}
+
+
+def episode(env: Any, seed: int, steps: int = 5) -> list[Any]:
+    found = [env.reset(seed=seed)[0]]
+    chance = np.random.default_rng(3)
+    actions = chance.uniform(-1, 1, (steps, 3)).astype(np.float32)
+    return [*found, *(env.step(action)[0] for action in actions)]
+
+
+def test_all_chance_is_the_seeds(gymnasium: Any) -> None:
+    env = made(gymnasium, FIELD, spread=(0.3, 0.3, 0.5)).unwrapped
+    first, second = episode(env, 7), episode(env, 7)
+    other = episode(made(gymnasium, FIELD, spread=(0.3, 0.3, 0.5)).unwrapped, 7)
+    for a, b, c in zip(first, second, other, strict=True):
+        assert (a == b).all()
+        assert (a == c).all()
+    # Another seed: another start, which odometry does not know, and other noise, which it does.
+    assert any((a != b).any() for a, b in zip(first, episode(env, 8), strict=True))
+
+
+def test_where_an_episode_starts_can_be_said(gymnasium: Any) -> None:
+    env = made(gymnasium, SLIM, spread=(1.0, 1.0, 3.0)).unwrapped
+    found, info = env.reset(seed=1, options={"offset": (0.5, -0.25, 1.0)})
+    assert info["true_pose"] == pytest.approx([0.5, -0.25, 1.0], abs=1e-9)
+    assert found[3:6] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    found, _, _, _, info = env.step(np.array([0.5, 0.0, 0.0]))
+    moved = info["true_pose"] - [0.5, -0.25, 1.0]
+    assert math.atan2(moved[1], moved[0]) == pytest.approx(1.0, abs=0.05)
+    starts = [env.reset(seed=seed)[1]["true_pose"] for seed in range(20)]
+    assert np.ptp(starts, axis=0)[0] > 0.5
+    assert (np.abs(starts) <= [1.0, 1.0, 3.0]).all()
+
+
+def test_a_reward_sees_the_step(gymnasium: Any) -> None:
+    seen = []
+
+    def forward(step: Any) -> float:
+        seen.append(step)
+        return float(step.after.pose_true.x - step.before.pose_true.x)
+
+    env = made(gymnasium, SLIM, reward=forward).unwrapped
+    env.reset(seed=1)
+    total = sum(env.step(np.array([0.5, 0.0, 0.0]))[1] for _ in range(10))
+    assert total == pytest.approx(env.step(np.zeros(3))[4]["true_pose"][0], abs=0.2)
+    assert total > 0.2
+    assert seen[0].duration == pytest.approx(0.1)
+    assert seen[0].collisions == 0
+
+
+def test_who_falls_over_or_leaves_all_bounds_is_terminated(gymnasium: Any) -> None:
+    env = made(gymnasium, TALL).unwrapped
+    env.reset(seed=1)
+    env.scene.model.opt.gravity[:] = (0.0, 12.0, -3.0)
+    for _ in range(50):
+        *_, terminated, truncated, info = env.step(np.zeros(3))
+        if terminated:
+            break
+    assert terminated
+    assert not truncated
+    assert info["cause"] == "tipped"
+    env.scene.model.opt.gravity[:] = (0.0, 0.0, -9.81)
+    _, info = env.reset(seed=1)
+    assert info["tilt"] < 0.01
+    env.scene.data.qvel[:] = 1e7
+    found, reward, terminated, _, info = env.step(np.zeros(3))
+    assert terminated
+    assert info["cause"] == "diverged"
+    assert env.observation_space.contains(found)
+    assert math.isfinite(reward)
+
+
+def test_faults_are_taken_back_between_episodes(gymnasium: Any) -> None:
+    env = made(gymnasium, FIELD).unwrapped
+    before = env.scene.model.geom_friction.copy()
+    env.reset(seed=1)
+    for _ in range(75):
+        env.step(np.zeros(3))
+    assert (env.scene.model.geom_friction != before).any()
+    env.reset(seed=1)
+    assert (env.scene.model.geom_friction == before).all()
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_several_at_once(gymnasium: Any, mode: str) -> None:
+    envs = gymnasium.make_vec(
+        environments.NAME, 2, vectorization_mode=mode, file=str(SLIM), spread=(0.1, 0.1, 0.1)
+    )
+    try:
+        found, info = envs.reset(seed=[3, 4])
+        assert found.shape == (2, len(info["true_pose"][0]) + 11)
+        assert (info["true_pose"][0] != info["true_pose"][1]).any()
+        for _ in range(3):
+            found, rewards, *_ = envs.step(np.full((2, 3), 0.4, dtype=np.float32))
+        assert (found[:, 3] > 0.001).all()
+        assert rewards.shape == (2,)
+    finally:
+        envs.close()
+
+
+@pytest.mark.usefixtures("draws")
+def test_pictures_follow_the_robot(gymnasium: Any) -> None:
+    env = made(gymnasium, SLIM, render_mode="rgb_array", size=(160, 90)).unwrapped
+    env.reset(seed=1)
+    first = env.render()
+    assert first.shape == (90, 160, 3)
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 50
+    for _ in range(5):
+        env.step(np.array([1.0, 0.0, 1.0]))
+    assert (env.render() != first).any()
+    env.close()
+    assert made(gymnasium, SLIM).unwrapped.render() is None
+
+
+def test_a_build_or_compiled_files_will_do(gymnasium: Any) -> None:
+    from thorvaldc.simulation.gym.robot_env import RobotEnv
+
+    model = compile_file(SLIM).model
+    assert model is not None
+    env = RobotEnv(model, emit(model, ["mjcf"]))  # type: ignore[arg-type]
+    assert env.reset(seed=1)[0].shape == env.observation_space.shape
+    fleet = compile_file(ROOT / "examples/fleet_of_four/fleet.yaml").model
+    assert fleet is not None
+    second = RobotEnv(fleet, emit(fleet, ["mjcf"]), robot="six", action="joints")
+    assert second.action_space.shape == (12,)
+
+
+def test_wrong_arguments_are_told(gymnasium: Any, tmp_path: Path) -> None:
+    for options in (
+        {"action": "torque"},
+        {"rate": 0.0},
+        {"duration": -1.0},
+        {"spread": (1.0, 1.0)},
+        {"robot": "none"},
+    ):
+        with pytest.raises(ValueError, match=r"must|spread|there is no robot"):
+            environments.make(SLIM, **options)
+    with pytest.raises(ValueError, match=r"is no scenario"):
+        environments.make(SLIM, scenario=TALL)
+    wrong = tmp_path / "robot.yaml"
+    wrong.write_text("thorvaldc: 1\nname: x\nmodules: {frame: {type: no/ne}}\n")
+    with pytest.raises(ValueError, match=r"robot\.yaml:3:\d+.*TV301"):
+        environments.make(wrong)
+    replaced = environments.make(TALL, scenario=FIELD)
+    assert (replaced.name, len(replaced.robot.wheels)) == ("thorvald", 4)
+
+
+def test_gymnasium_finds_it_by_its_module() -> None:
+    """In a process that has not heard of it."""
+    program = (
+        "import gymnasium\n"
+        f"env = gymnasium.make('thorvaldc.environments:thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
+        "print(env.reset(seed=1)[0].shape, env.spec.id)\n"
+        "import thorvaldc.environments\n"
+        "gymnasium.register_envs(thorvaldc.environments)\n"
+        f"gymnasium.make('thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    assert done.stdout == "(14,) thorvaldc/Robot-v0\n"
+
+
+@pytest.mark.parametrize("module", ["environments", "runtime.gym"])
+def test_without_gymnasium_a_line_says_what_to_install(module: str) -> None:
+    program = f"import sys; sys.modules['gymnasium'] = None; import thorvaldc.{module}"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("ImportError: an environment needs Gymnasium")
+    assert "pip install 'thorvaldc[gym]'" in last

@@ -1,0 +1,161 @@
+"""Simulated robots whose wheels are not as their drivers think, and calibrated ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.runtime.base_interface import BaseHandle, JointCommands
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+from thorvaldc.simulation.physics.rolling_base import RollingBase
+from thorvaldc.simulation.physics.sim_base import SimBase
+from thorvaldc.simulation.simulation_run import Simulation
+
+ROBOT = make_robot(FOUR_STEERED)
+NAMES = [wheel.name for wheel in ROBOT.wheels]
+WAY = [
+    Segment(0.0, Twist(0.8, 0.0, 0.0)),
+    Segment(3.0, Twist(0.5, 0.3, 0.6)),
+    Segment(6.0, Twist(0, 0, 0)),
+]
+RADII = {"w0": 1.01, "w1": 0.99, "w3": 1.02}
+OFFSETS = {"w0": math.radians(2.0), "w2": math.radians(-1.0)}
+
+
+def truly(robot: Robot, radii: dict[str, float], offsets: dict[str, float]) -> Robot:
+    """The robot as it is with these errors, known."""
+    wheels = tuple(replace(w, radius=w.radius * radii.get(w.name, 1.0)) for w in robot.wheels)
+    turned = {w.steering_joint: offsets.get(w.name, 0.0) for w in robot.wheels}
+    actuators = tuple(replace(a, encoder_offset=turned.get(a.joint, 0.0)) for a in robot.actuators)
+    return replace(robot, wheels=wheels, actuators=actuators)
+
+
+def follow(base: BaseHandle, angle: float, speed: float, seconds: float) -> None:
+    """All wheels to one angle, then rolling."""
+    n = len(NAMES)
+    base.read(0.0)
+    base.write(JointCommands([0.0] * n, [angle] * n), 0.0)
+    for tick in range(1, round((1.0 + seconds) * 50) + 1):
+        base.read(tick / 50)
+        base.write(JointCommands([speed if tick >= 50 else 0.0] * n, [angle] * n), tick / 50)
+
+
+# -- ideal joints on ideal ground -------------------------------------------------------
+
+
+def test_without_errors_wheels_do_as_commanded() -> None:
+    rolling, ideal = RollingBase(ROBOT), SimBase(ROBOT)
+    for base in (rolling, ideal):
+        follow(base, 0.3, 2.0, 2.0)
+    a, b = rolling.read(3.0), ideal.read(3.0)
+    assert a.speeds == pytest.approx(b.speeds, abs=1e-9)
+    assert a.angles == pytest.approx(b.angles, abs=1e-9)
+    assert a.positions == pytest.approx(b.positions, abs=1e-3)
+    pose = rolling.true_pose()
+    assert math.atan2(pose.y, pose.x) == pytest.approx(0.3, abs=1e-6)
+
+
+def test_errors_show_in_the_end_and_not_to_who_knows_them() -> None:
+    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, RADII, OFFSETS)}
+    blind = Simulation(ROBOT, hidden=hidden).run(8.0, WAY).robots[0]
+    assert blind.end_error > 0.02
+    # The readings are those of a robot that has these wheels and knows it.
+    known = truly(ROBOT, RADII, OFFSETS)
+    seeing = Simulation(known, open_loop=True).run(8.0, WAY).robots[0]
+    assert seeing.end_error < 1e-3
+    assert seeing.path_true == pytest.approx(seeing.path_odometry, rel=1e-4)
+
+
+def test_wheels_roll_and_point_as_the_ground_wants() -> None:
+    base = RollingBase(ROBOT, HiddenErrors.of(ROBOT, RADII, OFFSETS))
+    follow(base, 0.2, 3.0, 3.0)
+    states, (vx, vy, wz) = base.read(4.0), base.true_twist()
+    for i, wheel in enumerate(ROBOT.wheels):
+        ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
+        radius = wheel.radius * RADII.get(wheel.name, 1.0)
+        angle = states.angles[i] + OFFSETS.get(wheel.name, 0.0)
+        assert states.speeds[i] * radius == pytest.approx(math.hypot(ux, uy), rel=1e-9)
+        assert angle == pytest.approx(math.atan2(uy, ux), abs=1e-9)
+
+
+# -- MuJoCo -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def files() -> dict[str, bytes]:
+    pytest.importorskip("mujoco")
+    return Mjcf().emit(ROBOT)
+
+
+def test_larger_wheels_go_farther_in_mujoco(files: dict[str, bytes]) -> None:
+    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, dict.fromkeys(NAMES, 1.02))}
+    plain = Simulation(ROBOT, files).run(4.0, WAY).robots[0]
+    larger = Simulation(ROBOT, files, hidden=hidden).run(4.0, WAY).robots[0]
+    assert larger.path_odometry == pytest.approx(plain.path_odometry, rel=1e-3)
+    assert larger.path_true == pytest.approx(1.02 * plain.path_true, rel=1e-3)
+
+
+def test_wheels_that_point_elsewhere_lead_there_in_mujoco(files: dict[str, bytes]) -> None:
+    offset = math.radians(5.0)
+    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, None, dict.fromkeys(NAMES, offset))}
+    run = Simulation(ROBOT, files, hidden=hidden).run(4.0, Twist(0.8, 0.0, 0.0)).robots[0]
+    assert run.pose_odometry.y == pytest.approx(0.0, abs=1e-3)
+    assert math.atan2(run.pose_true.y, run.pose_true.x) == pytest.approx(offset, abs=2e-3)
+
+
+def test_open_loop_drives_give_way_and_others_do_not(files: dict[str, bytes]) -> None:
+    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, {"w0": 1.02})}
+
+    def speeds(open_loop: bool) -> tuple[float, ...]:
+        seen: list[tuple[float, ...]] = []
+        simulation = Simulation(ROBOT, files, hidden=hidden, open_loop=open_loop)
+        simulation.run(
+            4.0,
+            Twist(0.8, 0.0, 0.0),
+            watch=lambda meter: seen.append(tuple(meter.driver.state.joints.speeds)),
+        )
+        return seen[-1]
+
+    held, free = speeds(open_loop=False), speeds(open_loop=True)
+    assert held == pytest.approx([4.0] * 4, rel=1e-3)
+    assert free[0] == pytest.approx(free[2] / 1.02, rel=2e-3)
+    assert 3.0 < free[2] < 3.99
+
+
+def test_offset_that_is_known_changes_nothing(files: dict[str, bytes]) -> None:
+    known = truly(ROBOT, {}, OFFSETS)
+    for where in (None, files):
+        plain = Simulation(ROBOT, where).run(4.0, WAY).robots[0]
+        assert Simulation(known, where).run(4.0, WAY).robots[0] == plain
+
+
+# -- what cannot be -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("radii", "offsets", "said"),
+    [
+        ({"w9": 1.0}, {}, "no wheel `w9`"),
+        ({"w0": math.nan}, {}, "radius ratio"),
+        ({"w0": 0.0}, {}, "radius ratio"),
+        ({}, {"w0": math.inf}, "steering offset"),
+    ],
+)
+def test_impossible_errors(radii: dict[str, float], offsets: dict[str, float], said: str) -> None:
+    with pytest.raises(DiagnosticError, match=said) as caught:
+        HiddenErrors.of(ROBOT, radii, offsets)
+    assert caught.value.diagnostic.code.name == "hidden-error"
+
+
+def test_offset_of_a_wheel_that_is_not_steered() -> None:
+    robot = make_robot([(0.5, 0.4, "fixed"), (0.5, -0.4, "fixed"), (-0.5, 0.0, "swivel")])
+    with pytest.raises(DiagnosticError, match="not steered"):
+        HiddenErrors.of(robot, None, {"w0": 0.1})

@@ -1,0 +1,127 @@
+"""The base in MuJoCo, from generated files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Fleet, Placement, Pose, Robot
+from thorvaldc.runtime.base_interface import JointCommands
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+
+pytest.importorskip("mujoco")
+ROBOT = make_robot(FOUR_STEERED)
+
+
+@pytest.fixture(scope="module")
+def files() -> dict[str, bytes]:
+    return Mjcf().emit(ROBOT)
+
+
+def write(folder: Path, files: dict[str, bytes]) -> Path:
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return folder
+
+
+def fault_of(files: object, robot: Robot = ROBOT) -> str:
+    with pytest.raises(DiagnosticError) as caught:
+        MujocoBase(robot, MujocoScene(files))  # type: ignore[arg-type]
+    assert caught.value.diagnostic.code.name == "simulation-scene"
+    return caught.value.diagnostic.message
+
+
+def test_from_memory_as_from_disk(files: dict[str, bytes], tmp_path: Path) -> None:
+    ends = []
+    for source in (files, write(tmp_path, files)):
+        base = MujocoBase(ROBOT, MujocoScene(source))
+        base.read(0.0)
+        base.write(JointCommands([2.0, 2.5] * 2, [0.1] * 4), 0.0)
+        for k in range(1, 30):
+            states = base.read(k * 0.02)
+        ends.append((base.true_pose(), list(states.positions or ())))
+    assert ends[0] == ends[1]
+
+
+def test_stands_still_at_home(files: dict[str, bytes]) -> None:
+    base = MujocoBase(ROBOT, MujocoScene(files))
+    start = base.true_pose()
+    base.read(2.0)
+    assert base.scene.time == pytest.approx(2.0)
+    assert math.dist(base.true_pose(), start) < 1e-6
+    assert base.uprightness() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_true_twist_is_that_of_the_pose(files: dict[str, bytes]) -> None:
+    base = MujocoBase(ROBOT, MujocoScene(files))
+    turn = 0.4
+    for k in range(1, 150):
+        base.read(k * 0.02)
+        speeds = [3.0 * (0.8 if i % 2 == 0 else 1.2) for i in range(4)]
+        base.write(JointCommands(speeds, [turn, turn, -turn, -turn]), k * 0.02)
+    before = base.true_pose()
+    base.read(base.scene.time + 0.005)
+    after = base.true_pose()
+    moved = after.relative_to(before)
+    twist = base.true_twist()
+    assert abs(twist.wz) > 0.2
+    assert moved == pytest.approx(Twist(*twist).scaled(0.005), abs=2e-5)
+
+
+def test_a_robot_of_another_build_is_a_fault(files: dict[str, bytes]) -> None:
+    joint = replace(ROBOT.wheels[0], spin_joint="w0_other")
+    other = replace(ROBOT, wheels=(joint, *ROBOT.wheels[1:]))
+    assert "no joint `w0_other`" in fault_of(files, other)
+
+
+def test_missing_and_broken_scenes_are_faults(files: dict[str, bytes], tmp_path: Path) -> None:
+    assert "there is no mjcf/scene.xml" in fault_of(tmp_path)
+    assert "there is no mjcf/scene.xml" in fault_of({})
+    broken = {**files, "mjcf/robot.xml": b"<mujoco><worldbody></mujoco>"}
+    message = fault_of(broken)
+    assert message.startswith("MuJoCo cannot read mjcf/scene.xml")
+    assert "/tmp" not in message
+    no_include = {"mjcf/scene.xml": files["mjcf/scene.xml"]}
+    assert "robot.xml" in fault_of(no_include)
+
+
+def test_divergence_is_seen_and_leaves_no_log(
+    files: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    base = MujocoBase(ROBOT, MujocoScene(files))
+    assert not base.scene.diverged
+    base.scene.data.qvel[0] = 1e12
+    base.read(1.0)
+    assert base.scene.diverged
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_robots_of_a_scene_are_told_apart() -> None:
+    """Same names, told apart by the name space; one drives, the other stands."""
+    one, two = (replace(ROBOT, name=n, namespace=n) for n in ("one", "two"))
+    fleet = Fleet(
+        "pair",
+        "",
+        (
+            Placement("one", Pose((0.0, 3.0, 0.0)), one),
+            Placement("two", Pose((0.0, -3.0, 0.0)), two),
+        ),
+    )
+    scene = MujocoScene(Mjcf().emit_fleet(fleet))
+    a, b = MujocoBase(one, scene), MujocoBase(two, scene)
+    for k in range(100):
+        a.read(k * 0.02)
+        b.read(k * 0.02)
+        a.write(JointCommands([3.0] * 4, [0.0] * 4), k * 0.02)
+    assert scene.steps == 396
+    assert a.true_pose() == pytest.approx((1.1, 3.0, 0.0), abs=0.2)
+    assert b.true_pose() == pytest.approx((0.0, -3.0, 0.0), abs=1e-5)

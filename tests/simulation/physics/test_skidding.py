@@ -1,0 +1,48 @@
+"""Tyres on the ground against a closed form: skidding under Coulomb friction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tests.robots import make_robot
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+
+pytest.importorskip("mujoco")
+X, Y = 0.5, 0.4  # m
+CORNERS = [(x, y, "fixed") for x in (X, -X) for y in (Y, -Y)]
+
+
+@pytest.mark.parametrize("rate", [0.1, 1.0])
+def test_four_wheels_that_do_not_steer_turn_by_sliding(rate: float) -> None:
+    """wz = 2 W v / (W^2 + L^2), with v the speed of the wheels' surfaces."""
+    robot = make_robot(CORNERS)
+    motors = tuple(replace(a, max_velocity=50.0, max_torque=200.0) for a in robot.actuators)
+    robot = replace(robot, actuators=motors)
+    scene = MujocoScene(Mjcf().emit(robot))
+    base = MujocoBase(robot, scene)
+    v = rate * (X * X + Y * Y) / Y
+    for wheel in robot.wheels:
+        actuator = robot.actuator_of(wheel.spin_joint)
+        assert actuator is not None
+        number = scene.index("actuator", actuator.name, robot)
+        scene.data.ctrl[number] = math.copysign(v, -wheel.y) / wheel.radius
+    scene.advance(2.0)
+    turned, before = 0.0, base.true_pose().yaw
+    for k in range(200):
+        scene.advance(2.0 + (k + 1) * 0.01)
+        yaw = base.true_pose().yaw
+        turned += math.remainder(yaw - before, math.tau)
+        before = yaw
+    assert turned / 2.0 == pytest.approx(rate, rel=0.005)
+
+
+def test_wheels_that_slide_are_not_integrated_explicitly() -> None:
+    """At 2 rad/s they chatter then; robots whose wheels roll are nearer to their encoders by it."""
+    one_axle = [(0.0, Y, "fixed"), (0.0, -Y, "fixed"), (-X, 0.0, "swivel")]
+    robots = [make_robot(wheels, body_mass=20.0) for wheels in (CORNERS, one_axle)]
+    texts = [Mjcf().emit(robot)["mjcf/robot.xml"] for robot in robots]
+    assert [b'integrator="Euler"' in text for text in texts] == [False, True]

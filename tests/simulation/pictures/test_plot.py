@@ -1,0 +1,110 @@
+"""Plots: what is drawn, read back from the figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.examples import example_robot
+from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.drive_metrics import Sample
+from thorvaldc.simulation.pictures import PictureError
+from thorvaldc.simulation.pictures.plot import check_plotting, draw, footprint, plot
+
+ROBOT = example_robot("4wd4ws_slim")
+
+
+def drive(count: int = 50, x: float = 0.1) -> list[Sample]:
+    """A run whose estimate is 10 % short."""
+    return [
+        Sample(
+            0.1 * k,
+            Twist(1.0, 0.0, 0.3),
+            Twist(0.9, 0.0, 0.2),
+            Twist(0.8, 0.0, 0.1),
+            Twist(0.7, 0.1, 0.0),
+            Pose2(0.9 * x * k, 0.0, 0.0),
+            Pose2(x * k, 0.0, 0.0),
+            None,
+        )
+        for k in range(count)
+    ]
+
+
+def lines(axes: Any) -> dict[str, Sequence[float]]:
+    return {line.get_label(): list(line.get_ydata()) for line in axes.lines}
+
+
+def test_velocities_are_those_of_the_samples() -> None:
+    _, *graphs = draw({"a": ROBOT}, {"a": drive()}, "a").axes
+    assert [axes.get_ylabel() for axes in graphs] == ["vx (m/s)", "vy (m/s)", "wz (rad/s)"]
+    expected = {
+        "commanded": (1.0, 0.0, 0.3),
+        "within limits": (0.9, 0.0, 0.2),
+        "estimated": (0.8, 0.0, 0.1),
+        "true": (0.7, 0.1, 0.0),
+    }
+    for k, axes in enumerate(graphs):
+        assert {name: set(values) for name, values in lines(axes).items()} == {
+            name: {twist[k]} for name, twist in expected.items()
+        }
+
+
+def test_paths_on_a_grid_of_a_metre_with_the_robot_to_scale() -> None:
+    ground = draw({"a": ROBOT}, {"a": drive()}, "a").axes[0]
+    true, estimated = (list(line.get_xdata()) for line in ground.lines)
+    assert true[-1] == pytest.approx(4.9)
+    assert estimated[-1] == pytest.approx(0.9 * 4.9)
+    assert "490 mm apart" in ground.get_title()
+    grid = ground.xaxis.get_minorticklocs()
+    assert all(tick == pytest.approx(round(tick)) for tick in grid)
+    assert ground.get_aspect() == 1.0
+    box = max((p.get_extents() for p in ground.patches), key=lambda b: b.width)
+    wheels = [w.x for w in ROBOT.wheels]
+    length = max(wheels) - min(wheels) + 2 * ROBOT.wheels[0].radius
+    scale = ground.transData.transform((1.0, 0.0)) - ground.transData.transform((0.0, 0.0))
+    assert box.width / scale[0] == pytest.approx(length, rel=0.02)
+
+
+def test_a_footprint_covers_the_wheels() -> None:
+    xs = [float(x) for part in footprint(ROBOT) for x in part.outline[:, 0]]
+    reach = max(w.x + w.radius for w in ROBOT.wheels)
+    assert max(xs) == pytest.approx(reach, abs=0.01)
+
+
+def test_long_ways_and_runs_without_bounds() -> None:
+    long = draw({"a": ROBOT}, {"a": drive(50, 100.0)}, "a").axes[0]
+    assert "grid 100 m" in long.get_xlabel()
+    wild = [*drive(), *drive(2, math.inf)[1:], *drive(3, 1e9)[1:]]
+    ground = draw({"a": ROBOT}, {"a": wild}, "a").axes[0]
+    assert max(ground.lines[0].get_xdata()) == pytest.approx(4.9)
+    assert draw({"a": ROBOT}, {"a": []}, "a").axes  # it ended before it began
+
+
+def test_a_large_fleet_shows_the_velocities_of_some() -> None:
+    names = [f"r{k}" for k in range(8)]
+    figure = draw(dict.fromkeys(names, ROBOT), dict.fromkeys(names, drive(3)), "many")
+    assert len(figure.axes) == 1 + 3 * 6
+    assert len(figure.axes[0].lines) == 16
+    assert "6 of 8 robots" in figure.axes[-1].get_xlabel()
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path, kind: str) -> None:
+    made = []
+    for name in ("one", "two"):
+        path = tmp_path / f"{name}.{kind}"
+        plot({"a": ROBOT}, {"a": drive(5)}, str(path), "a")
+        made.append(path.read_bytes())
+    assert made[0] == made[1]
+    assert made[0].startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[kind])
+
+
+def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    with pytest.raises(PictureError, match=r"pip install 'thorvaldc\[plot\]'"):
+        check_plotting()

@@ -1,0 +1,204 @@
+"""The page to look at a robot: what is in it, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.examples import example_fleet, example_robot
+from thorvaldc.cli.viewing import page_of
+from thorvaldc.model import Fleet, Robot, Sphere
+from thorvaldc.model.spatial import Pose
+from thorvaldc.simulation.pictures.visible_shapes import link_poses, surface
+from thorvaldc.simulation.pictures.web_page import page
+
+NAME = "4wd4ws_wide"
+OPTIONS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--hide-scrollbars",
+    "--window-size=1000,700",
+    "--virtual-time-budget=4000",
+)
+
+
+def data(made: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', made, re.S)
+    assert found is not None
+    value: dict[str, Any] = json.loads(found[1])
+    return value
+
+
+def test_it_holds_parts_joints_ids_and_surfaces() -> None:
+    robot = example_robot(NAME)
+    (design,) = data(page_of(robot))["designs"]
+    mass = sum(link["mass"] for link in design["links"])
+    assert mass == pytest.approx(robot.inertial.mass, abs=1e-3)
+    ids = [(n["bus"], n["name"], n["id"]) for n in design["nodes"]]
+    assert ids == [(b.name, n.name, n.id) for b in robot.buses for n in b.nodes]
+    assert ids
+    assert {j["name"] for j in design["joints"]} == {j.name for j in robot.joints}
+    known = {robot.links[0].name}
+    for joint in design["joints"]:  # the page places them in one go
+        assert joint["parent"] in known
+        known.add(joint["child"])
+    assert known == {link.name for link in robot.links}
+    shapes = data(page_of(robot))["shapes"]
+    visual = next(v for link in design["links"] for v in link["visuals"])
+    points = np.frombuffer(base64.b64decode(shapes[visual["shape"]]["points"]), "<f4")
+    faces = np.frombuffer(base64.b64decode(shapes[visual["shape"]]["faces"]), "<u4")
+    assert faces.max() < len(points) / 3
+
+
+def test_it_loads_nothing_and_is_the_same_every_time() -> None:
+    made = page_of(example_robot(NAME))
+    assert not re.findall(r"""(?:src|href)\s*=|url\(|import\s|fetch\(|https?://""", made)
+    assert "default-src 'none'" in made
+    assert page_of(example_robot(NAME)) == made
+
+
+def test_equal_robots_of_a_fleet_are_held_once() -> None:
+    robot = example_robot(NAME)
+    one, *_ = example_fleet("fleet_of_four").placements
+    placements = tuple(
+        replace(one, name=f"r{k}", pose=Pose((3.0 * k, 0.0, 0.0)), robot=robot) for k in range(5)
+    )
+    value = data(page_of(Fleet("five", "", placements)))
+    assert len(value["designs"]) == 1
+    assert [r["pose"][0] for r in value["robots"]] == [0.0, 3.0, 6.0, 9.0, 12.0]
+
+
+def test_text_of_the_robot_stays_text() -> None:
+    nasty = "</script><script>document.title = 'taken'</script><!--"
+    made = page_of(replace(example_robot(NAME), description=nasty))
+    assert made.count("</script>") == 2
+    assert data(made)["description"] == nasty
+
+
+def test_a_template_without_a_place() -> None:
+    with pytest.raises(ValueError, match="no single"):
+        page(example_robot(NAME), "<html></html>")
+
+
+def test_surfaces_are_closed_and_of_the_right_size() -> None:
+    robot = example_robot(NAME)
+    shapes = [v.shape for link in robot.links for v in link.visuals]
+    for shape in [*{type(s): s for s in shapes}.values(), Sphere(0.4)]:
+        points, faces = surface(robot, shape)
+        a, b, c = (points[faces[:, k]] for k in range(3))
+        volume = float(np.sum(np.cross(a, b) * c)) / 6.0
+        assert volume > 0.0, shape  # the triangles' front is outside
+    ball, faces = surface(robot, Sphere(0.4))
+    assert np.linalg.norm(ball, axis=1) == pytest.approx(0.4)
+
+
+# -- in a browser ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
+    """Opens a model's page with what to show; gives the document and a picture of it."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        reason = "chromium is not installed (Debian package chromium)"
+        if os.environ.get("CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+
+    def run(model: Robot | Fleet, shown: str = "") -> tuple[str, Path]:
+        path = tmp_path / "view.html"
+        path.write_text(page_of(model), encoding="utf-8")
+        done = subprocess.run(
+            [
+                program,
+                *OPTIONS,
+                f"--user-data-dir={tmp_path / 'profile'}",
+                "--dump-dom",
+                f"--screenshot={tmp_path / 'view.png'}",
+                f"{path.as_uri()}#{shown}",
+            ],
+            capture_output=True,
+            timeout=120,
+            cwd=tmp_path,
+        )
+        return done.stdout.decode(), tmp_path / "view.png"
+
+    return run
+
+
+def texts(document: str) -> str:
+    return html.unescape(re.sub(r"<script.*?</script>|<[^>]*>", " ", document, flags=re.S))
+
+
+def places(document: str) -> Mapping[str, tuple[float, ...]]:
+    """The positions that the page tells of the chosen part's links."""
+    found = re.findall(r"<div>(\S+) at (\S+), (\S+), (\S+) m</div>", document)
+    return {name: tuple(map(float, xyz)) for name, *xyz in found}
+
+
+def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None:
+    from PIL import Image
+
+    robot = example_robot(NAME)
+    wheel = robot.wheels[0]
+    steering, travel = wheel.steering_joint, wheel.suspension_joint
+    assert steering is not None
+    assert travel is not None
+    module = robot.link(wheel.link).module
+    document, picture = browse(
+        robot, f"part={module}&names&joint:{steering}=0.7&joint:{travel}=0.03"
+    )
+    assert 'data-ready="yes"' in document
+    triangles = sum(len(surface(robot, v.shape)[1]) for link in robot.links for v in link.visuals)
+    assert f'data-triangles="{triangles}"' in document
+    poses = link_poses(robot, {steering: 0.7, travel: 0.03})
+    told = places(document)
+    assert wheel.link in told
+    for name, xyz in told.items():
+        assert xyz == pytest.approx(poses[name].xyz, abs=6e-4)
+    assert told[wheel.link] != pytest.approx(link_poses(robot)[wheel.link].xyz, abs=0.02)
+    shown = texts(document)
+    for word in [robot.name, module, steering, "40.1°", "30.0 mm", "190.6 kg"]:
+        assert word in shown
+    for bus in robot.buses:
+        for node in bus.nodes:
+            assert node.name in shown
+    assert document.count('type="range"') == sum(j.type != "fixed" for j in robot.joints)
+    with Image.open(picture) as seen:
+        pixels = np.asarray(seen.convert("RGB"))[:, :600].reshape(-1, 3).astype(int)
+    red = np.mean((pixels[:, 0] > 110) & (pixels[:, 1] < 80) & (pixels[:, 2] < 60))
+    dark = np.mean(pixels.max(axis=1) < 60)
+    orange = np.mean((pixels[:, 0] > 200) & (abs(pixels[:, 1] - 130) < 40) & (pixels[:, 2] < 60))
+    assert red > 0.003  # the forks
+    assert dark > 0.02  # the tyres
+    assert orange > 0.0005  # the chosen part
+
+
+def test_a_fleet_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None:
+    fleet = example_fleet("fleet_of_four")
+    six = next(p for p in fleet.placements if p.name == "six")
+    module = six.robot.link(six.robot.wheels[0].link).module
+    document, _ = browse(fleet, f"robot=six&part={module}")
+    assert 'data-ready="yes"' in document
+    assert re.findall(r'<option value="\d">(\w+)</option>', document) == [
+        p.name for p in fleet.placements
+    ]
+    link = six.robot.wheels[0].link
+    expected = (six.pose * link_poses(six.robot)[link]).xyz
+    assert places(document)[link] == pytest.approx(expected, abs=6e-4)
+    assert f"{six.robot.inertial.mass:.1f} kg" in texts(document)

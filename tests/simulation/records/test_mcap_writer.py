@@ -1,0 +1,214 @@
+"""Records as MCAP: what readers that are not ours find in them, and what ends a run."""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.scenario import GROUPS
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
+from thorvaldc.simulation.records.record_writer import recording
+from thorvaldc.simulation.simulation_run import Simulation
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+TURN = [Segment(0.0, Twist(0.5, 0.0, 0.4))]
+
+
+def model(name: str) -> Any:
+    done = compile_file(EXAMPLES / name)
+    assert done.model is not None
+    return done.model
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    found = model("4wd4ws_slim/robot.yaml")
+    assert isinstance(found, Robot)
+    return found
+
+
+def drive(
+    what: Robot | Fleet, path: Path, seconds: float = 1.0, **options: Any
+) -> dict[str, list[Sample]]:
+    simulation = Simulation(what)
+    samples: dict[str, list[Sample]] = {}
+    groups = options.pop("groups", GROUPS)
+    recorder = McapRecorder(path, simulation.robots, groups, **options)
+    hand = recording([recorder])
+
+    def watch(meter: Meter) -> None:
+        samples.setdefault(meter.name, []).append(meter.sample())
+        hand(meter)
+
+    try:
+        simulation.run(seconds, TURN, None, watch)
+    finally:
+        recorder.close()
+    return samples
+
+
+def messages(path: Path) -> Iterator[tuple[str, int, Any]]:
+    with AnyReader([path]) as reader:
+        for connection, time, data in reader.messages():
+            yield connection.topic, time, reader.deserialize(data, connection.msgtype)
+
+
+def by_topic(path: Path) -> dict[str, list[tuple[int, Any]]]:
+    found: dict[str, list[tuple[int, Any]]] = {}
+    for topic, time, message in messages(path):
+        found.setdefault(topic, []).append((time, message))
+    return found
+
+
+def test_the_messages_say_what_the_run_was(robot: Robot, tmp_path: Path) -> None:
+    samples = drive(robot, tmp_path / "a.mcap")[robot.name]
+    found = by_topic(tmp_path / "a.mcap")
+    assert {topic: len(got) for topic, got in found.items()} == {
+        "/tf_static": 1,
+        **dict.fromkeys(("/odom", "/ground_truth/odom", "/cmd_vel", "/cmd_vel_limited"), 51),
+        **dict.fromkeys(("/joint_states", "/joint_commands", "/tf"), 51),
+    }
+    time, odom = found["/odom"][-1]
+    last = samples[-1]
+    assert time == odom.header.stamp.sec * 10**9 + odom.header.stamp.nanosec == 10**9
+    assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
+    place, turn = odom.pose.pose.position, odom.pose.pose.orientation
+    assert (place.x, place.y) == last.pose_estimated[:2]
+    assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(last.pose_estimated.yaw)
+    assert (odom.twist.twist.linear.x, odom.twist.twist.angular.z) == (
+        last.estimated.vx,
+        last.estimated.wz,
+    )
+    (_, asked), (_, aimed) = found["/cmd_vel"][0], found["/cmd_vel_limited"][0]
+    assert asked.twist.linear.x == 0.5
+    assert aimed.twist.linear.x < 0.1
+    joints = found["/joint_states"][-1][1]
+    assert last.joints is not None
+    assert joints.name[:4] == [wheel.spin_joint for wheel in robot.wheels]
+    assert list(joints.position[:4]) == list(last.joints.positions or ())
+    assert list(joints.velocity[:4]) == list(last.joints.speeds)
+    assert list(joints.position[4:]) == list(last.joints.angles)
+    frames = {t.child_frame_id: t for _, tf in found["/tf"] for t in tf.transforms}
+    assert {name: t.header.frame_id for name, t in frames.items()} == {
+        "base_link": "odom",
+        "base_link_true": "map",
+    }
+    assert found["/tf_static"][0][1].transforms[0].child_frame_id == "odom"
+
+
+def test_covariances_are_those_of_the_frames_of_ros(robot: Robot, tmp_path: Path) -> None:
+    """Over the same way one that turned a quarter has its errors in x and y swapped."""
+    last = drive(robot, tmp_path / "a.mcap", 4.0)[robot.name][-1]
+    odom = by_topic(tmp_path / "a.mcap")["/odom"][-1][1]
+    full = np.array(odom.pose.covariance).reshape(6, 6)
+    assert (full == full.T).all()
+    planar = full[np.ix_((0, 1, 5), (0, 1, 5))]
+    yaw = last.pose_estimated.yaw
+    c, s = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    assert planar == pytest.approx(turn @ np.array(last.pose_covariance) @ turn.T, abs=1e-15)
+    assert planar[0, 0] > 0.0
+
+
+def test_a_reader_that_is_not_of_rosbags_finds_profile_schemas_and_index(
+    robot: Robot, tmp_path: Path
+) -> None:
+    samples = drive(robot, tmp_path / "a.mcap")[robot.name]
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
+        schemas = {s.name: s for s in summary.schemas.values()}
+        assert {s.encoding for s in schemas.values()} == {"ros2msg"}
+        assert b"MSG: geometry_msgs/PoseWithCovariance" in schemas["nav_msgs/msg/Odometry"].data
+        times = [message.log_time for _, _, message in reader.iter_messages()]
+        assert len(times) == summary.statistics.message_count == 51 * 7 + 1
+        assert times == sorted(times)
+        # Decoded by the definitions in the file alone.
+        decoded = [m for *_, m in reader.iter_decoded_messages(topics=["/odom"])]
+        found = [(m.pose.pose.position.x, m.twist.twist.angular.z) for m in decoded]
+        assert found == [(s.pose_estimated.x, s.estimated.wz) for s in samples]
+
+
+def test_robots_of_a_fleet_have_their_name_spaces(tmp_path: Path) -> None:
+    fleet = model("fleet_of_four/fleet.yaml")
+    samples = drive(fleet, tmp_path / "a.mcap", 0.2, groups=("odometry",))
+    found = by_topic(tmp_path / "a.mcap")
+    assert set(found) == {"/tf", "/tf_static", *(f"/{name}/odom" for name in samples)}
+    moved = {t.child_frame_id for _, tf in found["/tf"] for t in tf.transforms}
+    assert moved == {f"{name}/base_link" for name in samples}
+    (odom,) = {m.header.frame_id for _, m in found["/wide/odom"]}
+    assert odom == "wide/odom"
+    first = found["/wide/odom"][0][1].pose.pose.position
+    assert (first.x, first.y) == (0.0, 0.0)
+
+
+def test_equal_runs_give_equal_bytes_whatever_they_are_called(robot: Robot, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        drive(robot, tmp_path / f"{name}.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["a.mcap", "b.mcap"]
+
+
+def test_groups_and_times_are_those_that_are_wanted(robot: Robot, tmp_path: Path) -> None:
+    drive(robot, tmp_path / "a.mcap", groups=("truth",), every=0.1)
+    found = by_topic(tmp_path / "a.mcap")
+    assert set(found) == {"/ground_truth/odom", "/tf"}
+    assert [time for time, _ in found["/ground_truth/odom"]] == [k * 10**8 for k in range(11)]
+
+
+def test_an_interrupted_run_leaves_a_whole_file(robot: Robot, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    simulation = Simulation(robot)
+    recorder = McapRecorder(path, simulation.robots, GROUPS)
+    hand = recording([recorder])
+
+    def watch(meter: Meter) -> None:
+        hand(meter)
+        if meter.driver.state.time >= 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulation.run(1.0, TURN, None, watch)
+    assert not path.exists()
+    recorder.close()
+    recorder.close()
+    assert by_topic(path)["/odom"][-1][0] == 5 * 10**8
+
+
+def test_a_full_disk_is_told_and_leaves_what_there_is(robot: Robot, tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"a\.mcap"):
+            drive(robot, tmp_path / "a.mcap", 20.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert os.listdir(tmp_path) == ["a.mcap"]
+    assert (tmp_path / "a.mcap").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("where", ["none/a.mcap", "folder.mcap"])
+def test_what_cannot_be_written_is_known_at_once(robot: Robot, tmp_path: Path, where: str) -> None:
+    (tmp_path / "folder.mcap").mkdir()
+    with pytest.raises(OSError, match=where):
+        McapRecorder(tmp_path / where, [(robot.name, robot)], GROUPS)
+    assert os.listdir(tmp_path) == ["folder.mcap"]

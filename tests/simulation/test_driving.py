@@ -1,0 +1,157 @@
+"""Robots driven by the base driver in MuJoCo go where they should."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.backends.plans import ROBOTS
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.drive_metrics import Meter, RobotRun
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.simulation_run import Simulation
+
+pytest.importorskip("mujoco")
+
+S, F, P = "steered", "fixed", "passive"
+SQUARE = ((0.55, 0.45), (0.55, -0.45), (-0.55, 0.45), (-0.55, -0.45))
+MADE = {
+    "four steered": make_robot(FOUR_STEERED),
+    "six steered, suspended": make_robot(
+        [(x, y, S) for x, y in (*SQUARE, (0.1, 0.6), (-0.1, -0.6))], suspended=True
+    ),
+    "two steered, two fixed": make_robot([(x, y, S if x > 0 else F) for x, y in SQUARE]),
+    "one drives in front": make_robot([(0.6, 0.0, S), (-0.5, 0.45, P), (-0.5, -0.45, P)]),
+    "one drives behind": make_robot([(-0.6, 0.0, S), (0.5, 0.45, P), (0.5, -0.45, P)]),
+    "five": make_robot([*((x, y, S) for x, y in SQUARE), (0.0, 0.0, P)]),
+    "seven, two sizes of track": make_robot(
+        [*((x, y, S) for x, y in SQUARE), (1.2, 0.3, S), (1.2, -0.3, S), (-1.1, 0.0, S)]
+    ),
+}
+EXAMPLES = sorted(
+    p.parent.name for p in (Path(__file__).resolve().parents[2] / "examples").glob("*/robot.yaml")
+)
+
+
+@cache
+def simulation(name: str) -> Simulation:
+    if name in MADE:
+        return Simulation(MADE[name], Mjcf().emit(MADE[name]))
+    root = Path(__file__).resolve().parents[2] / "examples" / name
+    done = compile_file(root / "robot.yaml")
+    assert isinstance(done.model, Robot), [d.message for d in done.report.errors]
+    return Simulation(done.model, emit(done.model, ["mjcf"], done.report))
+
+
+def drive(name: str, twist: Twist, seconds: float) -> RobotRun:
+    """Drive a twist and stop; the wheels are at their angles before the way counts."""
+    made = simulation(name)
+    plan = [Segment(0.0, twist), Segment(seconds, ZERO_TWIST)]
+    return made.run(seconds + 1.5, plan).robots[0]
+
+
+def fast(name: str) -> float:
+    _, robot = simulation(name).robots[0]
+    return min(1.0, 0.8 * robot.driver.max_linear_velocity)
+
+
+@pytest.mark.parametrize("name", [*MADE, *EXAMPLES])
+def test_straight_distance_is_that_of_the_wheels(name: str) -> None:
+    run = drive(name, Twist(fast(name), 0.0, 0.0), 4.0)
+    assert run.path_odometry > 2.0
+    # One wheel that drives the whole robot has a stiff servo, integrated implicitly.
+    exact = 1e-3 if run.driven == 1 else 1e-4
+    assert run.path_true == pytest.approx(run.path_odometry, rel=exact)
+    assert run.path_commanded == pytest.approx(run.path_odometry, rel=1e-2)
+    assert abs(run.pose_true.yaw) < 5e-3
+
+
+@pytest.mark.parametrize("name", [*MADE, *EXAMPLES])
+@pytest.mark.parametrize("twist", [Twist(0.5, 0.0, 0.3), Twist(0.0, 0.0, -0.4)])
+def test_turning_is_that_of_the_wheels(name: str, twist: Twist) -> None:
+    run = drive(name, twist, 8.0)
+    assert abs(run.pose_odometry.yaw) > 2.0
+    assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-2)
+    assert run.end_error < 0.01 * max(run.path_odometry, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("middle", "bound"),
+    # Wheels that slip at different speeds pull alike; the fit takes them in proportion.
+    [((), 0.02), (((0.0, 0.45), (0.0, -0.45)), 0.08)],
+)
+def test_skid_steering_turns_as_asked(
+    middle: tuple[tuple[float, float], ...], bound: float
+) -> None:
+    robot = make_robot([(x, y, F) for x, y in (*SQUARE, *middle)])
+    made = Simulation(robot, Mjcf().emit(robot))
+    for twist in (Twist(0.0, 0.0, 0.4), Twist(0.5, 0.0, 0.3)):
+        run = made.run(9.5, [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]).robots[0]
+        assert run.pose_true.yaw == pytest.approx(twist.wz * 8.0, rel=bound)
+        assert run.pose_odometry.yaw == pytest.approx(run.pose_true.yaw, rel=bound)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_example_does_its_manoeuvre(name: str) -> None:
+    made = simulation(name)
+    result = made.demonstrate()
+    (run,) = result.robots
+    assert not run.tipped
+    assert run.unreachable == ()
+    assert run.largest_tilt < math.radians(5)
+    assert run.path_true == pytest.approx(run.path_commanded, rel=0.02)
+    assert run.end_error < 0.01 * run.path_true
+    assert result.real_time_factor > 3.0
+
+
+@pytest.mark.skipif(not EXAMPLES, reason="the examples are not in this distribution")
+def test_the_fleet_drives_without_meeting() -> None:
+    root = Path(__file__).resolve().parents[2] / "examples" / "fleet_of_four"
+    done = compile_file(root / "fleet.yaml")
+    assert isinstance(done.model, Fleet), [d.message for d in done.report.errors]
+    result = Simulation(done.model, emit(done.model, ["mjcf"], done.report)).demonstrate()
+    assert len(result.robots) == 4
+    for run in result.robots:
+        assert run.path_true > 5.0
+        assert run.end_error < 0.01 * run.path_true
+
+
+def test_a_wheel_that_must_turn_around_does_so_while_the_robot_stands() -> None:
+    """Backwards in a curve, then one in which a wheel would pass its limit of 176 deg."""
+    made = simulation("6wd6ws_asymmetric")
+    plan = [Segment(0.0, Twist(-0.92, 0.52, 0.24)), Segment(4.0, Twist(0.96, 0.23, -0.18))]
+    slips: list[float] = [0.0]
+    stops: list[bool] = []
+
+    def watch(meter: Meter) -> None:
+        sample, state = meter.sample(), meter.driver.state
+        if state.command is not None and state.joints is not None:
+            stops.append(state.command.must_stop)
+            for wheel, angle in zip(meter.robot.wheels, state.joints.angles, strict=True):
+                vx, vy, wz = sample.true
+                c, s = math.cos(wheel.heading + angle), math.sin(wheel.heading + angle)
+                slips.append(abs(c * (vy + wz * wheel.x) - s * (vx - wz * wheel.y)))
+
+    run = made.run(12.0, plan, None, watch).robots[0]
+    assert any(stops[200:400])
+    assert not any(stops[400:])
+    # Without the stop a wheel is dragged across at 0.5 m/s, over and over again.
+    assert max(slips) < 0.06
+    assert run.end_error < 0.02
+
+
+@pytest.mark.parametrize("twist", [Twist(0.0, 0.0, 0.5), Twist(0.5, 0.0, 0.3)])
+def test_wheels_that_lean_turn_the_robot_as_their_encoders_say(twist: Twist) -> None:
+    """Wheels tilted by 6 and 9 deg; what is left is their torsional friction."""
+    robot = ROBOTS["cambered"]
+    plan = [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]
+    run = Simulation(robot, Mjcf().emit(robot)).run(10.0, plan).robots[0]
+    assert abs(run.pose_odometry.yaw) > 2.0
+    assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-3)

@@ -1,0 +1,127 @@
+"""The loop: from keys through the multiplexer to a robot that moves, and always to a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.simulation.physics.sim_base import SimBase
+from thorvaldc.tools.teleoperation.keyboard import Keyboard
+from thorvaldc.tools.teleoperation.operator import Limits
+from thorvaldc.tools.teleoperation.teleop_loop import operate
+from thorvaldc.tools.teleoperation.vehicle import SimulatedVehicle
+
+ROBOT = make_robot(FOUR_STEERED)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+class Drive:
+    """Types ``script`` (s from the start: keys) at a robot on ideal joints; notes what happens."""
+
+    def __init__(self, script: dict[float, str]) -> None:
+        self.clock = Clock()
+        self.script = dict(script)
+        self.vehicle = SimulatedVehicle(
+            BaseDriver(ROBOT, SimBase(ROBOT)), clock=self.clock, sleep=self.clock.sleep
+        )
+        self.shown: list[list[str]] = []
+        self.hook: Callable[[float], None] = lambda now: None
+
+    def read(self) -> list[str]:
+        now = self.clock() - 1000.0
+        self.hook(now)
+        due = [at for at in self.script if at <= now]
+        return [key for at in due for key in self.script.pop(at)]
+
+    def run(self) -> None:
+        keyboard = Keyboard(Limits.of(self.vehicle.description), self.read, 1.0)
+        operate(self.vehicle, keyboard, "teleop_joy", self.shown.append, clock=self.clock)
+
+
+def held(key: str, start: float, end: float) -> dict[float, str]:
+    presses = [start] + [start + 0.25 + i * 0.04 for i in range(int((end - start - 0.25) / 0.04))]
+    return dict.fromkeys(presses, key)
+
+
+def test_a_held_key_moves_the_robot_and_its_end_stops_it() -> None:
+    drive = Drive({**held("i", 0.1, 2.0), 4.0: "q"})
+    drive.run()
+    state = drive.vehicle.call("state")
+    assert state["pose"]["x"] == pytest.approx(1.5 * 2.0, abs=0.8)
+    assert state["in_force"] == {"vx": 0.0, "vy": 0.0, "wz": 0.0}
+    assert state["source"] == ""  # given way before the end
+    first, second = drive.shown[10]
+    assert "100 %  asked +1.50 +0.00 m/s +0.00 rad/s" in first
+    assert "driving  drives: teleop_joy" in second
+
+
+def test_quitting_at_full_speed_stops_first() -> None:
+    drive = Drive({**held("i", 0.1, 2.0), 1.9: "q"})
+    drive.run()
+    assert abs(drive.vehicle.call("state")["in_force"]["vx"]) < 1e-3
+
+
+def test_an_interrupt_stops_first_too() -> None:
+    def interrupt(now: float) -> None:
+        if now > 1.5:
+            drive.hook = lambda now: None
+            raise KeyboardInterrupt
+
+    drive = Drive(held("i", 0.1, 2.0))
+    drive.hook = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        drive.run()
+    assert abs(drive.vehicle.call("state")["in_force"]["vx"]) < 1e-3
+    assert drive.vehicle.call("state")["pose"]["x"] > 0.5
+
+
+def test_it_gives_way_to_navigation_and_takes_over_from_it() -> None:
+    def navigate(now: float) -> None:
+        drive.vehicle.call("twist", source="auto_nav", vx=0.2)
+        sources[round(now, 2)] = drive.vehicle.call("state")["source"]
+
+    sources: dict[float, str] = {}
+    drive = Drive({1.0: "l", 4.0: "q"})
+    drive.hook = navigate
+    drive.run()
+    assert sources[0.5] == "auto_nav"
+    assert sources[1.5] == "teleop_joy"
+    assert sources[3.0] == "auto_nav"
+
+
+def test_what_is_refused_is_shown() -> None:
+    drive = Drive({0.1: "h", 1.0: "q"})
+    drive.run()
+    assert any("there is no service `home_steering`" in lines[1] for lines in drive.shown)
+
+
+def test_the_safety_stop_holds_the_robot() -> None:
+    drive = Drive({**held("i", 0.1, 4.0), 1.01: "x", 3.9: "q"})
+    drive.run()
+    assert drive.vehicle.call("state")["locks"] == ["safety_stop"]
+    assert any("locked: safety_stop" in lines[1] for lines in drive.shown)
+    assert drive.vehicle.call("state")["pose"]["x"] < 1.6
+
+
+def test_a_machine_that_is_too_slow_falls_behind_the_clock() -> None:
+    drive = Drive({})
+    drive.vehicle.cycle()
+    before = drive.vehicle.now
+    drive.clock.now += 5.0
+    drive.vehicle.cycle()
+    assert drive.vehicle.now - before == pytest.approx(0.1)
+    drive.vehicle.cycle()
+    assert drive.vehicle.now - before == pytest.approx(0.12)

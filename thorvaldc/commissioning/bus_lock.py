@@ -1,0 +1,45 @@
+"""One master on a bus: programs of this computer keep out of each other's way by a file lock."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from types import TracebackType
+
+from thorvaldc.can.simulated_bus_protocol import channel_path
+from thorvaldc.diagnostics.error import DiagnosticError
+
+
+class BusLock:
+    """Held from ``with`` on; the system lets it go with the process, however that ends."""
+
+    def __init__(self, spec: str) -> None:
+        """``spec``: the bus as it is named on the command line."""
+        self.spec = spec
+        self._file: int | None = None
+
+    def __enter__(self) -> BusLock:
+        """Raises ``DiagnosticError`` (``bus-locked``), ``OSError`` where no lock can be made."""
+        name = re.sub(r"[^A-Za-z0-9.]+", "_", self.spec)[-40:]
+        path = channel_path("m").with_name(f"master-{name}.lock")
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._file)
+            raise DiagnosticError(
+                "bus-locked",
+                f"another `thorvaldc can` uses the bus {self.spec}",
+                hint="wait until it has finished, or end it",
+            ) from None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._file is not None:
+            os.close(self._file)

@@ -1,0 +1,206 @@
+"""From the robot's devices to its buses: ids, frames, signals and their scalings.
+
+What a device says on the bus is data: the `can` section of its module, whose
+expressions know the id and the motors on its channels.  The checks of the
+result are in `bus_checks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from thorvaldc.compiler.bus.bus_checks import (
+    LOAD_WARNING,
+    check_bus,
+    check_serials,
+    check_wiring,
+    late_frames,
+)
+from thorvaldc.compiler.bus.device_frames import heartbeat
+from thorvaldc.compiler.bus.device_sections import (
+    CANOPEN,
+    MASTER,
+    MASTER_HEARTBEAT_PERIOD,
+    MASTER_ID,
+    BusSpec,
+    Device,
+    Placed,
+    Wire,
+)
+from thorvaldc.compiler.bus.foreign_devices import foreign_devices
+from thorvaldc.compiler.bus.lock_file import Lock
+from thorvaldc.compiler.bus.node_ids import place
+from thorvaldc.compiler.source import node as source
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.bus_timing import bus_load, frame_response_times
+from thorvaldc.model.robot import Actuator, Bus, Frame, Signal
+
+__all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
+
+# Bitrates of CiA 301 above the default, for a bus whose bitrate is not stated.
+FASTER = (800_000, 1_000_000)
+
+NMT_COMMANDS = (
+    (1, "start"),
+    (2, "stop"),
+    (128, "enter_pre_operational"),
+    (129, "reset_node"),
+    (130, "reset_communication"),
+)
+
+
+def build_buses(
+    devices: Sequence[Device],
+    specs: Sequence[BusSpec],
+    actuators: Sequence[Actuator],
+    sync_period: float,
+    report: Report,
+    *,
+    foreign: source.Node | None = None,
+    lock: Lock | None = None,
+) -> tuple[Bus, ...]:
+    """The buses with their nodes, frames and signals, checked.
+
+    ``specs`` in file order; a device that names no bus is on the first.
+    ``sync_period`` in s is the control cycle.  ``foreign`` is the robot's section of
+    foreign devices, ``lock`` holds the ids of the last build.  A robot without
+    devices has no buses.
+    """
+    for spec in specs:
+        if spec.bitrate <= 0:
+            report.add(
+                "can-bitrate",
+                f"the bus `{spec.name}` has {spec.bitrate} bit/s; a bitrate is positive",
+                spec.span,
+                hint="write it as in `500 kbit/s`",
+            )
+    if not specs or any(spec.bitrate <= 0 for spec in specs):
+        return ()
+    present = [device for device in devices if _is_present(device, report)]
+    check_wiring(present, actuators, report)
+    others = foreign_devices(foreign, specs, report)
+    placed = place(present, others, specs, sync_period, lock or {}, report) + others
+    if not placed:
+        return ()
+    check_serials(placed, report)
+    return tuple(
+        _build_bus(spec, [p for p in placed if p.bus == spec.name], sync_period, report)
+        for spec in specs
+    )
+
+
+def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tuple[Actuator, ...]:
+    """The actuators with ``node`` and ``channel`` set to the controller that drives each."""
+    drives = {
+        channel.actuator: (node.name, channel.name)
+        for bus in buses
+        for node in bus.nodes
+        for channel in node.channels
+        if channel.actuator is not None
+    }
+    return tuple(
+        replace(a, node=drives[a.name][0], channel=drives[a.name][1]) if a.name in drives else a
+        for a in actuators
+    )
+
+
+def _is_present(device: Device, report: Report) -> bool:
+    """Whether there is a device at all: an empty battery enclosure has none."""
+    present = device.scope.boolean(device.can.get("when"), True)
+    if not present and device.address is not None:
+        report.add(
+            "can-address-unused",
+            f"`{device.path}` has an address, but there is nothing on the bus in it",
+            device.address.where,
+            hint="leave `can` out, or change the parameters so that the device is there",
+        )
+    return present
+
+
+# -- the bus ------------------------------------------------------------------------
+
+
+def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, report: Report) -> Bus:
+    frames = list(_master_frames(spec, placed, sync_period))
+    for device in placed:
+        frames.extend(device.frames)
+    bus = _timed(
+        Bus(
+            spec.name,
+            spec.bitrate,
+            sync_period,
+            tuple(device.node for device in placed),
+            tuple(frames),
+            spec.span,
+        )
+    )
+    if not spec.stated:
+        bus = _fast_enough(bus, report)
+    check_bus(bus, placed, report)
+    return bus
+
+
+def _timed(bus: Bus) -> Bus:
+    """With load and response times, where no two frames have one identifier (reported)."""
+    if len({frame.cob_id for frame in bus.frames}) < len(bus.frames):
+        return bus
+    times = frame_response_times(bus)
+    timed = tuple(replace(frame, response_time=times[frame.name]) for frame in bus.frames)
+    return replace(bus, frames=timed, load=bus_load(bus))
+
+
+def _fast_enough(bus: Bus, report: Report) -> Bus:
+    """A bus whose bitrate nobody has stated: faster if that is what its frames need."""
+    chosen = bus
+    for bitrate in FASTER:
+        if chosen.load <= LOAD_WARNING and not late_frames(chosen):
+            break
+        if all(not node.bitrates or bitrate in node.bitrates for node in bus.nodes):
+            chosen = _timed(replace(bus, bitrate=bitrate))
+    if chosen is not bus and not late_frames(chosen):
+        why = f"take {100 * bus.load:.0f} % of"
+        if late_frames(bus):
+            why = "come too late at"
+        report.add(
+            "can-bitrate-chosen",
+            f"the bus `{bus.name}` gets {chosen.bitrate / 1000:g} kbit/s: its frames would {why} "
+            f"{bus.bitrate / 1000:g} kbit/s",
+            bus.origin,
+            hint=f"state a bitrate: `buses: {{{bus.name}: {{bitrate: ..}}}}`",
+        )
+    return chosen
+
+
+def _master_frames(spec: BusSpec, placed: Sequence[Placed], sync_period: float) -> Iterator[Frame]:
+    """What the master says to all, where there are CANopen nodes to hear it."""
+    nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
+    if not nodes:
+        return
+    yield Frame(
+        "nmt",
+        0x000,
+        "nmt",
+        MASTER,
+        nodes,
+        2,
+        None,
+        None,
+        (Signal("nmt_command", 0, 8, choices=NMT_COMMANDS), Signal("nmt_node", 8, 8)),
+        spec.span,
+        "Network management: change the state of one node, or of all (0).",
+    )
+    yield Frame(
+        "sync",
+        0x080,
+        "sync",
+        MASTER,
+        nodes,
+        0,
+        sync_period,
+        sync_period,
+        (),
+        spec.span,
+        "The control cycle's beat, after its commands.",
+    )
+    yield heartbeat(MASTER, 0x700 + MASTER_ID, MASTER, nodes, MASTER_HEARTBEAT_PERIOD, spec.span)

@@ -1,0 +1,402 @@
+"""Checks of a bus: ids, COB-IDs over the full expansion, layouts, scalings, load.
+
+Every fault between two parties names both places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from thorvaldc.compiler.bus.device_sections import (
+    MASTER,
+    MASTER_HEARTBEAT_PERIOD,
+    Device,
+    Placed,
+    Wire,
+    entries,
+    listed,
+)
+from thorvaldc.compiler.bus.object_dictionary import serial_number
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.robot import Actuator, Bus, Frame
+
+# Identifiers that CiA 301 (table "restricted CAN-IDs") keeps for its own services.
+RESTRICTED = (
+    (0x000, 0x07F),
+    (0x101, 0x180),
+    (0x581, 0x5FF),
+    (0x601, 0x67F),
+    (0x6E0, 0x6FF),
+    (0x701, 0x7FF),
+)
+# Services of CANopen that no device needs to declare to have them spoil its frames.
+STANDARD = ((0x100, "TIME"), (0x7E4, "LSS response"), (0x7E5, "LSS request"))
+LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
+
+
+# -- wiring -------------------------------------------------------------------------
+
+
+def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
+    """Each channel has one motor at most, each motor one channel, and the roles fit."""
+    owners: dict[str, tuple[Device, Wire]] = {}
+    for device in devices:
+        roles = _roles(device)
+        for wire in device.wires:
+            motor = wire.actuator
+            if wire.channel not in roles:
+                report.add(
+                    "channel-unknown",
+                    f"`{device.path}` has no channel `{wire.channel}`",
+                    wire.span,
+                    hint=did_you_mean(wire.channel, roles, listed(roles)),
+                )
+                continue
+            if motor.name in owners:
+                other, first = owners[motor.name]
+                report.add(
+                    "motor-conflict",
+                    f"the motor `{motor.name}` is on two channels, `{first.channel}` of "
+                    f"`{other.path}` and `{wire.channel}` of `{device.path}`",
+                    wire.span,
+                    labels=[Label(first.span, "first used here")],
+                    hint="give each motor one channel",
+                )
+                continue
+            owners[motor.name] = (device, wire)
+            if roles[wire.channel] != motor.role:
+                report.add(
+                    "channel-role",
+                    f"the channel `{wire.channel}` of `{device.path}` is for "
+                    f"{roles[wire.channel]}, the motor `{motor.name}` for {motor.role}",
+                    wire.span,
+                    labels=[Label(motor.origin, "the motor")],
+                )
+        if roles and not device.wires:
+            report.add(
+                "controller-without-motor",
+                f"`{device.path}` drives no motor",
+                device.origin,
+                hint="connect one: `channels: {" + next(iter(roles)) + ": <module>.<motor>}`",
+            )
+    if not any(_roles(device) for device in devices):
+        if actuators:
+            report.add(
+                "robot-without-controller",
+                f"none of the {len(actuators)} motors has a controller: "
+                "the robot can be simulated, but not driven on a bus",
+                actuators[0].origin,
+            )
+        return
+    for motor in actuators:
+        if motor.name not in owners:
+            report.add(
+                "motor-without-controller",
+                f"the motor `{motor.name}` is on no controller's channel: "
+                "it moves in simulation, but not on the bus",
+                motor.origin,
+                hint="add a controller, or connect one that has a free channel",
+            )
+
+
+def _roles(device: Device) -> dict[str, str]:
+    return {n: device.scope.text(node.get("role")) for n, node in entries(device.channels)}
+
+
+# -- one bus --------------------------------------------------------------------------
+
+
+def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Ids, bitrate, COB-IDs, heartbeats, load and response times of a bus."""
+    same = _check_ids(bus, placed, report)
+    _check_bitrate(bus, placed, report)
+    _check_restricted(placed, report)
+    _check_cob_ids(bus, placed, same, report)
+    _check_names(bus, placed, report)
+    _check_heartbeats(bus, placed, report)
+    _check_load(bus, report)
+    _check_deadlines(bus, placed, report)
+
+
+def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
+    """Report ids that occur twice; returns the nodes at fault, by name."""
+    first: dict[tuple[str, int], Placed] = {}
+    at_fault: dict[str, None] = {}
+    for device in placed:
+        key = (device.node.id_space, device.node.id)
+        if not device.node.id_space:
+            continue
+        other = first.setdefault(key, device)
+        if other is device:
+            continue
+        at_fault[device.node.name] = None
+        report.add(
+            "can-id-duplicate",
+            f"`{device.path}` has the id {device.node.id} on the bus `{bus.name}`, "
+            f"as `{other.path}` has",
+            device.span,
+            labels=[Label(other.span, "first used here")],
+            hint="give each its own id, or leave `can` out to have one chosen",
+        )
+    return at_fault
+
+
+def check_serials(placed: Sequence[Placed], report: Report) -> None:
+    """One vendor gives a serial number once, on whatever bus the device is."""
+    first: dict[tuple[int | None, int | str], Placed] = {}
+    for device in placed:
+        serial = device.node.serial
+        if serial is None:
+            continue
+        number = serial_number(serial)
+        if device.node.lss and number is None:
+            report.add(
+                "can-serial-format",
+                f"the serial number of `{device.path}` is `{serial}`; by LSS it is found by "
+                "a number of 32 bits",
+                device.serial_span,
+                labels=[Label(device.module_span, "it has LSS")],
+                hint='write it as in "0x12ab34cd"',
+            )
+        key = (device.node.vendor_id, serial if number is None else number)
+        other = first.setdefault(key, device)
+        if other is not device:
+            report.add(
+                "can-serial-duplicate",
+                f"`{device.path}` has the serial number {serial}, as `{other.path}` has",
+                device.serial_span,
+                labels=[Label(other.serial_span, "first used here")],
+                hint="read each device's own serial number from its label",
+            )
+
+
+def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """One fault for the bus, whatever the number of devices that cannot follow it."""
+    choosy = [device for device in placed if device.node.bitrates]
+    unable = [device for device in choosy if bus.bitrate not in device.node.bitrates]
+    if not unable:
+        return
+    first = unable[0]
+    others = len(unable) - 1
+    who = f"`{first.path}`" + (f" and {others} more of its devices" if others else "")
+    common = [
+        rate
+        for rate in first.node.bitrates
+        if all(rate in device.node.bitrates for device in choosy)
+    ]
+    rates = ", ".join(f"{rate / 1000:g}" for rate in common)
+    report.add(
+        "can-bitrate",
+        f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s, which {who} cannot do",
+        bus.origin,
+        labels=[
+            *(Label(device.span, "this device is on it") for device in unable[:2]),
+            Label(first.module_span, f"what `{first.path}` can do is said here"),
+        ],
+        hint=f"all devices on it can do {rates} kbit/s"
+        if rates
+        else "no bitrate suits all devices on it: put some on another bus",
+    )
+
+
+def _check_restricted(placed: Sequence[Placed], report: Report) -> None:
+    for device in placed:
+        for frame in device.frames:
+            if frame.kind not in ("pdo", "broadcast", "relay"):
+                continue
+            for low, high in RESTRICTED:
+                if low <= frame.cob_id <= high:
+                    report.add(
+                        "can-cob-id-restricted",
+                        f"the frame `{frame.name}` has the COB-ID {frame.cob_id:#05x}; "
+                        f"CANopen keeps {low:#05x} to {high:#05x} for itself",
+                        frame.origin,
+                        labels=[Label(device.span, "this device has it")],
+                    )
+
+
+class _Claim(NamedTuple):
+    cob_id: int
+    what: str
+    owner: str
+    span: Span
+    device: Placed | None
+
+
+def _check_cob_ids(
+    bus: Bus, placed: Sequence[Placed], skipped: dict[str, None], report: Report
+) -> None:
+    """No COB-ID may stand for two frames, those of the standard included."""
+    first: dict[int, _Claim] = {}
+    conflicts: dict[tuple[str, str], list[tuple[_Claim, _Claim]]] = {}
+    for claim in _claims(bus, placed, skipped):
+        other = first.setdefault(claim.cob_id, claim)
+        if other is not claim:
+            conflicts.setdefault((other.owner, claim.owner), []).append((other, claim))
+    for pairs in conflicts.values():
+        other, claim = pairs[0]
+        named = ", ".join(f"{c.cob_id:#05x} ({o.what}, {c.what})" for o, c in pairs)
+        labels = [Label(other.span, "first used here")] if other.device is not None else []
+        who = f"`{claim.owner}`"
+        if claim.owner == other.owner:
+            message = f"two frames of {who} have one COB-ID on the bus `{bus.name}`: {named}"
+        else:
+            message = (
+                f"`{other.owner}` and {who} both have frames with the COB-ID {named} "
+                f"on the bus `{bus.name}`"
+            )
+        report.add(
+            "can-cob-id-conflict",
+            message,
+            claim.span,
+            labels=labels,
+            hint="change the id of one of them, or put one on another bus"
+            if labels
+            else "give it another id; this one is for the bus's master, the base driver",
+        )
+
+
+def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Iterator[_Claim]:
+    own = {frame.name for device in placed for frame in device.frames}
+    canopen = False
+    for frame in bus.frames:
+        if frame.name not in own:
+            canopen = True
+            what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
+            yield _Claim(frame.cob_id, what, MASTER, bus.origin, None)
+    if canopen:
+        for cob_id, service in STANDARD:
+            yield _Claim(cob_id, service, MASTER, bus.origin, None)
+    for device in placed:
+        if device.node.name in skipped:
+            continue
+        prefix = f"{device.node.name}_"
+        for frame in device.frames:
+            what = frame.name.removeprefix(prefix)
+            yield _Claim(frame.cob_id, what, device.path, device.span, device)
+
+
+def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Frames and producers are known by name: in the DBC, to the driver."""
+    spans = {frame.name: device.span for device in placed for frame in device.frames}
+    seen: dict[str, Frame] = {}
+    named: dict[str, Placed] = {}
+    for device in placed:
+        twin = named.setdefault(device.node.name, device)
+        if twin is not device:
+            report.add(
+                "can-name-conflict",
+                f"`{twin.path}` and `{device.path}` are both named `{device.node.name}` on the "
+                f"bus `{bus.name}`",
+                device.span,
+                labels=[Label(twin.span, "the first")],
+                hint="give one of them another name",
+            )
+        if device.node.name == MASTER:
+            report.add(
+                "can-name-conflict",
+                f"a device named `{MASTER}` cannot be told from the bus's master",
+                device.span,
+                hint="give the module another name",
+            )
+    for frame in bus.frames:
+        other = seen.setdefault(frame.name, frame)
+        if other is not frame:
+            report.add(
+                "can-name-conflict",
+                f"two frames on the bus `{bus.name}` are named `{frame.name}`",
+                spans.get(frame.name, frame.origin),
+                labels=[Label(other.origin, "the first")],
+                hint="give one of the modules another name",
+            )
+
+
+def _check_load(bus: Bus, report: Report) -> None:
+    load = bus.load
+    if load <= LOAD_WARNING:
+        return
+    code, limit = ("can-overload", LOAD_LIMIT) if load > LOAD_LIMIT else ("can-load", LOAD_WARNING)
+    report.add(
+        code,
+        f"the periodic frames of the bus `{bus.name}` take {100 * load:.0f} % of its "
+        f"{bus.bitrate / 1000:g} kbit/s at worst; the limit is {100 * limit:.0f} %",
+        bus.origin,
+        hint="a higher bitrate, a lower rate of the driver, or a second bus",
+    )
+
+
+def late_frames(bus: Bus) -> list[Frame]:
+    """The periodic frames that can come after their deadline."""
+    return [
+        frame
+        for frame in bus.frames
+        if frame.deadline is not None
+        and frame.period is not None
+        and (frame.response_time is None or frame.response_time > frame.deadline)
+    ]
+
+
+def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Every frame must be there in time, also when all others come at the worst instant."""
+    owners = {frame.name: device for device in placed for frame in device.frames}
+    late = late_frames(bus)
+    if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported
+        return
+    worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
+    named = ", ".join(f"`{frame.name}`" for frame in late[:3])
+    if len(late) > 3:
+        named += f" and {len(late) - 3} more"
+    time = worst.response_time
+    takes = f"{time * 1000:.4g} ms" if time is not None else "any time"
+    labels = []
+    if worst.name in owners:  # not one of the master's, which are in no file
+        labels = [
+            Label(worst.origin, f"`{worst.name}`"),
+            Label(owners[worst.name].span, "this device has it"),
+        ]
+    report.add(
+        "can-deadline",
+        f"on the bus `{bus.name}` {named} can come too late: `{worst.name}` takes {takes} at "
+        f"worst, its deadline is {(worst.deadline or 0.0) * 1000:.4g} ms",
+        bus.origin,
+        labels=labels,
+        hint="a higher bitrate, a lower rate of the driver, or a second bus",
+    )
+
+
+def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+    """Who watches a heartbeat must let one go missing, and a drive must watch the master's."""
+    for device in placed:
+        node = device.node
+        if node.is_cia402 and node.heartbeat_consumer_time is None:
+            report.add(
+                "can-heartbeat-consumer",
+                f"`{device.path}` is a drive after CiA 402 and does not watch the master's "
+                "heartbeat (object 0x1016): it would drive on when the master is gone",
+                device.span,
+                labels=[Label(device.module_span, "what it has is said here")],
+                hint="give its module a `heartbeat_consumer_time`",
+            )
+        beats = [f.period for f in device.frames if f.kind == "heartbeat" and f.period is not None]
+        watched = (
+            (node.heartbeat_timeout, beats[0] if beats else None, f"`{device.path}`"),
+            (node.heartbeat_consumer_time, MASTER_HEARTBEAT_PERIOD, "the master"),
+        )
+        for patience, period, producer in watched:
+            if patience is None or period is None or patience >= 2 * period:
+                continue
+            watcher = "the master" if producer != "the master" else f"`{device.path}`"
+            report.add(
+                "can-heartbeat-time",
+                f"{watcher} waits {patience * 1000:.6g} ms for a heartbeat of {producer}, which "
+                f"comes every {period * 1000:.6g} ms; one that is late would stop the robot",
+                device.span,
+                labels=[
+                    Label(device.module_span, "what it has is said here"),
+                    Label(bus.origin, "the bus"),
+                ],
+                hint=f"wait {2000 * period:.6g} ms or more",
+            )

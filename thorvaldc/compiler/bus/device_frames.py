@@ -1,0 +1,348 @@
+"""The frames of a device: its module's, and the CANopen objects that it has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from thorvaldc.compiler.bus.device_sections import (
+    MASTER,
+    Device,
+    Wire,
+    entries,
+    integer,
+    items,
+    listed,
+)
+from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.robot import Frame, Signal
+
+HEARTBEAT_PERIOD = 0.1  # s, where the module does not say
+LAST_PDO = 512
+NMT_STATES = ((0, "boot_up"), (4, "stopped"), (5, "operational"), (127, "pre_operational"))
+
+
+def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
+    return {
+        wire.channel: {
+            "gear_ratio": wire.actuator.gear_ratio,
+            "encoder_ppr": wire.actuator.encoder_ppr,
+            "motor_max_speed": wire.actuator.motor_max_speed,
+            "max_velocity": wire.actuator.max_velocity,
+            "max_acceleration": wire.actuator.max_acceleration,
+            "lower": -math.pi if wire.lower is None else wire.lower,
+            "upper": math.pi if wire.upper is None else wire.upper,
+        }
+        for wire in device.wires
+    }
+
+
+def frames_of(device: Device, node_id: int, sync_period: float, report: Report) -> Iterator[Frame]:
+    scope, name = device.scope, device.name
+    for key, node in entries(device.can.get("frames")):
+        cob_id = _cob_id(device, key, node, report)
+        if cob_id is None:
+            continue
+        length = integer(scope, node.get("length"), 8)
+        period = _period(device, node, sync_period, report)
+        signals = tuple(_signals(device, node))
+        check_channels(device, node, report)
+        fits = check_layout(node, length, signals, report)
+        kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
+        sends = scope.text(node.get("direction"), "report") == "command"
+        if sends and signals and not kept:
+            period = None  # nothing to say: the motors that it is for are not there
+        deadline = node.get("deadline")
+        number, mapping = _pdo(device, node, length, report)
+        synchronous = scope.boolean(node.get("synchronous"), False)
+        if synchronous and (node.get("period") or node).value != "cycle":
+            report.add(
+                "can-period",
+                f"the frame `{key}` comes with SYNC, once in a control cycle; its period differs",
+                (node.get("period") or node.get("synchronous") or node).span,
+                hint="write `period: cycle`",
+            )
+        if number is not None and not sends and not synchronous and period == sync_period:
+            period = _by_timer(sync_period)
+        if fits:
+            check_scales(device, node, signals, report)
+            yield Frame(
+                f"{name}_{key}",
+                cob_id,
+                scope.text(node.get("kind"), "pdo"),
+                MASTER if sends else name,
+                (name,) if sends else (MASTER,),
+                length,
+                period,
+                period if deadline is None else _time(device, deadline, report),
+                kept,
+                node.where,
+                scope.text(node.get("description")),
+                minimum_interval(scope, node, report) if period is None else None,
+                pdo=number,
+                mapping=mapping,
+                synchronous=synchronous,
+            )
+    yield from _standard_frames(device, node_id, report)
+
+
+def _by_timer(cycle: float) -> float:
+    """A node's timer has whole milliseconds: rather a report too many than one too late."""
+    return max(math.floor(cycle * 1000 + 1e-6), 1) / 1000
+
+
+def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
+    """The least time in s between two frames that a `rate` allows."""
+    node = frame.get("rate")
+    if node is None:
+        return None
+    rate = scope.quantity(node, "frequency", math.nan)
+    if rate > 0.0:
+        return 1.0 / rate
+    if not math.isnan(rate):  # else its fault is reported
+        report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
+    return None
+
+
+def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[Frame]:
+    stated = device.can.get("heartbeat_period")
+    every = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
+    has = device.can.get("canopen")
+    yield from standard_frames(device.name, node_id, has, every or HEARTBEAT_PERIOD)
+
+
+def standard_frames(
+    name: str, node_id: int, has: Node | None, heartbeat_period: float
+) -> Iterator[Frame]:
+    """The CANopen objects that a device says it has (CiA 301, predefined connection set).
+
+    ``has`` is its list of their names, ``heartbeat_period`` in s.
+    """
+    if has is None:
+        return
+    here = has.where
+    for item in items(has):
+        if item.value == "emcy":
+            yield Frame(
+                f"{name}_emcy",
+                0x080 + node_id,
+                "emcy",
+                name,
+                (MASTER,),
+                8,
+                None,
+                None,
+                (
+                    Signal("error_code", 0, 16),
+                    Signal("error_register", 16, 8),
+                    Signal("manufacturer_error", 24, 40),
+                ),
+                here,
+                "Emergency: a fault has come or gone.",
+            )
+        elif item.value == "sdo":
+            for way, base, producer, consumer in (
+                ("request", 0x600, MASTER, name),
+                ("response", 0x580, name, MASTER),
+            ):
+                yield Frame(
+                    f"{name}_sdo_{way}",
+                    base + node_id,
+                    "sdo",
+                    producer,
+                    (consumer,),
+                    8,
+                    None,
+                    None,
+                    (
+                        Signal("command", 0, 8),
+                        Signal("index", 8, 16),
+                        Signal("subindex", 24, 8),
+                        Signal("data", 32, 32),
+                    ),
+                    here,
+                    f"Access to the object dictionary, {way}.",
+                )
+        elif item.value == "heartbeat":
+            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), heartbeat_period, here)
+
+
+def heartbeat(
+    prefix: str, cob_id: int, producer: str, consumers: tuple[str, ...], period: float, here: Span
+) -> Frame:
+    return Frame(
+        f"{prefix}_heartbeat",
+        cob_id,
+        "heartbeat",
+        producer,
+        consumers,
+        1,
+        period,
+        period,
+        (Signal("state", 0, 7, choices=NMT_STATES),),
+        here,
+        "Sign of life with the state of the network management.",
+    )
+
+
+def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
+    """The signals of a frame, each with its channel."""
+    scope = device.scope
+    wires = {wire.channel: wire for wire in device.wires}
+    commands = scope.text(frame.get("direction"), "report") == "command"
+    for name, node in entries(frame.get("signals")):
+        if not isinstance(node.value, dict):
+            continue
+        get = node.value.get
+        channel = scope.text(get("channel")) if "channel" in node.value else None
+        wired = channel is None or channel in wires
+
+        def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
+            # The numbers of a channel without a motor have no meaning and are not evaluated.
+            found = get(key) if wired else None
+            return otherwise if found is None else scope.quantity(found, "ratio", otherwise or 0.0)
+
+        wire = wires.get(channel) if channel is not None else None
+        signal = Signal(
+            name,
+            integer(scope, get("start"), 0),
+            integer(scope, get("length"), 1),
+            scope.boolean(get("signed"), False),
+            value("scale", 1.0),
+            value("offset", 0.0),
+            scope.text(get("unit")),
+            value("minimum", None),
+            value("maximum", None),
+            wire.actuator.joint if wire is not None else None,
+            scope.boolean(get("multiplexer"), False),
+            tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
+            tuple((integer(scope, raw, 0), choice) for choice, raw in entries(get("choices"))),
+            scope.text(get("description")),
+        )
+        if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
+            signal = _calibrated(signal, wire, commands)
+        yield signal, channel
+
+
+def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
+    """An angle on the bus is the encoder's; the signal's value is the joint's position.
+
+    Here, and only here, the two are brought together: who uses the signal's offset sees positions.
+    A command is kept to what the controller allows by its encoder, which is the joint's range
+    moved by the offset.
+    """
+    offset = wire.actuator.encoder_offset
+    low, high = signal.minimum, signal.maximum
+    if commands:
+        low = wire.lower if low is None else low
+        high = wire.upper if high is None else high
+    return replace(
+        signal,
+        offset=signal.offset + offset,
+        minimum=None if low is None else low + offset,
+        maximum=None if high is None else high + offset,
+    )
+
+
+def _pdo(
+    device: Device, frame: Node, length: int, report: Report
+) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
+    """Number and mapping of a CANopen PDO."""
+    place = frame.get("pdo")
+    if place is None:
+        return None, ()
+    scope = device.scope
+    number = integer(scope, place, 1)
+    if not 1 <= number <= LAST_PDO:
+        report.add(
+            "can-pdo-mapping", f"a PDO's number is 1 to {LAST_PDO}, not {number}", place.span
+        )
+        return None, ()
+    mapping: list[tuple[int, int, str]] = []
+    for item in items(frame.get("mapping")):
+        index, subindex, kind = items(item)
+        object_ = (integer(scope, index, 0), integer(scope, subindex, 0), scope.text(kind))
+        if object_[2] not in OBJECT_TYPES:
+            report.add(
+                "can-pdo-mapping",
+                f"`{object_[2]}` is no type of an object",
+                kind.span,
+                hint=did_you_mean(object_[2], list(OBJECT_TYPES), listed(OBJECT_TYPES)),
+            )
+            return None, ()
+        if not (0 <= object_[0] <= 0xFFFF and 0 <= object_[1] <= 0xFE):
+            report.add(
+                "can-pdo-mapping",
+                f"{object_[0]:#x}:{object_[1]} is no object; an index is 0 to 0xffff, "
+                "a subindex 0 to 254",
+                item.span,
+            )
+            return None, ()
+        mapping.append(object_)
+    bits = sum(OBJECT_TYPES[kind][1] for _, _, kind in mapping)
+    if bits != 8 * length:
+        stated = frame.get("length") or frame
+        report.add(
+            "can-pdo-mapping",
+            f"the objects in the PDO have {bits} bits together, the frame {8 * length}"
+            + ("; a PDO has 64 at most" if bits > 64 else ""),
+            (frame.get("mapping") or frame).span,
+            labels=[Label(stated.span, "the frame's length")],
+        )
+        return None, ()
+    return number, tuple(mapping)
+
+
+def _is_wired(device: Device, channel: str | None) -> bool:
+    return channel is None or any(wire.channel == channel for wire in device.wires)
+
+
+def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None:
+    node = frame.get("cob_id") or frame
+    value = device.scope.quantity(node, "ratio", math.nan)
+    if 0 <= value <= 0x7FF and value.is_integer():
+        return int(value)
+    if not math.isnan(value):  # else its fault is reported
+        report.add(
+            "can-cob-id-range",
+            f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
+            "a standard frame has 0x0 to 0x7ff",
+            node.span,
+            labels=[Label(device.origin, "this device has it")],
+        )
+    return None
+
+
+def _hexadecimal(value: float) -> str:
+    return f"{int(value):#x}" if value.is_integer() and abs(value) < 1 << 32 else f"{value:g}"
+
+
+def _period(device: Device, frame: Node, sync_period: float, report: Report) -> float | None:
+    node = frame.get("period")
+    if node is None or node.value == "on_demand":
+        return None
+    if node.value == "cycle":
+        return sync_period
+    return _time(device, node, report)
+
+
+def _time(device: Device, node: Node, report: Report) -> float | None:
+    """A time that is positive, or ``None`` with the fault reported."""
+    time = device.scope.quantity(node, "time", math.nan)
+    if time > 0.0:
+        return time
+    if not math.isnan(time):  # else its fault is reported
+        report.add(
+            "can-period",
+            f"a frame of `{device.path}` has the period {time:g} s; it must be positive",
+            node.span,
+            hint="give a time, `cycle`, or `on_demand` for a frame that is sent when asked for",
+        )
+    return None

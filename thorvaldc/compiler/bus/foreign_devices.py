@@ -1,0 +1,80 @@
+"""Devices on a bus that are not the robot's own: their frames are passed on and no others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from thorvaldc.compiler.bus.device_frames import HEARTBEAT_PERIOD, minimum_interval, standard_frames
+from thorvaldc.compiler.bus.device_sections import CANOPEN, MASTER, BusSpec, Placed, entries
+from thorvaldc.compiler.bus.node_ids import bus_name
+from thorvaldc.compiler.library import Library
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source import node as source
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model.robot import Frame, Node
+
+PROTOCOL = "foreign"
+
+
+def foreign_devices(
+    section: source.Node | None, specs: Sequence[BusSpec], report: Report
+) -> list[Placed]:
+    """The devices of `foreign_devices` with the frames that may pass."""
+    scope = Scope(None, {}, Library(), report, None)
+    found = []
+    for name, device in entries(section):
+        id_node = device.get("id")
+        node_id = id_node.value if id_node is not None and type(id_node.value) is int else None
+        has = device.get("canopen")
+        if has is not None and has.value and node_id is None:
+            report.add(
+                "missing-key",
+                f"`{name}` has objects of CANopen, but no id that their frames would have",
+                has.where,
+                hint="add `id: ...`",
+            )
+            has = None
+        frames = [
+            *_relayed(name, device, scope, report),
+            *standard_frames(name, node_id or 0, has, HEARTBEAT_PERIOD),
+        ]
+        span = id_node.span if id_node is not None else device.where
+        found.append(
+            Placed(
+                name,
+                bus_name(device.get("bus"), specs, report),
+                span,
+                span,
+                _node(name, node_id, device.where),
+                tuple(frames),
+                device.where,
+            )
+        )
+    return found
+
+
+def _node(name: str, node_id: int | None, origin: Span) -> Node:
+    id_space = CANOPEN if node_id is not None else ""
+    return Node(name, "", PROTOCOL, node_id or 0, id_space, None, None, (), (), origin)
+
+
+def _relayed(name: str, device: source.Node, scope: Scope, report: Report) -> Iterator[Frame]:
+    for key, node in entries(device.get("frames")):
+        cob_id, length = node.get("cob_id"), node.get("length")
+        if cob_id is None or type(cob_id.value) is not int:
+            continue  # reported
+        to_device = scope.text(node.get("direction")) == "command"
+        yield Frame(
+            f"{name}_{key}",
+            cob_id.value,
+            "relay",
+            MASTER if to_device else name,
+            (name,) if to_device else (MASTER,),
+            length.value if length is not None and type(length.value) is int else 8,
+            None,
+            None,
+            (),
+            node.where,
+            scope.text(node.get("description")),
+            minimum_interval(scope, node, report),
+        )

@@ -1,0 +1,229 @@
+"""Checks of one frame of a module: its layout, and whether its scalings reach far enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from thorvaldc.compiler.bus.device_sections import Device, Wire, entries, listed
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.robot import Signal
+
+ROUNDING = 1e-9
+
+
+def check_channels(device: Device, frame: Node, report: Report) -> None:
+    """A signal's channel must be one of the module's."""
+    known = [name for name, _ in entries(device.channels)]
+    for _, node in entries(frame.get("signals")):
+        channel = node.get("channel")
+        if channel is not None and channel.value not in known:
+            report.add(
+                "channel-unknown",
+                f"the module has no channel `{channel.value}`",
+                channel.span,
+                hint=did_you_mean(str(channel.value), known, listed(known)),
+            )
+
+
+def check_layout(
+    frame: Node,
+    length: int,
+    signals: Sequence[tuple[Signal, str | None]],
+    report: Report,
+) -> bool:
+    """Whether the signals lie in the frame, apart from each other, and are selected rightly."""
+    if not 0 <= length <= 8:
+        place = frame.get("length") or frame
+        report.add(
+            "can-frame-length",
+            f"the frame has {length} bytes; a CAN frame has 0 to 8 (64 bits)",
+            place.span,
+        )
+        return False
+    span_of = {name: node.where for name, node in entries(frame.get("signals"))}
+    inside: list[Signal] = []
+    for signal, _ in signals:
+        if signal.length > 0 <= signal.start and signal.start + signal.length <= 8 * length:
+            inside.append(signal)
+        else:
+            report.add(
+                "can-signal-bounds",
+                f"the signal `{signal.name}` starts at bit {signal.start} and has {signal.length}; "
+                f"the frame has the bits 0 to {8 * length - 1}",
+                span_of[signal.name],
+            )
+    return all(
+        (
+            len(inside) == len(signals),
+            _choices_fit(inside, span_of, report),
+            _selectors_fit(inside, span_of, report),
+            _bits_are_apart(inside, span_of, report),
+        )
+    )
+
+
+def _choices_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    fits = True
+    for signal in signals:
+        low, high = raw_range(signal)
+        for raw, choice in signal.choices:
+            if not low <= raw <= high:
+                fits = False
+                report.add(
+                    "can-choice-range",
+                    f"`{choice}` is {raw}; the {signal.length} bits of `{signal.name}` "
+                    f"can say {low} to {high}",
+                    span_of[signal.name],
+                )
+    return fits
+
+
+def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    selectors = [signal for signal in signals if signal.multiplexer]
+    fits = len(selectors) < 2
+    for other in selectors[1:]:
+        report.add(
+            "can-multiplexer",
+            f"the frame has two multiplexers, `{selectors[0].name}` and `{other.name}`",
+            span_of[other.name],
+            labels=[Label(span_of[selectors[0].name], "the first")],
+        )
+    for signal in signals:
+        if not signal.selected_by:
+            continue
+        if not selectors or signal.multiplexer:
+            fits = False
+            report.add(
+                "can-multiplexer",
+                f"`{signal.name}` is selected by a multiplexer, but the frame has none",
+                span_of[signal.name],
+                hint="mark the signal that selects with `multiplexer: true`",
+            )
+            continue
+        low, high = raw_range(selectors[0])
+        for value in signal.selected_by:
+            if not low <= value <= high:
+                fits = False
+                report.add(
+                    "can-multiplexer",
+                    f"`{signal.name}` is selected by {value}; `{selectors[0].name}` "
+                    f"can say {low} to {high}",
+                    span_of[signal.name],
+                )
+    return fits
+
+
+def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    """No two signals that are there at the same time have a bit in common."""
+    if _masks_are_apart(signals):
+        return True
+    always: dict[int, Signal] = {}
+    selected: dict[int, dict[int, Signal]] = {}  # by bit and value of the multiplexer
+    pairs: dict[tuple[str, str], tuple[Signal, Signal]] = {}
+    for signal in signals:
+        for bit in range(signal.start, signal.start + signal.length):
+            there = selected.setdefault(bit, {})
+            others = [always[bit]] if bit in always else []
+            if signal.selected_by:
+                others += [there[value] for value in signal.selected_by if value in there]
+                for value in signal.selected_by:
+                    there.setdefault(value, signal)
+            else:
+                others += there.values()
+                always.setdefault(bit, signal)
+            for other in others:
+                if other is not signal:
+                    pairs.setdefault((other.name, signal.name), (other, signal))
+    for first, second in pairs.values():
+        report.add(
+            "can-signal-overlap",
+            f"the signals `{first.name}` (bits {first.start} to "
+            f"{first.start + first.length - 1}) and `{second.name}` (bits {second.start} to "
+            f"{second.start + second.length - 1}) share bits",
+            span_of[second.name],
+            labels=[Label(span_of[first.name], "first used here")],
+        )
+    return not pairs
+
+
+def _masks_are_apart(signals: Sequence[Signal]) -> bool:
+    """The same as a yes or no, quickly: which bits meet is worked out only where some do."""
+    always, selected = 0, dict[int, int]()
+    for signal in signals:
+        mask = ((1 << signal.length) - 1) << signal.start
+        if signal.selected_by:
+            for value in signal.selected_by:
+                if selected.get(value, 0) & mask:
+                    return False
+                selected[value] = selected.get(value, 0) | mask
+        elif always & mask:
+            return False
+        else:
+            always |= mask
+    return not any(always & mask for mask in selected.values())
+
+
+def raw_range(signal: Signal) -> tuple[int, int]:
+    """Smallest and largest raw value of a field that lies in a frame."""
+    if signal.signed:
+        return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
+    return 0, (1 << signal.length) - 1
+
+
+def check_scales(
+    device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
+) -> None:
+    """The full speed and the full angle of each joint must fit into its field."""
+    wires = {wire.channel: wire for wire in device.wires}
+    nodes = dict(entries(frame.get("signals")))
+    for signal, channel in signals:
+        if channel is not None and channel not in wires:
+            continue
+        node = nodes[signal.name]
+        if signal.scale == 0.0:
+            report.add(
+                "can-scale",
+                f"the scale of `{signal.name}` is 0: every value would be the same",
+                (node.get("scale") or node).span,
+            )
+            continue
+        if channel is None:
+            continue
+        wanted = _joint_range(wires[channel], signal.unit)
+        if wanted is None:
+            continue
+        low, high = _physical_range(signal)
+        slack = ROUNDING * max(abs(wanted[0]), abs(wanted[1]))
+        if low <= wanted[0] + slack and wanted[1] - slack <= high:
+            continue
+        field = f"{signal.length} {'signed' if signal.signed else 'unsigned'} bits"
+        report.add(
+            "can-scale",
+            f"`{signal.name}` can say {low:.4g} to {high:.4g} {signal.unit}; the joint "
+            f"`{signal.joint}` has {wanted[0]:.4g} to {wanted[1]:.4g} {signal.unit}",
+            device.origin,
+            labels=[
+                Label(node.where, f"{field}, {signal.scale:.4g} {signal.unit} a step"),
+                Label(wires[channel].actuator.origin, "the motor"),
+            ],
+            hint="a wider field, a coarser scale, or lower limits of the motor or joint",
+        )
+
+
+def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
+    if unit == "rad/s":
+        return -wire.actuator.max_velocity, wire.actuator.max_velocity
+    if unit == "rad" and wire.lower is not None and wire.upper is not None:
+        # What the encoder reads over the joint's range, as the signal of a calibrated one says it.
+        offset = wire.actuator.encoder_offset
+        return wire.lower + offset, wire.upper + offset
+    return None
+
+
+def _physical_range(signal: Signal) -> tuple[float, float]:
+    ends = sorted(raw * signal.scale + signal.offset for raw in raw_range(signal))
+    low = ends[0] if signal.minimum is None else max(ends[0], signal.minimum)
+    high = ends[1] if signal.maximum is None else min(ends[1], signal.maximum)
+    return low, high

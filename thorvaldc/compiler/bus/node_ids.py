@@ -1,0 +1,299 @@
+"""Devices get their ids: those that the robot's file gives, those that are pinned, free ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from thorvaldc.compiler.bus.device_frames import channel_names, frames_of
+from thorvaldc.compiler.bus.device_sections import (
+    CANOPEN,
+    MASTER_ID,
+    BusSpec,
+    Device,
+    Placed,
+    entries,
+    integer,
+    items,
+    listed,
+)
+from thorvaldc.compiler.bus.lock_file import Lock, Pin
+from thorvaldc.compiler.bus.object_dictionary import objects_of
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source import node as source
+from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.robot import Channel, Frame, Node, Scalar
+
+HEARTBEATS_MISSED = 3  # after which a node counts as lost, where its module does not say
+
+
+class _Request(NamedTuple):
+    """What the robot says of a device's address; ``id`` is ``None`` for auto."""
+
+    bus: str
+    id: int | None
+    serial: str | None
+    span: Span
+    serial_span: Span
+
+
+Taken = dict[tuple[str, str], dict[int, None]]  # ids in use by bus and id space
+
+
+def place(
+    devices: Sequence[Device],
+    foreign: Sequence[Placed],
+    specs: Sequence[BusSpec],
+    sync_period: float,
+    lock: Lock,
+    report: Report,
+) -> list[Placed]:
+    """The devices with their ids and frames; the ``foreign`` ones have theirs already."""
+    requests = [(device, _request(device, specs, report)) for device in devices]
+    taken: Taken = {}
+    for other in foreign:
+        taken.setdefault((other.bus, other.node.id_space), {})[other.node.id] = None
+    for device, request in requests:
+        if request.id is not None:
+            taken.setdefault((request.bus, _id_space(device)), {})[request.id] = None
+    pins = _pinned(requests, foreign, lock, report)
+    for (bus, id_space, _), pin in pins.items():
+        taken.setdefault((bus, id_space), {})[pin.id] = None
+    placed = []
+    for device, request in requests:
+        node_id = _id(device, request, pins, taken, report)
+        if node_id is None:
+            continue
+        names = {"id": node_id, "cycle": sync_period, **channel_names(device)}
+        named = device._replace(scope=device.scope.with_names(names))
+        frames = tuple(frames_of(named, node_id, sync_period, report))
+        node = _node(named, node_id, request, frames)
+        node = replace(node, objects=objects_of(named, node, frames, report))
+        placed.append(
+            Placed(
+                device.path,
+                request.bus,
+                request.span,
+                request.serial_span,
+                node,
+                frames,
+                device.can.where,
+            )
+        )
+    return placed
+
+
+def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Request:
+    default = specs[0].name
+    address = device.address
+    if address is None:
+        return _Request(default, None, None, device.origin, device.origin)
+    here = address.span
+    if not isinstance(address.value, dict):
+        node_id = device.scope.evaluate(address)
+        return _Request(default, node_id if type(node_id) is int else None, None, here, here)
+    id_node, serial = address.get("id"), address.get("serial")
+    return _Request(
+        bus_name(address.get("bus"), specs, report),
+        id_node.value if id_node is not None and type(id_node.value) is int else None,
+        str(serial.value) if serial is not None else None,
+        id_node.span if id_node is not None else here,
+        serial.span if serial is not None else here,
+    )
+
+
+def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report) -> str:
+    """The bus that is named, the first where none is or there is no such bus."""
+    known = [spec.name for spec in specs]
+    if node is None:
+        return known[0]
+    name = str(node.value)
+    if name in known:
+        return name
+    report.add(
+        "can-bus-unknown",
+        f"there is no bus `{name}`",
+        node.span,
+        hint=did_you_mean(name, known, listed(known)),
+    )
+    return known[0]
+
+
+def _id(
+    device: Device,
+    request: _Request,
+    pins: dict[tuple[str, str, str], Pin],
+    taken: Taken,
+    report: Report,
+) -> int | None:
+    """The device's id, or ``None`` with the reason reported."""
+    id_space = _id_space(device)
+    low, high = _id_range(device, "ids", (1, MASTER_ID))
+    if request.id is not None:
+        if low <= request.id <= high:
+            return request.id
+        report.add(
+            "can-id-range",
+            f"`{device.path}` has the id {request.id}; this device can have {low} to {high}",
+            request.span,
+            labels=[Label((device.can.get("ids") or device.can).where, "said here")],
+        )
+        return None
+    pin = pins.get((request.bus, id_space, device.path))
+    if pin is not None:
+        return pin.id
+    first, last = _id_range(device, "auto_ids", (low, high))
+    used = taken.setdefault((request.bus, id_space), {})
+    found = next((i for i in range(first, last + 1) if i not in used), None)
+    if found is None:
+        report.add(
+            "can-ids-exhausted",
+            f"no id is left for `{device.path}`: {first} to {last} are all taken",
+            request.span,
+            labels=[Label((device.can.get("auto_ids") or device.can).where, "said here")],
+            hint=f"give it one of {low} to {high} with `can: ...`, or use another bus",
+        )
+        return None
+    used[found] = None
+    return found
+
+
+def _pinned(
+    requests: Sequence[tuple[Device, _Request]],
+    foreign: Sequence[Placed],
+    lock: Lock,
+    report: Report,
+) -> dict[tuple[str, str, str], Pin]:
+    """The pins that hold; what speaks against the others is reported."""
+    if not lock:
+        return {}
+    owners: dict[tuple[str, str, int], tuple[str, Span]] = {}
+    for other in foreign:
+        owners[other.bus, other.node.id_space, other.node.id] = (other.path, other.span)
+    for device, request in requests:
+        if request.id is not None:
+            key = (request.bus, _id_space(device), request.id)
+            owners.setdefault(key, (device.path, request.span))
+    kept: dict[tuple[str, str, str], Pin] = {}
+    for device, request in requests:
+        id_space = _id_space(device)
+        pin = lock.get((request.bus, id_space, device.path))
+        if pin is None:
+            continue
+        if request.id is not None:
+            if request.id != pin.id:
+                report.add(
+                    "can-lock-unused",
+                    f"`{device.path}` has the id {request.id}; the lock file has {pin.id} for it",
+                    request.span,
+                    labels=[Label(pin.span, "pinned here")],
+                    hint="the robot's file counts, and the next build mends the lock file; "
+                    "a device that has its old id must be given the new one",
+                )
+            continue
+        low, high = _id_range(device, "ids", (1, MASTER_ID))
+        owner = owners.setdefault((request.bus, id_space, pin.id), (device.path, pin.span))
+        if not low <= pin.id <= high:
+            report.add(
+                "can-lock-conflict",
+                f"the lock file has the id {pin.id} for `{device.path}`; this device can have "
+                f"{low} to {high}",
+                request.span,
+                labels=[Label(pin.span, "pinned here")],
+                hint="take the line out of the lock file to have an id chosen anew",
+            )
+        elif owner[1] is not pin.span:
+            report.add(
+                "can-lock-conflict",
+                f"the id {pin.id} on the bus `{request.bus}` is that of `{owner[0]}`, and the lock "
+                f"file has it for `{device.path}`",
+                owner[1],
+                labels=[Label(pin.span, "pinned here"), Label(request.span, f"`{device.path}`")],
+                hint=f"give `{owner[0]}` another id, or take the line out of the lock file "
+                f"to have a new id chosen for `{device.path}`",
+            )
+        else:
+            kept[request.bus, id_space, device.path] = pin
+    return kept
+
+
+def _id_space(device: Device) -> str:
+    return device.scope.text(device.can.get("id_space"), CANOPEN)
+
+
+def _id_range(device: Device, key: str, default: tuple[int, int]) -> tuple[int, int]:
+    ends = [integer(device.scope, node, 0) for node in items(device.can.get(key))]
+    return (ends[0], ends[1]) if len(ends) == 2 else default
+
+
+def _node(
+    device: Device,
+    node_id: int,
+    request: _Request,
+    frames: Sequence[Frame],
+) -> Node:
+    scope, can = device.scope, device.can
+    wired = {wire.channel: wire.actuator.name for wire in reversed(device.wires)}
+
+    def number(key: str) -> int | None:
+        node = can.get(key)
+        value = integer(scope, node, 0)
+        if node is None or 0 <= value <= 0xFFFFFFFF:
+            return value if node is not None else None
+        scope.report.add(
+            "can-object-range",
+            f"`{key}` is {value}; it is a number of 32 bits",
+            node.span,
+        )
+        return None
+
+    def time(key: str, default: float | None = None) -> float | None:
+        node = can.get(key)
+        return scope.quantity(node, "time", default or 0.0) if node is not None else default
+
+    beats = [f.period for f in frames if f.kind == "heartbeat" and f.period is not None]
+    return Node(
+        device.name,
+        device.path,
+        scope.text(can.get("protocol")),
+        node_id,
+        _id_space(device),
+        number("vendor_id"),
+        request.serial,
+        tuple(
+            Channel(name, scope.text(node.get("role")), wired.get(name))
+            for name, node in entries(device.channels)
+        ),
+        tuple(
+            (name, value)
+            for name, node in entries(can.get("properties"))
+            if (value := _scalar(scope, node)) is not None
+        ),
+        device.origin,
+        automatic=request.id is None,
+        product_code=number("product_code"),
+        revision_number=number("revision_number"),
+        device_type=number("device_type"),
+        lss=scope.boolean(can.get("lss"), False),
+        heartbeat_timeout=time("heartbeat_timeout", HEARTBEATS_MISSED * beats[0])
+        if beats
+        else None,
+        heartbeat_consumer_time=time("heartbeat_consumer_time"),
+        bitrates=tuple(
+            round(scope.quantity(node, "bitrate")) for node in items(can.get("bitrates"))
+        ),
+    )
+
+
+def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
+    """A property: text with a unit in SI, other text as it is."""
+    value = scope.evaluate(node)
+    if isinstance(value, str) and not node.quoted:
+        try:
+            return parse_any(value)
+        except UnitError:
+            return value
+    return value if isinstance(value, bool | int | float | str) else None

@@ -1,0 +1,99 @@
+"""What the robot says of its buses and wires, handed to the bus pass."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
+from thorvaldc.compiler.bus.lock_file import Lock
+from thorvaldc.compiler.modules.resolve import Instance, Resolver, flat
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.robot import Actuator, Bus, Joint
+
+DEFAULT_BITRATE = 500_000  # bit/s
+DEFAULT_BUS = "main"
+
+
+class Wiring(NamedTuple):
+    """Finds the devices of a robot and the motors on their channels.
+
+    ``actuators`` and ``joints`` by name, as the elaboration made them; ``scope``
+    is the robot document's, ``lock`` holds the ids of the last build.
+    """
+
+    document: Node
+    resolver: Resolver
+    scope: Scope
+    actuators: dict[str, Actuator]
+    joints: dict[str, Joint]
+    lock: Lock
+    report: Report
+
+    def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
+        """The robot's buses; ``period`` s is the control cycle."""
+        devices: list[Device] = []
+        for leaf in robot.leaves():
+            can = leaf.type.document.get("can") if leaf.type is not None else None
+            if can is not None:
+                devices.append(self._device(leaf, can))
+        actuators = list(self.actuators.values())
+        return build_buses(
+            devices,
+            self._specs(),
+            actuators,
+            period,
+            self.report,
+            foreign=self.document.get("foreign_devices"),
+            lock=self.lock,
+        )
+
+    def _specs(self) -> list[BusSpec]:
+        node = self.document.get("buses")
+        if node is None or not isinstance(node.value, dict) or not node.value:
+            named = self.document.get("name") or self.document
+            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, named.span, stated=False)]
+        return [
+            BusSpec(
+                name,
+                round(self.scope.quantity(entry.get("bitrate"), "bitrate", DEFAULT_BITRATE)),
+                entry.where,
+                stated=entry.get("bitrate") is not None,
+            )
+            for name, entry in node.value.items()
+        ]
+
+    def _device(self, leaf: Instance, can: Node) -> Device:
+        wires: list[Wire] = []
+        channels = leaf.entry.get("channels")
+        entries = (
+            channels.value if channels is not None and isinstance(channels.value, dict) else {}
+        )
+        for channel, node in entries.items():
+            wire = self._wire(leaf, channel, node)
+            if wire is not None:
+                wires.append(wire)
+        document = leaf.type.document if leaf.type is not None else can
+        return Device(
+            path=leaf.path,
+            name=flat(leaf.path),
+            can=can,
+            channels=document.get("channels"),
+            wires=tuple(wires),
+            address=leaf.can,
+            scope=leaf.scope,
+            origin=leaf.origin,
+        )
+
+    def _wire(self, leaf: Instance, channel: str, node: Node) -> Wire | None:
+        inside = leaf.parent if leaf.parent is not None else leaf
+        reference = inside.scope.text(node)
+        found = self.resolver.find_motor(inside, reference, node) if reference else None
+        if found is None:
+            return None
+        actuator = self.actuators.get(f"{flat(found[0].path)}_{found[1]}")
+        if actuator is None:
+            return None
+        joint = self.joints[actuator.joint]
+        return Wire(channel, actuator, joint.lower, joint.upper, node.where)

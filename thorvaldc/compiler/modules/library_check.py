@@ -1,0 +1,68 @@
+"""Checks module types by themselves, with the defaults of their parameters."""
+
+from __future__ import annotations
+
+from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, build_buses
+from thorvaldc.compiler.library import Library, ModuleType
+from thorvaldc.compiler.modules.hardware import hardware_of
+from thorvaldc.compiler.modules.resolve import Instance, Resolver
+from thorvaldc.compiler.modules.scope import Scope, nearest
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report, Span
+
+
+def check_module(name: str, library: Library, report: Report) -> None:
+    """Load a type, expand it and work out its hardware; every fault goes to the report.
+
+    A type with a parameter that has no default is expanded only as far as its
+    document goes: what it is made of depends on a value that nobody has given.
+    """
+    module = library.load(name, Node(name, Span(name)), report)
+    if module is None:
+        return
+    place = module.document.span
+    asked = Node(name, place)
+    for param in module.section("params").values():
+        if param.get("default") is None:
+            return
+    entry = Node({"type": asked}, place)
+    robot = Instance("", None, Scope(None, {}, library, report, None), entry, place, None)
+    resolver = Resolver(library, report)
+    own = name.rpartition("/")[2]
+    resolver.expand(robot, own, entry)
+    part = robot.children.get(own)
+    if part is not None and module.is_assembly:
+        _check_offers(part, module, resolver, report)
+    for leaf in robot.leaves():
+        if leaf.type is None:
+            continue
+        hardware_of(leaf.type, leaf.scope, report)
+        can = leaf.type.document.get("can")
+        if can is not None:
+            channels = leaf.type.document.get("channels")
+            device = Device(leaf.path, own, can, channels, (), None, leaf.scope, place)
+            # Alone it drives no motor, which is a warning for a robot and nothing here.
+            found = Report()
+            build_buses([device], [BusSpec("bus", 500_000, place)], [], 0.02, found)
+            for fault in found.errors:
+                report.put(fault)
+
+
+def _check_offers(
+    assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
+) -> None:
+    """That what an assembly offers to the outside is there."""
+    for section, find in (("ports", resolver.find_port), ("motors", resolver.find_motor)):
+        for node in module.section(section).values():
+            # What its defaults leave out may be there with other parameters.
+            if str(node.value).partition(".")[0] not in assembly.left_out:
+                find(assembly, str(node.value), node)
+    taker = module.document.get("can")
+    known = [*assembly.children, *assembly.left_out, *assembly.failed]
+    if taker is not None and taker.value not in known:
+        report.add(
+            "module-unknown",
+            f"there is no module `{taker.value}` in `{assembly.path}`",
+            taker.span,
+            hint=nearest(str(taker.value), list(assembly.children)),
+        )

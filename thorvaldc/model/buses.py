@@ -1,0 +1,17 @@
+"""Whether a robot has buses."""
+
+from __future__ import annotations
+
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.robot import Robot
+
+
+def require_bus(robot: Robot) -> None:
+    """Raises ``DiagnosticError`` (``bus-missing``) for a robot without a bus."""
+    if not robot.buses:
+        raise DiagnosticError(
+            "bus-missing",
+            f"{robot.name} has no devices, and so no bus",
+            robot.origin,
+            hint="give its motors controllers, as the assemblies of the library have",
+        )

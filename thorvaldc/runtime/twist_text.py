@@ -1,0 +1,22 @@
+"""Twists as text, for the command line and for services."""
+
+from __future__ import annotations
+
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.runtime.se2 import Twist
+
+
+def parse_twist(text: str) -> Twist:
+    """``vx,vy,wz`` in m/s, m/s and rad/s.  Raises ``DiagnosticError`` (``twist-invalid``)."""
+    parts = text.split(",")
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) == 3 and Twist(*numbers).finite:
+        return Twist(*numbers)
+    raise DiagnosticError(
+        "twist-invalid",
+        f"`{text}` is not a twist of three finite numbers",
+        hint="give forward m/s, leftward m/s and turning rad/s, such as 1,0,0.3",
+    )

@@ -1,0 +1,342 @@
+"""Runs simulated wires by the clock, or in lockstep, for programs in other processes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import selectors
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.can import simulated_bus_protocol as protocol
+from thorvaldc.can.error_state import ErrorState
+from thorvaldc.can.frame import SEND_LIMIT, CanFrame
+from thorvaldc.can.nanoseconds import NEVER
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.bus.wire_controller import Controller
+
+LONGEST_WAIT = 0.5
+LONGEST_WORK = 20_000_000
+"""ns of work on the simulation after which clients are served, however far behind it is."""
+BACKLOG = 1 << 20
+"""Bytes that wait for a client that does not read; after that it loses frames."""
+_MAXIMUM_RATE = 10_000_000
+
+
+class _Connection:
+    """A client: its socket, its controller, and what it waits for."""
+
+    def __init__(self, stream: socket.socket, wire: Wire) -> None:
+        self.stream = stream
+        self.wire = wire
+        self.unpacker = protocol.Unpacker()
+        self.out = bytearray()
+        self.controller: Controller | None = None
+        self.lockstep = False
+        self.waits_until: int | None = None
+        self.heard = False
+        self.lost = 0
+        self.pending = 0
+
+    def tell_state(self) -> None:
+        """The controller's state, and how many frames it dropped with it (bus-off, restart)."""
+        controller = self.controller
+        if controller is not None:
+            dropped, self.pending = self.pending - controller.pending, controller.pending
+            self.put(
+                protocol.pack_json(
+                    protocol.STATE, {"state": controller.state.value, "dropped": dropped}
+                )
+            )
+
+    def put(self, message: bytes) -> None:
+        if len(self.out) > BACKLOG:
+            self.lost += 1
+        else:
+            self.out += message
+
+
+class BusServer:
+    """Listens on a channel for each wire of a timeline and lets the time run.
+
+    By the clock: simulated time follows it, from where the timeline stands; what takes
+    longer to compute than it lasts falls behind, and is caught up with (``behind`` is the
+    most, in ns).  In ``lockstep`` time moves only while every client that asked for
+    lockstep waits.
+    """
+
+    def __init__(
+        self, timeline: Timeline, wires: Mapping[str, Wire], *, lockstep: bool = False
+    ) -> None:
+        """``wires`` by channel.  Raises ``OSError`` where a channel is in use."""
+        self.timeline = timeline
+        self.lockstep = lockstep
+        self.channels = tuple(wires)
+        self.behind = 0
+        self._selector = selectors.SelectSelector()  # to the microsecond, unlike epoll
+        self._connections: list[_Connection] = []
+        self._paths: list[Path] = []
+        self._listeners: list[socket.socket] = []
+        self._stop = False
+        self._epoch = 0.0
+        self._start = 0
+        self._wakeup, woken = socket.socketpair()
+        self._woken = woken
+        woken.setblocking(False)
+        self._selector.register(woken, selectors.EVENT_READ, None)
+        try:
+            for channel, wire in wires.items():
+                self._listen(protocol.channel_path(channel), wire)
+        except OSError:
+            self._close()
+            raise
+
+    def run(self) -> None:
+        """Until ``stop`` is called, from another thread or from a signal's handler."""
+        self._start = time.monotonic_ns() - self.timeline.now
+        self._epoch = 0.0 if self.lockstep else time.time() - self.timeline.seconds
+        try:
+            while not self._stop:
+                if self.lockstep:
+                    self._step()
+                else:
+                    self._advance()
+                self._flush()
+                self._serve(self._patience())
+        finally:
+            self._close()
+
+    def stop(self) -> None:
+        self._stop = True
+        with contextlib.suppress(OSError):
+            self._wakeup.send(b"x")
+
+    # -- time ---------------------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        began = time.monotonic_ns()
+        clock = began - self._start
+        self.behind = max(self.behind, clock - self.timeline.next_time)
+        limit = began + LONGEST_WORK
+        self.timeline.run_until(clock, lambda: time.monotonic_ns() > limit)
+
+    def _patience(self) -> float:
+        """s until something must be done without a client's asking."""
+        if self.lockstep:
+            return 0.0 if self._all_wait() else LONGEST_WAIT
+        ahead = self.timeline.next_time - (time.monotonic_ns() - self._start)
+        return min(max(ahead / 1e9, 0.0), LONGEST_WAIT)
+
+    def _all_wait(self) -> bool:
+        steppers = [c for c in self._connections if c.lockstep]
+        return bool(steppers) and all(c.waits_until is not None for c in steppers)
+
+    def _step(self) -> None:
+        """Run until somebody who waits has something, or has waited long enough."""
+        if not self._all_wait():
+            return
+        steppers = [c for c in self._connections if c.lockstep]
+        until = min(c.waits_until for c in steppers if c.waits_until is not None)
+        if until >= NEVER - 1 and self.timeline.next_time >= NEVER:
+            return
+        # In pieces, so that a wait without end can be broken off.
+        piece = min(until, self.timeline.now + 1_000_000_000)
+        self.timeline.run_until(piece, lambda: any(c.heard for c in steppers))
+        for connection in steppers:
+            limit = connection.waits_until
+            if limit is not None and (connection.heard or self.timeline.now >= limit):
+                connection.waits_until, connection.heard = None, False
+                connection.put(protocol.pack_time(protocol.TIME, self.timeline.now))
+
+    # -- clients ------------------------------------------------------------------------------
+
+    def _listen(self, path: Path, wire: Wire) -> None:
+        protocol.free_path(path, "a bus")
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listeners.append(listener)
+        listener.bind(str(path))
+        self._paths.append(path)
+        listener.listen()
+        listener.setblocking(False)
+        self._selector.register(listener, selectors.EVENT_READ, wire)
+
+    def _serve(self, patience: float) -> None:
+        for key, events in self._selector.select(patience):
+            if key.data is None:
+                with contextlib.suppress(OSError):
+                    self._woken.recv(64)
+            elif isinstance(key.data, Wire):
+                with contextlib.suppress(OSError):
+                    stream, _ = key.fileobj.accept()  # type: ignore[union-attr]
+                    self._accept(stream, key.data)
+            else:
+                if events & selectors.EVENT_WRITE:
+                    self._write(key.data)
+                if events & selectors.EVENT_READ:
+                    self._read(key.data)
+
+    def _accept(self, stream: socket.socket, wire: Wire) -> None:
+        stream.setblocking(False)
+        connection = _Connection(stream, wire)
+        self._connections.append(connection)
+        self._selector.register(stream, selectors.EVENT_READ, connection)
+
+    def _read(self, connection: _Connection) -> None:
+        try:
+            data = connection.stream.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(connection)
+            return
+        if not self.lockstep:
+            self._advance()  # what it sends, it sends now
+        try:
+            for kind, body in connection.unpacker.feed(data):
+                self._take(connection, kind, body)
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as fault:
+            self._refuse(connection, f"not understood: {fault}")
+
+    def _take(self, connection: _Connection, kind: bytes, body: bytes) -> None:
+        controller = connection.controller
+        if kind == protocol.HELLO and controller is None:
+            self._greet(connection, json.loads(body))
+        elif kind == protocol.SEND and controller is not None:
+            _, frame, _ = protocol.unpack_frame(body)
+            if controller.send(frame):
+                connection.pending += 1
+            else:
+                connection.put(protocol.pack(protocol.REFUSED))
+        elif kind == protocol.RESTART and controller is not None:
+            controller.restart()
+            connection.tell_state()
+        elif kind == protocol.WAIT and connection.lockstep:
+            connection.waits_until = protocol.unpack_time(body)
+        else:
+            raise ValueError(f"message {kind!r}")
+
+    def _greet(self, connection: _Connection, hello: Mapping[str, Any]) -> None:
+        if hello["version"] != protocol.VERSION:
+            self._refuse(connection, f"another version of the protocol than {protocol.VERSION}")
+            return
+        wire = connection.wire
+        if hello["lockstep"] and not self.lockstep:
+            self._refuse(connection, "this bus goes by the clock: lockstep is not possible")
+            return
+        bitrate = hello["bitrate"] or wire.bitrate
+        if not isinstance(bitrate, int) or not 0 < bitrate <= _MAXIMUM_RATE:
+            raise ValueError(f"bitrate {bitrate!r}")
+        connection.lockstep = bool(hello["lockstep"])
+        controller = Controller(
+            wire,
+            str(hello["name"]),
+            bitrate,
+            queue_limit=max(int(hello.get("send_limit", SEND_LIMIT)), 1),
+            fifo=bool(hello["fifo"]),
+            listen_only=bool(hello["listen_only"]),
+            auto_recovery=False,
+        )
+        own = bool(hello["receive_own"])
+
+        def hear(frame: CanFrame) -> None:
+            connection.heard = True
+            connection.put(protocol.pack_frame(protocol.FRAME, frame, self.timeline.now))
+
+        def sent(frame: CanFrame) -> None:
+            connection.pending -= 1
+            connection.put(protocol.pack(protocol.SENT))
+            if own:
+                connection.heard = True
+                now = self.timeline.now
+                connection.put(protocol.pack_frame(protocol.FRAME, frame, now, own=True))
+
+        def changed(_: ErrorState) -> None:
+            connection.tell_state()
+
+        controller.on_frame, controller.on_sent, controller.on_state = hear, sent, changed
+        connection.controller = controller
+        wire.attach(controller)
+        controller.switch_on()
+        welcome = {
+            "version": protocol.VERSION,
+            "bitrate": bitrate,
+            "now": self.timeline.now,
+            "epoch": self._epoch,
+            "lockstep": self.lockstep,
+        }
+        connection.put(protocol.pack_json(protocol.WELCOME, welcome))
+
+    def _refuse(self, connection: _Connection, reason: str) -> None:
+        connection.put(protocol.pack_json(protocol.CLOSED, {"reason": reason}))
+        self._write(connection)
+        self._drop(connection)
+
+    def _flush(self) -> None:
+        for connection in list(self._connections):
+            if connection.out:
+                self._write(connection)
+
+    def _write(self, connection: _Connection) -> None:
+        try:
+            sent = connection.stream.send(connection.out)
+            del connection.out[:sent]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._drop(connection)
+            return
+        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if connection.out else 0)
+        with contextlib.suppress(KeyError):
+            if self._selector.get_key(connection.stream).events != wanted:
+                self._selector.modify(connection.stream, wanted, connection)
+
+    def _drop(self, connection: _Connection) -> None:
+        if connection in self._connections:
+            self._connections.remove(connection)
+            self._selector.unregister(connection.stream)
+            connection.stream.close()
+            if connection.controller is not None:
+                connection.wire.detach(connection.controller)
+
+    def _close(self) -> None:
+        reason = {"reason": "the bus was stopped"}
+        for connection in list(self._connections):
+            connection.put(protocol.pack_json(protocol.CLOSED, reason))
+            self._write(connection)
+            self._drop(connection)
+        for listener in self._listeners:
+            listener.close()
+        for path in self._paths:
+            path.unlink(missing_ok=True)
+        self._paths = []
+        self._selector.close()
+        self._wakeup.close()
+        self._woken.close()
+
+
+@contextlib.contextmanager
+def serving(
+    timeline: Timeline,
+    wires: Mapping[str, Wire],
+    *,
+    lockstep: bool = False,
+    stopped: Callable[[], None] | None = None,
+) -> Iterator[BusServer]:
+    """Run a server in a thread of its own; meanwhile the simulation belongs to that thread."""
+    server = BusServer(timeline, wires, lockstep=lockstep)
+    thread = threading.Thread(target=server.run, name="bus server", daemon=True)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+        thread.join()
+        if stopped is not None:
+            stopped()

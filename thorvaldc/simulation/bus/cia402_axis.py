@@ -1,0 +1,412 @@
+"""One motor of a CiA 402 drive: its objects, its power state and its control loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from thorvaldc.can.cia402 import DriveState
+from thorvaldc.simulation.bus.cia402_motion import (
+    CYCLIC_POSITION,
+    CYCLIC_VELOCITY,
+    HERE,
+    HOMING,
+    MODES,
+    PROFILE_POSITION,
+    PROFILE_VELOCITY,
+    Bounds,
+    Homing,
+    Motion,
+)
+from thorvaldc.simulation.bus.cia402_state_machine import StateMachine
+from thorvaldc.simulation.bus.object_dictionary import Entry, Later, ObjectDictionary
+from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
+
+BRAKE_TIME = 0.02
+"""s that a brake takes to open."""
+NO_WINDOW = 0xFFFFFFFF
+SERVO_LAG = 0.15
+"""s by which a motor with a load may be late in a ramp."""
+VELOCITY_ERROR_TIME = 0.3
+"""s for which a motor may differ from its set-point by a tenth of its top speed."""
+
+FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_ERROR, CONNECTION_ERROR = 0x8611, 0x8400, 0xFF01, 0x8130
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSettings:
+    """What is built in.
+
+    ``position_units`` and ``velocity_units`` are the device's units for a rad and a rad/s
+    of the joint.  Speeds in rad/s, torque in N m at the joint.  ``lower``, ``upper``
+    (rad): limit switches, and the software limits as delivered; ``None``: none.
+    ``mode``: the mode of operation as delivered.  ``zero`` (rad): where the joint really is when
+    the encoder reads 0 after a homing, because a switch or the encoder was mounted askew.
+    """
+
+    gear_ratio: float
+    encoder_pulses: int
+    position_units: float
+    velocity_units: float
+    max_velocity: float
+    max_acceleration: float
+    max_torque: float = 0.0
+    lower: float | None = None
+    upper: float | None = None
+    brake: bool = False
+    mode: int = 0
+    zero: float = 0.0
+
+
+class Axis:
+    """A motor and what the drive makes of it.
+
+    ``tell`` is called with an error code when a fault comes, with 0 when it is reset.
+    """
+
+    def __init__(
+        self, settings: AxisSettings, motor: MotorModel, tell: Callable[[int], None]
+    ) -> None:
+        self.settings = settings
+        self.motor = motor
+        self.encoder = Encoder(settings.gear_ratio, settings.encoder_pulses)
+        self.states = StateMachine()
+        self.position = 0.0
+        self.velocity = 0.0
+        self.error_code = 0
+        self.motion = Motion()
+        self.homing: Homing | None = None
+        self._tell = tell
+        self._entries: dict[tuple[int, int], Entry] = {}
+        self._true = 0.0
+        self._torque = 0.0
+        self._moves_from = math.inf
+        self._free = False
+        self._off_since: float | None = None
+        self._late_speed = 0.0
+
+    # -- objects ---------------------------------------------------------------------------
+
+    def build(self, objects: ObjectDictionary, base: int) -> None:
+        """Add the objects of this motor, from ``base`` (0x6000) on."""
+        s = self.settings
+        self._entries = {}
+
+        def add(index: int, entry: Entry, subindex: int = 0) -> None:
+            self._entries[index, subindex] = objects.add(base + index, subindex, entry)
+
+        def stored(index: int, kind: str, start: float, subindex: int = 0, low: int = 0) -> None:
+            entry = Entry(kind, round(start), "rw", lower=low, stored=True)
+            add(index, entry, subindex)
+
+        position, velocity = s.position_units, s.velocity_units
+        speed, acceleration = s.max_velocity * velocity, s.max_acceleration * velocity
+        add(0x07, Entry("i16", 1, "rw", lower=0, upper=3, stored=True))
+        add(0x3F, Entry("u16", read=lambda: self.error_code))
+        add(0x40, Entry("u16", 0, "rw", write=self._control))
+        add(0x41, Entry("u16", read=self.statusword))
+        add(0x5A, Entry("i16", 2, "rw", lower=0, upper=6, stored=True))
+        add(0x5C, Entry("i16", 1, "rw", lower=0, upper=1, stored=True))
+        add(0x5E, Entry("i16", 2, "rw", lower=0, upper=2, stored=True))
+        add(0x60, Entry("i8", s.mode, "rw", stored=True))
+        add(0x61, Entry("i8", read=lambda: self.motion.mode))
+        add(0x62, Entry("i32", read=lambda: round(self.motion.move.position * position)))
+        add(0x64, Entry("i32", read=lambda: round(self.position * position)))
+        stored(0x65, "u32", math.radians(10.0) * position)
+        stored(0x66, "u16", 100)
+        stored(0x67, "u32", math.radians(0.5) * position)
+        stored(0x68, "u16", 10)
+        add(0x6B, Entry("i32", read=lambda: round(self.motion.move.speed * velocity)))
+        add(0x6C, Entry("i32", read=lambda: round(self.velocity * velocity)))
+        stored(0x6D, "u16", min(0.02 * speed, 0xFFFF))
+        add(0x77, Entry("i16", read=self._torque_share))
+        add(0x79, Entry("u32", 48000))
+        add(0x7A, Entry("i32", 0, "rw"))
+        add(0x7C, Entry("i32", 0, "rw", stored=True))
+        objects.add(base + 0x7D, 0, Entry("u8", 2, "const"))
+        for subindex, limit in ((1, s.lower), (2, s.upper)):
+            start = 0 if limit is None else round(limit * position)
+            add(0x7D, Entry("i32", start, "rw", stored=True), subindex)
+        stored(0x7F, "u32", speed)
+        stored(0x80, "u32", s.max_velocity * s.gear_ratio * 30.0 / math.pi)
+        stored(0x81, "u32", speed)
+        for index in (0x83, 0x84, 0x85, 0x9A, 0xC5):
+            stored(index, "u32", acceleration, low=1)
+        objects.add(base + 0x8F, 0, Entry("u8", 2, "const"))
+        stored(0x8F, "u32", 4 * s.encoder_pulses, 1, 1)
+        stored(0x8F, "u32", 1, 2, 1)
+        add(0x98, Entry("i8", 37, "rw", stored=True))
+        objects.add(base + 0x99, 0, Entry("u8", 2, "const"))
+        stored(0x99, "u32", 0.25 * speed, 1, 1)
+        stored(0x99, "u32", 0.05 * speed, 2, 1)
+        objects.add(base + 0xC2, 0, Entry("u8", 2, "const"))
+        stored(0xC2, "u8", 20, 1, 1)
+        add(0xC2, Entry("i8", -3, "rw", lower=-6, upper=0, stored=True), 2)
+        add(0xF4, Entry("i32", read=self._following_error))
+        add(0xFD, Entry("u32", read=self._inputs))
+        add(0xFF, Entry("i32", 0, "rw"))
+        objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in MODES), "const"))
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        """The value of an object of this motor."""
+        found: int = self._entries[index, subindex].value
+        return found
+
+    def _angle(self, index: int, subindex: int = 0) -> float:
+        """rad"""
+        return self.number(index, subindex) / self.settings.position_units
+
+    def _speed(self, index: int, subindex: int = 0) -> float:
+        """rad/s, or rad/s^2 of an acceleration."""
+        return self.number(index, subindex) / self.settings.velocity_units
+
+    def _torque_share(self) -> int:
+        limit = self.settings.max_torque
+        return round(1000.0 * self._torque / limit) if limit else 0
+
+    def _following_error(self) -> int:
+        return round((self.motion.move.position - self.position) * self.settings.position_units)
+
+    def _inputs(self) -> int:
+        low, high = self.switches
+        return int(low) | int(high) << 1
+
+    @property
+    def switches(self) -> tuple[bool, bool]:
+        """The limit switches, at the joint's true position."""
+        s = self.settings
+        low = s.lower is not None and self._true <= s.lower
+        return low, s.upper is not None and self._true >= s.upper
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The software limits (0x607D); none where they are equal."""
+        low, high = self._angle(0x7D, 1), self._angle(0x7D, 2)
+        return (low, high) if low < high else (-math.inf, math.inf)
+
+    # -- states ------------------------------------------------------------------------------
+
+    def _control(self, word: Any) -> Later | None:
+        before = self.states.state
+        self.states.command(word, self.number(0x5A), self.number(0x5C))
+        if before is DriveState.FAULT and self.states.state is not before:
+            self.error_code = 0
+            self._tell(0)
+        self.motion.control(word)
+        return None
+
+    def statusword(self) -> int:
+        motion, homing = self.motion, self.homing
+        low, high = self.limits
+        beyond = self.position < low - 1e-3 or self.position > high + 1e-3
+        word = self.states.statusword()
+        word |= int(motion.reached) << 10 | int(motion.limited or beyond) << 11
+        if motion.mode == HOMING:
+            if homing is not None:
+                word |= int(homing.attained) << 12 | int(homing.failed) << 13
+        elif motion.mode == PROFILE_POSITION:
+            word |= int(motion.acknowledged) << 12
+        elif motion.mode == PROFILE_VELOCITY:
+            word |= int(abs(self.velocity) < 1e-3) << 12
+        elif motion.mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
+            word |= int(self.states.state is DriveState.OPERATION_ENABLED) << 12
+        if motion.mode in (PROFILE_POSITION, CYCLIC_POSITION):
+            word |= int(self._off_since is not None) << 13
+        return word
+
+    def fail(self, code: int) -> None:
+        """A fault: the reaction of 0x605E, then FAULT until it is reset."""
+        if self.states.fault(self.number(0x5E)):
+            self.error_code = code
+            self._off_since = None
+            self._tell(code)
+
+    def connection_lost(self) -> None:
+        """The master is gone: what 0x6007 says."""
+        option = self.number(0x07)
+        if not self.states.state.powered:
+            return
+        if option == 1:
+            self.fail(CONNECTION_ERROR)
+        elif option == 2:
+            self.states.disable()
+        elif option == 3:
+            self.states.quick_stop(self.number(0x5A))
+
+    def power_stage_off(self, now: float) -> None:
+        """At once, with nothing forgotten."""
+        self.states.disable()
+        self._relax(now)
+
+    def start(self, now: float) -> None:
+        """Power has come: the encoder counts from here."""
+        self.error_code, self.homing = 0, None
+        self.encoder.set_zero(self.motor.read(now))
+        self.states = StateMachine()
+        self.states.state = DriveState.SWITCH_ON_DISABLED
+        self._measure(now)
+        self.motion = Motion()
+        self.motion.rest(self.position, self._mode())
+
+    def stop(self, now: float) -> None:
+        """Power is gone."""
+        self.states = StateMachine()
+        self._relax(now)
+
+    # -- the loop ------------------------------------------------------------------------------
+
+    def tick(self, now: float, dt: float) -> None:
+        """One turn of the control loop, ``dt`` s after the one before."""
+        self._measure(now)
+        motion = self.motion
+        if not self.states.state.powered:
+            self._relax(now)
+            motion.rest(self.position, self._mode())
+            motion.take_start()  # what was asked for without power is forgotten
+            return
+        if self._free:
+            self._free = False
+            self._moves_from = now + (BRAKE_TIME if self.settings.brake else 0.0)
+            motion.rest(self.position, self._mode())
+            self._stand(now)
+        if now < self._moves_from:
+            return
+        if self.states.reaction is not None:
+            self._react(now, dt)
+            return
+        if self.states.state is DriveState.QUICK_STOP_ACTIVE:
+            return  # stands; the way on is a control word
+        if motion.mode != self._mode():
+            motion.change(self._mode(), self.position, self.velocity)
+            self.homing = None
+            self._off_since = None
+            self._stand(now)
+        self._move(now, dt)
+
+    def _measure(self, now: float) -> None:
+        state = self.motor.read(now)
+        self._true, self._torque = state.position, state.torque
+        self.position, self.velocity = self.encoder.measure(state)
+
+    def _mode(self) -> int:
+        """The mode asked for; one that the drive does not have changes nothing."""
+        wanted = self.number(0x60)
+        return wanted if wanted in MODES else self.motion.mode
+
+    def _bounds(self, acceleration: int = 0x83, deceleration: int = 0x84) -> Bounds:
+        most = self.settings.max_acceleration
+        motor = self.number(0x80) * math.pi / 30.0 / self.settings.gear_ratio
+        return Bounds(
+            *self.limits,
+            min(self._speed(0x7F), motor, self.settings.max_velocity),
+            min(self._speed(acceleration), most),
+            min(self._speed(deceleration), most),
+        )
+
+    def _move(self, now: float, dt: float) -> None:
+        motion = self.motion
+        if motion.mode == PROFILE_POSITION:
+            bounds = self._bounds()
+            bounds = bounds._replace(velocity=min(self._speed(0x81), bounds.velocity))
+            motion.profile_position(self._angle(0x7A), bounds, dt)
+            self._hold(now)
+            motion.settle(self.position, self._angle(0x67), self.number(0x68) / 1000.0, dt)
+            self._check_position(now)
+        elif motion.mode == CYCLIC_POSITION:
+            cycle = self.number(0xC2, 1) * 10.0 ** self.number(0xC2, 2)
+            motion.cyclic_position(self._angle(0x7A), self._bounds(), cycle, dt)
+            self._hold(now)
+            self._check_position(now)
+        elif motion.mode in (PROFILE_VELOCITY, CYCLIC_VELOCITY):
+            profiled = motion.mode == PROFILE_VELOCITY
+            bounds = self._bounds() if profiled else self._bounds(0xC5, 0xC5)
+            goal = motion.velocity(self._speed(0xFF), self.position, bounds, dt)
+            self.motor.turn(motion.move.speed, now)
+            motion.reached = profiled and abs(goal - self.velocity) <= self._speed(0x6D)
+            self._check_velocity(now, dt)
+        elif motion.mode == HOMING:
+            self._home(now, dt)
+
+    def _home(self, now: float, dt: float) -> None:
+        motion = self.motion
+        if motion.take_start():
+            self.homing = Homing(self.number(0x98))
+            motion.reached = False
+        homing = self.homing
+        if homing is None or not motion.start or homing.failed or motion.reached:
+            return
+        fast, slow = self._speed(0x99, 1), self._speed(0x99, 2)
+        limit = min(self._speed(0x9A), self.settings.max_acceleration)
+        wanted = homing.speed(self.switches, self.velocity, fast, slow, dt)
+        if homing.attained:
+            # CiA 402: zero lies at the home position plus the offset.
+            state = self.motor.read(now)
+            if homing.method not in HERE:
+                state = state._replace(position=state.position + self.settings.zero)
+            self.encoder.set_zero(state, -self._angle(0x7C) * self.encoder.counts_per_radian)
+            self._measure(now)
+            motion.move.position, motion.move.speed = self.position, 0.0
+            motion.reached = True
+            self._stand(now)
+        elif homing.failed:
+            motion.move.speed = 0.0
+            self._stand(now)
+            self._tell(HOMING_ERROR)
+        else:
+            step = limit * dt
+            speed = motion.move.speed
+            motion.move.speed = min(max(wanted, speed - step), speed + step)
+            self.motor.turn(motion.move.speed, now)
+
+    def _react(self, now: float, dt: float) -> None:
+        """Ramp to rest, then whatever state follows."""
+        reaction, motion = self.states.reaction, self.motion
+        if reaction is None:
+            return
+        index = 0x85 if reaction.quick else 0x84
+        motion.stop(min(self._speed(index), self.settings.max_acceleration), dt)
+        self.motor.turn(motion.move.speed, now)
+        if motion.move.speed == 0.0:
+            self.states.stopped()
+            motion.rest(self.position, motion.mode)
+            if self.states.state.powered:
+                self._stand(now)
+
+    def _check_position(self, now: float) -> None:
+        window = self.number(0x65)
+        error = abs(self.motion.move.position - self.position)
+        allowed = math.inf if window == NO_WINDOW else window / self.settings.position_units
+        self._check(error <= allowed, self.number(0x66) / 1000.0, FOLLOWING_ERROR, now)
+
+    def _check_velocity(self, now: float, dt: float) -> None:
+        speed = self.motion.move.speed
+        self._late_speed += (speed - self._late_speed) * dt / (SERVO_LAG + dt)
+        error = min(abs(speed - self.velocity), abs(self._late_speed - self.velocity))
+        fits = error <= 0.1 * self.settings.max_velocity
+        self._check(fits, VELOCITY_ERROR_TIME, VELOCITY_ERROR, now)
+
+    def _check(self, fits: bool, time: float, code: int, now: float) -> None:
+        if fits:
+            self._off_since = None
+        elif self._off_since is None:
+            self._off_since = now
+        elif now - self._off_since >= time:
+            self.fail(code)
+
+    def _hold(self, now: float) -> None:
+        self.motor.hold(self.encoder.joint_position(self.motion.move.position), now)
+
+    def _stand(self, now: float) -> None:
+        """Powered, at rest where it is."""
+        self.motor.hold(self.motor.read(now).position, now)
+
+    def _relax(self, now: float) -> None:
+        """Power stage off; a brake, if there is one, has closed."""
+        if not self._free:
+            self._free = True
+            if self.settings.brake:
+                self._stand(now)
+            else:
+                self.motor.release(now)

@@ -1,0 +1,259 @@
+"""Pictures of a scene, by MuJoCo off the screen."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.pictures import PictureError
+
+if TYPE_CHECKING:
+    from thorvaldc.simulation.pictures.visible_shapes import Points
+
+SAMPLING = 2
+"""A single picture is drawn so much larger, then scaled down."""
+LARGEST = 8000
+"""Of a picture's width and height, in pixels."""
+FIELD_OF_VIEW = math.radians(28.0)
+MARGIN = 1.06
+# Directions of the light with the shadow and of the one without, in the camera's
+# heading: ahead, to the right, up.
+KEY = (0.57, 0.03, -1.0)
+FILL = (-0.35, -0.86, -0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Where the camera looks, in degrees: 0 ahead along x, counter-clockwise; up is positive."""
+
+    azimuth: float = 145.0
+    elevation: float = -18.0
+
+
+VIEWS = {
+    "corner": View(),
+    "front": View(180.0, -8.0),
+    "rear": View(0.0, -8.0),
+    "left": View(-90.0, -8.0),
+    "right": View(90.0, -8.0),
+    "top": View(90.0, -89.9),
+}
+
+
+def parse_view(text: str) -> View:
+    """A name of ``VIEWS``, or ``azimuth,elevation`` in degrees.  Raises ``ValueError``."""
+    if text in VIEWS:
+        return VIEWS[text]
+    parts = text.split(",")
+    try:
+        azimuth, elevation = (float(part) for part in parts)
+    except ValueError:
+        azimuth = math.nan
+    if not (math.isfinite(azimuth) and -90.0 <= elevation <= 90.0):
+        names = ", ".join(VIEWS)
+        raise ValueError(f"{text!r} is none of {names}, nor azimuth,elevation such as 145,-18")
+    return View(azimuth % 360.0, min(max(elevation, -89.9), 89.9))
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """``1000x700``: width and height in pixels.  Raises ``ValueError``."""
+    parts = text.lower().split("x")
+    if len(parts) == 2 and all(part.isascii() and part.isdigit() for part in parts):
+        width, height = int(parts[0]), int(parts[1])
+        if 16 <= width <= LARGEST and 16 <= height <= LARGEST:
+            return width, height
+    raise ValueError(f"{text!r} is not a size such as 1000x700, of 16 to {LARGEST} pixels")
+
+
+def render(
+    model: Robot | Fleet,
+    files: Mapping[str, bytes],
+    size: tuple[int, int] = (1000, 700),
+    view: View | None = None,
+    *,
+    twist: Twist = ZERO_TWIST,
+    spin: float = 0.0,
+    arrange: Callable[[MujocoScene], None] | None = None,
+) -> bytes:
+    """A PNG of a robot or fleet as it stands, from the outputs of the ``mjcf`` backend.
+
+    Its wheels are steered for ``twist`` and each turned by ``spin`` rad more than the
+    last, or ``arrange`` moves the robots to where they shall be.  Raises ``DiagnosticError``
+    where MuJoCo cannot read the files and ``PictureError`` where it cannot draw here.
+    """
+    from PIL import Image
+
+    view = view or View()
+    width, height = size
+    large = (width * SAMPLING, height * SAMPLING)
+    scene = dressed_scene(files, large, view)
+    if arrange is not None:
+        arrange(scene)
+    else:
+        _turn_wheels(model, scene, twist, spin)
+    points = visible_points(scene)
+    with renderer(scene, large, points) as drawing:
+        drawing.update_scene(scene.data, aim(points, view, width / height))
+        pixels = drawing.render()
+    image = Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS)
+    image = image.quantize(256, Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE)
+    out = io.BytesIO()
+    image.save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def dressed_scene(
+    files: Path | str | Mapping[str, bytes],
+    size: tuple[int, int],
+    view: View,
+    *,
+    quick: bool = False,
+) -> MujocoScene:
+    """The scene in the light of a picture; ``quick`` leaves out shadows and smooth edges."""
+    return MujocoScene(
+        files, visuals=True, prepare=lambda spec: _set_lights(spec, view, size, quick)
+    )
+
+
+@contextmanager
+def renderer(scene: MujocoScene, size: tuple[int, int], points: Points) -> Iterator[Any]:
+    """MuJoCo's renderer of pictures of that size; ``points`` say how large the scene is."""
+    import mujoco
+    import numpy as np
+
+    model = scene.model
+    model.stat.center[:] = (points.min(axis=0) + points.max(axis=0)) / 2
+    model.stat.extent = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+    model.vis.map.znear = 0.01
+    try:
+        made = mujoco.Renderer(model, size[1], size[0], max_geom=model.ngeom + 1000)
+    except Exception as fault:  # each library fails in its own way
+        what = " ".join(str(fault).split()) or type(fault).__name__
+        raise PictureError(f"MuJoCo cannot draw without a screen: {what}") from fault
+    with made:
+        yield made
+
+
+def _set_lights(spec: Any, view: View, size: tuple[int, int], quick: bool) -> None:
+    """A key light with a soft shadow, a fill from the other side, a plain ground."""
+    import mujoco
+
+    for light in list(spec.lights):
+        spec.delete(light)
+    turn = math.radians(view.azimuth)
+    c, s = math.cos(turn), math.sin(turn)
+    key, fill = (
+        [along * c + right * s, along * s - right * c, up] for along, right, up in (KEY, FILL)
+    )
+    spec.worldbody.add_light(
+        name="key",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[-8 * v for v in key],
+        dir=key,
+        diffuse=[0.62, 0.61, 0.58],
+        specular=[0.25, 0.25, 0.25],
+        castshadow=not quick,
+    )
+    spec.worldbody.add_light(
+        name="fill",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 12],
+        dir=fill,
+        diffuse=[0.22, 0.24, 0.28],
+        specular=[0.0, 0.0, 0.0],
+        castshadow=False,
+    )
+    visual = spec.visual
+    visual.headlight.ambient = [0.34, 0.34, 0.35]
+    visual.headlight.diffuse = [0.22, 0.22, 0.22]
+    visual.headlight.specular = [0.08, 0.08, 0.08]
+    visual.global_.offwidth, visual.global_.offheight = size
+    visual.global_.fovy = math.degrees(FIELD_OF_VIEW)
+    visual.quality.shadowsize = 0 if quick else 8192
+    visual.quality.offsamples = 0 if quick else 4
+    visual.map.shadowclip = 1.0
+    visual.map.shadowscale = 1.0
+    visual.rgba.haze = [0.93, 0.94, 0.95, 1]
+    for texture in spec.textures:
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            texture.rgb1, texture.rgb2 = [0.97, 0.98, 0.99], [0.90, 0.92, 0.94]
+        else:
+            texture.rgb1, texture.rgb2 = [0.80, 0.81, 0.78], [0.77, 0.78, 0.75]
+            texture.markrgb = [0.71, 0.72, 0.69]
+
+
+def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: float) -> None:
+    """Steer the wheels for the twist, and turn each a little further than the last."""
+    robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
+    position = scene.data.qpos
+    for robot in robots:
+        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        for index, wheel in enumerate(robot.wheels):
+            axle = scene.index("joint", prefix + wheel.spin_joint, robot)
+            position[scene.model.jnt_qposadr[axle]] += spin * (index + 1)
+            if wheel.steering_joint is not None and any(twist):
+                angle = math.atan2(twist.vy + twist.wz * wheel.x, twist.vx - twist.wz * wheel.y)
+                joint = scene.index("joint", prefix + wheel.steering_joint, robot)
+                turned = wheel.steering_sign * (angle - wheel.heading)
+                position[scene.model.jnt_qposadr[joint]] = turned
+    scene.forward()
+
+
+def visible_points(scene: MujocoScene) -> Points:
+    """World coordinates (n, 3) of the corners of all that is seen of what can move."""
+    import mujoco
+    import numpy as np
+
+    model, data = scene.model, scene.data
+    found = []
+    for g in range(model.ngeom):
+        if model.geom_group[g] > 2 or model.geom_bodyid[g] == 0:
+            continue
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.geom_dataid[g]
+            start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            local = model.mesh_vert[start : start + count].astype(np.float64)
+        else:
+            centre, half = model.geom_aabb[g][:3], model.geom_aabb[g][3:]
+            signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            local = centre + signs * half
+        found.append(local @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
+    return np.vstack(found) if found else np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
+
+
+def aim(points: Points, view: View, aspect: float) -> Any:
+    """A camera (``MjvCamera``) that has all points in the picture and them in its middle."""
+    import mujoco
+    import numpy as np
+
+    a, e = math.radians(view.azimuth), math.radians(view.elevation)
+    forward = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    right = np.array([math.sin(a), -math.cos(a), 0.0])
+    up = np.cross(right, forward)
+    tan_y = math.tan(FIELD_OF_VIEW / 2) / MARGIN
+    tan_x = tan_y * aspect
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    distance = 1.0
+    for _ in range(20):
+        relative = points - centre
+        x, y, depth = relative @ right, relative @ up, relative @ forward
+        distance = float(np.max(np.maximum(np.abs(x) / tan_x, np.abs(y) / tan_y) - depth))
+        px, py = x / (distance + depth), y / (distance + depth)
+        centre = centre + distance * (
+            right * (px.max() + px.min()) / 2 + up * (py.max() + py.min()) / 2
+        )
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:] = centre
+    camera.distance = distance
+    camera.azimuth = view.azimuth
+    camera.elevation = view.elevation
+    return camera

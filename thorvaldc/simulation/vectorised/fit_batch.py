@@ -1,0 +1,301 @@
+"""Least squares of what wheels say, over arrays: ``fit`` for many states at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thorvaldc.runtime.calculators.twist_estimator import RANK_TOLERANCE, TwistEstimator
+from thorvaldc.runtime.calculators.twist_fit import (
+    BOTH,
+    STILL,
+    TEST_SIDE,
+    UNTESTABLE,
+    USE_ROLL,
+    USE_SIDE,
+    Row,
+)
+
+Array = NDArray[np.float64]
+Value = Array | float
+
+_SINGULAR = 1e-250
+"""A determinant that only underflow makes differ from 0."""
+
+
+class Reading(NamedTuple):
+    """What a wheel says in each state; see ``fit.Reading``.  Plain numbers where all are alike."""
+
+    row: Row
+    c: Value
+    s: Value
+    x: Value
+    y: Value
+    z_l: Array
+    z_t: Value
+
+
+class Line(NamedTuple):
+    """A reading about a predicted twist; see ``fit.Line``."""
+
+    row: Row
+    c: Value
+    s: Value
+    x: Value
+    y: Value
+    mx: Array
+    my: Array
+    v_l: Array
+    v_t: Array
+
+
+class Fit(NamedTuple):
+    """Twists about the centre, their covariances' upper halves, the lines."""
+
+    twist: tuple[Array, Array, Array]
+    covariance: tuple[Array, Array, Array, Array, Array, Array]
+    lines: list[Line]
+
+
+def read(
+    estimator: TwistEstimator, speeds: Array, angles: Array, rates: Array | None
+) -> list[Reading]:
+    """What the wheels say, from (wheels, n) of rad/s, rad and rad/s (``None``: 0)."""
+    readings = []
+    for row in estimator.rows:
+        z_l, z_t = speeds[row.wheel] * row.radius, 0.0
+        c: Value = row.cos
+        s: Value = row.sin
+        x: Value = row.x
+        y: Value = row.y
+        if row.turns:
+            # Both from the tangent of half the angle: c = 2 / (1 + t^2) - 1, s = t (1 + c).
+            t = angles[row.wheel] * (row.sign / 2.0)
+            if row.heading:
+                t += row.heading / 2.0
+            np.tan(t, out=t)
+            q = t * t
+            q += 1.0
+            np.divide(2.0, q, out=q)
+            t *= q
+            q -= 1.0
+            c, s = q, t
+            if row.trail or row.lateral:
+                x = row.x + (c - row.cos) * row.trail - (s - row.sin) * row.lateral
+                y = row.y + (s - row.sin) * row.trail + (c - row.cos) * row.lateral
+                if rates is not None:
+                    turning = rates[row.wheel] * row.sign
+                    z_l += turning * row.lateral
+                    if row.trail:
+                        z_t = turning * -row.trail
+        readings.append(Reading(row, c, s, x, y, z_l, z_t))
+    return readings
+
+
+def first(
+    estimator: TwistEstimator, readings: Sequence[Reading], yaw_rates: Array | None, n: int
+) -> tuple[tuple[Array, Array, Array], NDArray[np.bool_] | None]:
+    """The twists with all weighing alike, about the centre; which are of lower rank, if any are.
+
+    Where ``estimator.inverse`` holds its rank is that of all, and nothing is said of it.
+    """
+    b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
+    if estimator.inverse is not None and yaw_rates is None:
+        for r in readings:
+            if not r.row.kind & USE_ROLL:
+                continue
+            zx, zy = r.c * r.z_l, r.s * r.z_l
+            b1 += zx
+            b2 += zy
+            zy *= r.x
+            zx *= r.y
+            b3 += zy
+            b3 -= zx
+        (q11, q12, q13, q22, q23, q33), _ = estimator.inverse
+        return _times(q11, q12, q13, q22, q23, q33, b1, b2, b3), None
+    a11, a12, a13, a22, a23, a33 = (np.zeros(n) for _ in range(6))
+    for row, c, s, x, y, z_l, z_t in readings:
+        l3, t3 = s * x - c * y, c * x + s * y
+        if row.kind & USE_ROLL:
+            a11 += c * c
+            a12 += c * s
+            a13 += c * l3
+            a22 += s * s
+            a23 += s * l3
+            a33 += l3 * l3
+            b1 += c * z_l
+            b2 += s * z_l
+            b3 += l3 * z_l
+        if row.kind & USE_SIDE:
+            a11 += s * s
+            a12 -= s * c
+            a13 -= s * t3
+            a22 += c * c
+            a23 += c * t3
+            a33 += t3 * t3
+            b1 -= s * z_t
+            b2 += c * z_t
+            b3 += t3 * z_t
+    k = estimator.length2
+    if yaw_rates is not None:
+        a33 += k
+        b3 += k * yaw_rates
+    inverse, det = _inverse(a11, a12, a13, a22, a23, a33)
+    mean = (a11 + a22 + a33 / k) / 3.0
+    low = det <= RANK_TOLERANCE * k * mean * mean * mean
+    return _times(*inverse, b1, b2, b3), low if low.any() else None
+
+
+def fit(
+    estimator: TwistEstimator,
+    readings: Sequence[Reading],
+    predicted: tuple[Array, Array, Array],
+    yaw_rates: Array | None,
+) -> Fit:
+    """One Gauss-Newton step from the predicted twists, as ``fit.fit``."""
+    vx, vy, wz = predicted
+    ratio2, angle2, floor2, slip2, skid2, gyro2 = estimator.squares
+    a11, a12, a13, a22, a23, a33, b1, b2, b3 = (np.zeros_like(vx) for _ in range(9))
+    if estimator.inverse is not None and estimator.inverse[1] < 3 and yaw_rates is None:
+        a11 += estimator.prior[0]
+        a22 += estimator.prior[0]
+        a33 += estimator.prior[1]
+    if yaw_rates is not None:
+        a33 += 1.0 / gyro2
+        b3 += (1.0 / gyro2) * yaw_rates
+    lines: list[Line] = []
+    skidding = [r for r in readings if r.row.skids]
+    for row, c, s, x, y, z_l, z_t in readings:
+        ux, uy = vx - wz * y, vy + wz * x
+        if row.trail:
+            ux += s * z_t
+            uy -= c * z_t
+        across = c * uy - s * ux
+        a2 = ux * ux
+        a2 += uy * uy
+        v2 = a2 + z_t * z_t if row.trail else a2
+        v_l = v2 * ratio2
+        v_l += floor2
+        v_t = v2 * angle2
+        v_t += slip2
+        if row.turns:
+            t2 = across * across
+            near = t2 < 0.25 * a2 - STILL
+            k = np.sqrt(a2)
+            np.copysign(k, c * ux + s * uy, out=k)
+            np.divide(1.0, k, out=k, where=near)
+            c, s = np.where(near, ux * k, c), np.where(near, uy * k, s)
+            np.divide(t2, a2, out=t2, where=near)
+            t2 *= 1.0 / 6.0
+            t2 += 1.0
+            t2 *= across
+            t2 *= near
+            z_t = z_t - t2
+        elif row.skids:
+            v_l = np.zeros_like(vx)
+            for r in skidding:
+                v_l += (r.c * (vx - wz * r.y) + r.s * (vy + wz * r.x)) ** 2
+            v_l *= skid2 / len(skidding)
+            v_l += floor2
+            v_t = v_l
+        if row.turns:
+            mx, my = c * z_l - s * z_t, s * z_l + c * z_t
+        else:
+            mx, my = c * z_l, s * z_l
+        lines.append(Line(row, c, s, x, y, mx, my, v_l, v_t))
+        w_t = 1.0 / v_t
+        k = 1.0 / v_l - w_t if row.kind & USE_ROLL else -w_t
+        kc = k * c
+        w11, w12 = kc * c, kc * s
+        w11 += w_t
+        w22 = w_t + k * s * s
+        tx, ty = w12 * x - w11 * y, w22 * x - w12 * y
+        a11 += w11
+        a12 += w12
+        a13 += tx
+        a22 += w22
+        a23 += ty
+        ty *= x
+        a33 += ty
+        tx *= y
+        a33 -= tx
+        tx, ty = w11 * mx + w12 * my, w12 * mx + w22 * my
+        b1 += tx
+        b2 += ty
+        b3 += ty * x - tx * y
+    inverse, _ = _inverse(a11, a12, a13, a22, a23, a33)
+    return Fit(_times(*inverse, b1, b2, b3), inverse, lines)
+
+
+def chi_squares(found: Fit, result: Array) -> None:
+    """D of each line (lines, n) into ``result``, as ``fit.chi_squares``."""
+    vx, vy, wz = found.twist
+    p11, p12, p13, p22, p23, p33 = found.covariance
+    for d, (row, c, s, x, y, mx, my, v_l, v_t) in zip(result, found.lines, strict=True):
+        if not row.kind & TEST_SIDE:
+            d[:] = 0.0
+            continue
+        u11 = p11 + y * (y * p33 - 2.0 * p13)
+        u12 = p12 + x * p13 - y * (p23 + x * p33)
+        u22 = p22 + x * (x * p33 + 2.0 * p23)
+        rx, ry = mx - vx + wz * y, my - vy - wz * x
+        if row.kind != BOTH:
+            r_t = c * ry - s * rx
+            s_t = v_t - (s * s * u11 - 2.0 * c * s * u12 + c * c * u22)
+            d[:] = 0.0
+            np.divide(r_t * r_t, s_t, out=d, where=s_t > UNTESTABLE * v_t)
+            continue
+        k = v_l - v_t
+        kc = k * c
+        s11, s12, s22 = v_t + kc * c - u11, kc * s - u12, v_t + k * s * s - u22
+        det = s11 * s22 - s12 * s12
+        fine = det > UNTESTABLE * v_l * v_t
+        if not fine.all():
+            # Of two directions the others know one at most: see ``fit.test``.
+            h_l = c * c * u11 + 2.0 * c * s * u12 + s * s * u22
+            known = (v_l - h_l) / v_l + (v_t - (u11 + u22 - h_l)) / v_t
+            r_l, r_t = c * rx + s * ry, c * ry - s * rx
+            one = (r_l * r_l / v_l + r_t * r_t / v_t) / np.where(known > UNTESTABLE, known, np.inf)
+            det = np.where(fine, det, 1.0)
+        d[:] = ((s22 * rx - 2.0 * s12 * ry) * rx + s11 * ry * ry) / det
+        if not fine.all():
+            d[:] = np.where(fine, d, one)
+
+
+def _inverse(
+    a11: Array, a12: Array, a13: Array, a22: Array, a23: Array, a33: Array
+) -> tuple[tuple[Array, Array, Array, Array, Array, Array], Array]:
+    """Of symmetric matrices, by cofactors (the adjugate where singular); and determinants."""
+    p11 = a22 * a33 - a23 * a23
+    p12 = a13 * a23 - a12 * a33
+    p13 = a12 * a23 - a13 * a22
+    det = a11 * p11 + a12 * p12 + a13 * p13
+    d = 1.0 / np.where(np.abs(det) < _SINGULAR, 1.0, det)
+    p22 = (a11 * a33 - a13 * a13) * d
+    p23 = (a12 * a13 - a11 * a23) * d
+    p33 = (a11 * a22 - a12 * a12) * d
+    p11 *= d
+    p12 *= d
+    p13 *= d
+    return (p11, p12, p13, p22, p23, p33), det
+
+
+def _times(
+    q11: Value,
+    q12: Value,
+    q13: Value,
+    q22: Value,
+    q23: Value,
+    q33: Value,
+    b1: Array,
+    b2: Array,
+    b3: Array,
+) -> tuple[Array, Array, Array]:
+    return (
+        q11 * b1 + q12 * b2 + q13 * b3,
+        q12 * b1 + q22 * b2 + q23 * b3,
+        q13 * b1 + q23 * b2 + q33 * b3,
+    )

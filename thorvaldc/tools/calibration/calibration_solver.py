@@ -1,0 +1,386 @@
+"""The least squares behind self-calibration; ``calibration`` says what for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime import se2
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.se2 import ORIGIN, Twist
+from thorvaldc.tools.calibration.log_intervals import MOVES, Array, Ticks
+
+LARGEST_OFFSET, LARGEST_RATIO = math.radians(45.0), 0.2
+"""Errors (rad, relative) beyond which nothing was found."""
+OFFSET_WANTED = math.radians(0.2)
+"""Standard error (rad) beyond which an offset counts as not determined."""
+RATIO_WANTED = 0.002
+"""Standard error beyond which a radius counts as not determined."""
+
+_ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002  # of the rows at factor 1; m/s
+_SKID = 0.1  # of the speed, for fixed wheels that must scrub in turns
+_PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
+# Slip that stays the same all the time is hidden in the parameters: what varies of it is
+# about half of all (driving with each wheel off by one degree, in simulation).
+_HIDDEN_SLIP = 2.0
+_ITERATIONS = 60
+_AGREES = math.radians(0.05)
+_HARDLY = 30.0
+"""Factor of rows that shall hardly count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Per wheel: offsets (rad) and logarithms of the radius ratios, with standard errors.
+
+    ``rolling`` (relative) and ``pointing`` (rad) are the sizes of what the two kinds of
+    rows leave over in a tick, ``slip`` (rad) the part of the latter that lasts, at
+    the worst wheel.  ``consistent``: the steering angles by themselves agree with the
+    present offsets, the wheels' axes meet in one point at any time.
+    """
+
+    offsets: Array
+    ratios: Array
+    offset_errors: Array
+    ratio_errors: Array
+    rolling: float
+    pointing: float
+    slip: float
+    consistent: bool
+    iterations: int
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """Of the standard deviations of rolling and of pointing, over those at 1."""
+        return self.rolling / _ROLLING, self.pointing / _ANGLE
+
+
+@dataclass(slots=True)
+class _Rows:
+    """What the wheels say at some parameters: ``matrix`` (ticks, rows, 3) on the twist.
+
+    Rows in order: rolling of the wheels with encoder, pointing of the steered
+    ones, and the axles of those that do not turn.
+    """
+
+    matrix: Array
+    measured: Array
+
+
+@dataclass(slots=True)
+class _Fit:
+    """The end of a Gauss-Newton iteration; ``slope`` and ``left`` without the twists."""
+
+    parameters: Array
+    information: Array
+    factors: tuple[float, float]
+    iterations: int
+    twists: Array
+    sigmas: Array
+    weights: Array
+    slope: Array
+    left: Array
+
+
+class Solver:
+    """Unknown: an offset per steering joint, then a log ratio per wheel with encoder.
+
+    The ratios' mean is zero; they are handled in a basis of that space.
+    """
+
+    def __init__(self, robot: Robot, ticks: Ticks) -> None:
+        self.ticks = ticks
+        geometry = BaseGeometry.from_robot(robot)
+        wheels = geometry.wheels
+        self.n = len(wheels)
+        self.lever = geometry.length
+        self.roll = np.array([i for i, w in enumerate(wheels) if w.encoder and not w.swivel], int)
+        self.point = np.array([i for i, w in enumerate(wheels) if w.steered], int)
+        # All about the centre, turning in m/s at the lever: the twists' parts are alike.
+        self.centre = xm, ym = geometry.centre
+        self.x = np.array([w.x - xm for w in wheels])
+        self.y = np.array([w.y - ym for w in wheels])
+        self.heading = np.array([w.heading for w in wheels])
+        self.sign = np.array([w.sign if w.steered else 0.0 for w in wheels])
+        self.trail = np.array([w.trail for w in wheels])
+        self.lateral = np.array([w.lateral for w in wheels])
+        self.radius = np.array([w.radius for w in wheels])
+        fixed = FixedWheels(wheels)
+        self.axles = np.array(
+            [(tx, ty, (tw + tx * ym - ty * xm) / self.lever) for tx, ty, tw in fixed.rows], float
+        ).reshape(-1, 3)
+        self.axle_sigma = _SKID if fixed.skids else _ANGLE
+        groups = geometry.steering_groups
+        self.turns = np.zeros((self.n, len(groups)))  # which joint turns which wheel
+        for g, group in enumerate(groups):
+            self.turns[list(group), g] = 1.0
+        self.basis = _zero_sum(len(self.roll))
+        present = [encoder_offset(robot, group[0]) for group in groups]
+        self.start = np.array([*present, *[0.0] * self.basis.shape[1]], float)
+        self.prior = np.array(
+            [_PRIOR_OFFSET**-2] * len(groups) + [_PRIOR_RATIO**-2] * self.basis.shape[1]
+        )
+
+    def solve(self) -> Solution | None:
+        """The errors that explain the ticks best; ``None`` where none within reason do."""
+        try:
+            return self._solve()
+        except np.linalg.LinAlgError:
+            return None
+
+    def _solve(self) -> Solution | None:
+        fit = self._fit((1.0, 10.0), renewed=True)
+        if fit is None:
+            return None
+        s, m = len(self.turns[0]), len(self.roll)
+        offsets, ratios = self._per_wheel(fit.parameters)
+        present, _ = self._per_wheel(self.start)
+        rolling = fit.factors[0] * _ROLLING
+        if (
+            np.max(np.abs(offsets - present), initial=0.0) > LARGEST_OFFSET
+            or max(np.max(np.abs(ratios), initial=0.0), rolling) > LARGEST_RATIO
+        ):
+            return None
+        # What lasts of the residuals, as an unknown ratio and offset of each wheel.
+        shares, per_share = self._shares(fit)
+        lasting = _lasting(shares, fit.weights, self._blocks())
+        pulled = np.einsum(
+            "t,trp,tr->pr", fit.weights, fit.slope[:, : len(lasting)], per_share, optimize=True
+        )
+        covariance = self._covariance(fit, pulled * (_HIDDEN_SLIP * lasting))
+        if not np.all(np.isfinite(covariance)):
+            return None
+        ratio_errors = np.zeros(self.n)
+        ratio_errors[self.roll] = np.sqrt(np.diag(self.basis @ covariance[s:, s:] @ self.basis.T))
+        return Solution(
+            offsets,
+            ratios,
+            self.turns @ np.sqrt(np.diag(covariance)[:s]),
+            ratio_errors,
+            rolling,
+            fit.factors[1] * _ANGLE,
+            float(np.max(lasting[m:], initial=0.0)),
+            self._consistent(),
+            fit.iterations,
+        )
+
+    def _consistent(self) -> bool:
+        """See ``Solution.consistent``: a fit in which rolling tells no more than the speed."""
+        count = self.turns.shape[1]
+        fit = self._fit((_HARDLY, 1.0), renewed=False)
+        if fit is None or not count:
+            return False
+        errors = np.sqrt(np.diag(self._covariance(fit)))[:count]
+        found = np.abs(fit.parameters - self.start)[:count]
+        told = bool(np.all(errors < OFFSET_WANTED))
+        return told and bool(np.all(found < np.maximum(3.0 * errors, _AGREES)))
+
+    # -- one fit ------------------------------------------------------------------------
+
+    def rows(self, offsets: Array, ratios: Array) -> _Rows:
+        """Rows at offsets and log ratios per wheel."""
+        ticks = self.ticks
+        direction = self.heading + self.sign * (ticks.angles + offsets)
+        c, s = np.cos(direction), np.sin(direction)
+        turning = self.sign * ticks.turning
+        along = np.stack([c, s, (s * self.x - c * self.y - self.lateral) / self.lever], -1)
+        across = np.stack([-s, c, (c * self.x + s * self.y + self.trail) / self.lever], -1)
+        speeds = self.radius * np.exp(ratios) * ticks.speeds + self.lateral * turning
+        axles = np.broadcast_to(self.axles, (len(c), *self.axles.shape))
+        return _Rows(
+            np.concatenate([along[:, self.roll], across[:, self.point], axles], 1),
+            np.concatenate(
+                [
+                    speeds[:, self.roll],
+                    -(self.trail * turning)[:, self.point],
+                    np.zeros((len(c), len(self.axles))),
+                ],
+                1,
+            ),
+        )
+
+    def sigmas(self, twists: Array, factors: tuple[float, float]) -> Array:
+        """Standard deviations of the rows in m/s, by the wheels' predicted speeds."""
+        speed = np.hypot(*self._ground(twists))
+        mean = np.sqrt(np.mean(speed**2, axis=1, keepdims=True))
+        rolling = factors[0] * np.hypot(_ROLLING * speed[:, self.roll], _FLOOR)
+        pointing = factors[1] * np.hypot(_ANGLE * speed[:, self.point], _FLOOR)
+        axles = factors[1] * np.hypot(self.axle_sigma * mean, _FLOOR)
+        return np.concatenate([rolling, pointing, np.repeat(axles, len(self.axles), 1)], 1)
+
+    def twists(self, rows: _Rows, sigmas: Array) -> tuple[Array, Array, Array, Array]:
+        """Twists (m/s, at the lever) with the weighted matrix, its inverse and residuals."""
+        matrix = rows.matrix / sigmas[..., None]
+        measured = rows.measured / sigmas
+        normal = np.swapaxes(matrix, 1, 2) @ matrix
+        # A direction that no wheel tells of stays 0.
+        normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        inverse: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        twists = (inverse @ (np.swapaxes(matrix, 1, 2) @ measured[..., None]))[..., 0]
+        residuals = (matrix @ twists[..., None])[..., 0] - measured
+        return twists, matrix, inverse, residuals
+
+    def _fit(self, factors: tuple[float, float], *, renewed: bool) -> _Fit | None:
+        """Gauss-Newton with the weights of the ticks, and if ``renewed`` the factors, of each step.
+
+        Factors multiply the standard deviations of rolling and of pointing.
+        """
+        m = len(self.roll)
+        parameters = self.start
+        rows = self.rows(*self._per_wheel(parameters))
+        twists = self.twists(rows, np.ones(rows.measured.shape))[0]
+        iterations = 0
+        while iterations < _ITERATIONS:
+            iterations += 1
+            offsets, ratios = self._per_wheel(parameters)
+            sigmas = self.sigmas(twists, factors)
+            twists, matrix, inverse, left = self.twists(self.rows(offsets, ratios), sigmas)
+            slope = self._slope(twists, offsets, ratios) / sigmas[..., None]
+            slope -= matrix @ (inverse @ (np.swapaxes(matrix, 1, 2) @ slope))
+            weights = _weights(left)
+            information = np.einsum("t,trp,trq->pq", weights, slope, slope, optimize=True)
+            information += np.diag(self.prior)
+            gradient: Array = np.einsum("t,trp,tr->p", weights, slope, left, optimize=True)
+            gradient += self.prior * (parameters - self.start)
+            step: Array = -np.linalg.solve(information, gradient)
+            parameters = parameters + step
+            if not np.all(np.isfinite(parameters)):
+                return None
+            before = factors
+            if renewed:
+                spare = 1.0 - np.einsum("tri,tij,trj->tr", matrix, inverse, matrix, optimize=True)
+                factors = (
+                    _factor(factors[0], weights, left[:, :m], spare[:, :m]),
+                    _factor(factors[1], weights, left[:, m:], spare[:, m:]),
+                )
+            settled = all(abs(a / b - 1.0) < 0.01 for a, b in zip(factors, before, strict=True))
+            if np.max(np.abs(step), initial=0.0) < 1e-7 and settled:
+                break
+        return _Fit(
+            parameters, information, factors, iterations, twists, sigmas, weights, slope, left
+        )
+
+    def _covariance(self, fit: _Fit, systematic: Array | None = None) -> Array:
+        """Of the parameters: the sandwich of the blocks' gradients, and what pulls on all."""
+        gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.left, optimize=True)
+        block = self._blocks()
+        scores = np.zeros((block[-1] + 1, len(fit.parameters)))
+        np.add.at(scores, block, gradients)
+        spread = scores.T @ scores + np.diag(self.prior)
+        if systematic is not None:
+            spread += systematic @ systematic.T
+        inverse = np.linalg.inv(fit.information)
+        covariance: Array = inverse @ spread @ inverse
+        return covariance
+
+    def _blocks(self) -> NDArray[np.intp]:
+        """The number of the second in which each tick is; those without any do not count."""
+        _, numbers = np.unique(
+            np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
+        )
+        return np.asarray(numbers, dtype=np.intp)
+
+    def _shares(self, fit: _Fit) -> tuple[Array, Array]:
+        """Residuals of rolling (relative) and pointing (rad), and their rows per unit of these."""
+        speed = np.maximum(np.hypot(*self._ground(fit.twists)), MOVES)
+        speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
+        per_share: Array = speed / fit.sigmas[:, : speed.shape[1]]
+        return fit.left[:, : speed.shape[1]] / per_share, per_share
+
+    def _ground(self, twists: Array) -> tuple[Array, Array]:
+        """Velocity (m/s) of the ground's motion at each wheel's axis, in ``base_link``."""
+        vx, vy, wz = twists[:, :1], twists[:, 1:2], twists[:, 2:] / self.lever
+        return vx - wz * self.y, vy + wz * self.x
+
+    def _slope(self, twists: Array, offsets: Array, ratios: Array) -> Array:
+        """Derivatives of the rows' residuals (m/s) to the parameters."""
+        direction = self.heading + self.sign * (self.ticks.angles + offsets)
+        c, s = np.cos(direction), np.sin(direction)
+        ux, uy = self._ground(twists)
+        rolling = (self.sign * (c * uy - s * ux))[:, self.roll]
+        pointing = (-self.sign * (c * ux + s * uy))[:, self.point]
+        by_ratio = -(self.radius * np.exp(ratios) * self.ticks.speeds)[:, self.roll]
+        m, p, count = len(self.roll), len(self.point), self.turns.shape[1]
+        slope = np.zeros((len(twists), m + p + len(self.axles), len(self.start)))
+        slope[:, :m, :count] = rolling[..., None] * self.turns[self.roll]
+        slope[:, :m, count:] = by_ratio[..., None] * self.basis
+        slope[:, m : m + p, :count] = pointing[..., None] * self.turns[self.point]
+        return slope
+
+    def _per_wheel(self, parameters: Array) -> tuple[Array, Array]:
+        count = self.turns.shape[1]
+        ratios = np.zeros(self.n)
+        ratios[self.roll] = self.basis @ parameters[count:]
+        return self.turns @ parameters[:count], ratios
+
+    # -- the way ------------------------------------------------------------------------
+
+    def ends_apart(self, offsets: Array, ratios: Array, factors: tuple[float, float]) -> float:
+        """Distance (m) between the ends of the ticks' way, by offsets and log ratios per wheel."""
+        rows = self.rows(offsets, ratios)
+        twists = self.twists(rows, np.ones(rows.measured.shape))[0]
+        twists = self.twists(rows, self.sigmas(twists, factors))[0]
+        if not np.all(np.isfinite(twists)):
+            return 0.0
+        xm, ym = self.centre
+        pose = ORIGIN
+        for (vx, vy, turn), dt in zip(twists.tolist(), self.ticks.dt.tolist(), strict=True):
+            wz = turn / self.lever
+            pose = pose.moved(se2.exp(Twist(vx + wz * ym, vy - wz * xm, wz), dt))
+        return math.hypot(pose.x, pose.y)
+
+
+def encoder_offset(robot: Robot, wheel: int) -> float:
+    joint = robot.wheels[wheel].steering_joint
+    motor = robot.actuator_of(joint) if joint is not None else None
+    return motor.encoder_offset if motor is not None else 0.0
+
+
+def _zero_sum(n: int) -> Array:
+    """An orthonormal basis (n, n - 1) of the vectors whose entries sum to zero (Helmert's)."""
+    basis = np.zeros((n, max(n - 1, 0)))
+    for k in range(1, n):
+        basis[:k, k - 1] = 1.0
+        basis[k, k - 1] = -float(k)
+        basis[:, k - 1] /= math.sqrt(k * (k + 1.0))
+    return basis
+
+
+def _weights(left: Array) -> Array:
+    """Weights of ticks by their residuals, against those of the median tick."""
+    squares = np.sum(left**2, axis=1)
+    size = max(float(np.median(squares)), 1e-12)
+    weights: Array = (1.0 + squares / (9.0 * size)) ** -2.0
+    return weights
+
+
+def _factor(factor: float, weights: Array, left: Array, spare: Array) -> float:
+    """A variance component renewed from the residuals that it is to explain."""
+    expected = float(np.sum(weights[:, None] * spare))
+    if expected < 1e-6 * len(left):
+        return factor
+    found = factor * math.sqrt(float(np.sum(weights[:, None] * left**2)) / expected)
+    return min(max(found, 1e-3), 100.0)
+
+
+def _lasting(shares: Array, weights: Array, block: NDArray[np.intp]) -> Array:
+    """Size per column of what the blocks' means have more than chance gives them."""
+    count = block[-1] + 1
+    total = np.bincount(block, weights, count)
+    ticks = np.bincount(block, minlength=count)
+    full = (ticks > 5) & (total > 0.1 * ticks)
+    sizes = np.zeros(shares.shape[1])
+    if np.count_nonzero(full) < 3:
+        return sizes
+    for i in range(shares.shape[1]):
+        mean = np.bincount(block, weights * shares[:, i], count)[full] / total[full]
+        square = np.bincount(block, weights * shares[:, i] ** 2, count)[full] / total[full]
+        by_chance = float(np.average((square - mean**2) / (ticks[full] - 1), weights=total[full]))
+        found = float(np.average(mean**2, weights=total[full]))
+        if found > by_chance * (1.0 + 4.0 * math.sqrt(2.0 / np.count_nonzero(full))):
+            sizes[i] = math.sqrt(found - by_chance)
+    return sizes

@@ -1,0 +1,128 @@
+"""A calibration as text for people, as JSON, and as the document that a robot includes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from thorvaldc.tools.calibration.self_calibration import (
+    CalibrationResult,
+    Estimate,
+    WheelCalibration,
+)
+
+_BEFORE = "as before"
+
+
+def as_json(result: CalibrationResult) -> dict[str, Any]:
+    """The result as plain values: angles in rad, lengths in m."""
+
+    def plain(estimate: Estimate | None) -> dict[str, Any] | None:
+        if estimate is None:
+            return None
+        return {
+            "value": estimate.value,
+            "standard_error": estimate.error,
+            "determined": estimate.determined,
+        }
+
+    return {
+        "robot": result.robot,
+        "duration": result.duration,
+        "moving": result.moving,
+        "scale": result.scale,
+        "rolling_residual": result.rolling,
+        "pointing_residual": result.pointing,
+        "side_slip": result.slip,
+        "iterations": result.iterations,
+        "wheels": [
+            {
+                "name": wheel.name,
+                "steering_offset": plain(wheel.offset),
+                "radius_ratio": plain(wheel.ratio),
+                "radius": wheel.radius,
+            }
+            for wheel in result.wheels
+        ],
+    }
+
+
+def table(result: CalibrationResult) -> str:
+    """The wheels as aligned text with a heading; what is not determined has no value."""
+    lines = [("wheel", "steering offset", "radius ratio", "radius")]
+    for wheel in result.wheels:
+        offset, ratio = wheel.offset, wheel.ratio
+        lines.append(
+            (
+                wheel.name,
+                _cell(offset, lambda v: f"{math.degrees(v):+.3f}", " deg", math.degrees),
+                _cell(ratio, lambda v: f"{v:.5f}", "", float),
+                "" if wheel.radius is None else f"{wheel.radius * 1000:.2f} mm",
+            )
+        )
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i == 0 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _cell(estimate: Estimate | None, shown: Any, unit: str, size: Any) -> str:
+    if estimate is None:
+        return ""
+    error = size(estimate.error)
+    if not estimate.determined:
+        return f"not determined (+-{error:.2g}{unit})"
+    digits = 3 if unit else 5
+    return f"{shown(estimate.value)} +- {error:.{digits}f}{unit}"
+
+
+Values = Mapping[str, Any]
+"""A wheel's entry in a calibration, in SI: ``radius``, ``radii`` by name, ``steering_offset``."""
+
+
+def overlay(result: CalibrationResult, before: Mapping[str, Values] | None = None) -> str:
+    """The calibration as a document for ``calibration`` in ``robot.yaml``.
+
+    What the log does not determine stays as ``before``, the entries that the robot
+    includes now.
+    """
+    lines = []
+    for wheel in result.wheels:
+        old = (before or {}).get(wheel.name, {})
+        entry = [*_radii(wheel, old, scaled=result.scale is not None), *_offset(wheel, old)]
+        if entry:
+            lines += [f"  {wheel.name}:", *(f"    {line}" for line in entry)]
+    head = ["thorvaldc: 1", f"robot: {result.robot}"]
+    return "\n".join([*head, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
+
+
+def _radii(wheel: WheelCalibration, old: Values, *, scaled: bool) -> Iterator[str]:
+    values = {"": old["radius"]} if "radius" in old else {}
+    values |= old.get("radii", {})
+    notes = dict.fromkeys(values, _BEFORE)
+    if wheel.radius is not None and wheel.ratio is not None:
+        determined = wheel.ratio.determined
+        if determined or scaled:
+            values[wheel.named] = wheel.radius
+            error = f"+- {wheel.radius * wheel.ratio.error * 1000:.3f} mm"
+            notes[wheel.named] = error if determined else "by the common scale alone"
+    if "" in values:
+        yield f"radius: {values.pop('') * 1000:.4f} mm  # {notes['']}"
+    if values:
+        yield "radii:"
+    for name, value in values.items():
+        yield f"  {name}: {value * 1000:.4f} mm  # {notes[name]}"
+
+
+def _offset(wheel: WheelCalibration, old: Values) -> Iterator[str]:
+    offset = wheel.offset
+    if offset is not None and offset.determined:
+        error = math.degrees(offset.error)
+        yield f"steering_offset: {math.degrees(offset.value):.4f} deg  # +- {error:.3f} deg"
+    elif "steering_offset" in old:
+        yield f"steering_offset: {math.degrees(old['steering_offset']):.6g} deg  # {_BEFORE}"

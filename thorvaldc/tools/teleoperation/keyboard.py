@@ -1,0 +1,152 @@
+"""From keys to twists.  A terminal tells no release of a key, only that it repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
+
+FIRST_HOLD = 0.7
+"""s that a key counts after it was pressed: keyboards take 0.25 to 0.66 s to begin to repeat."""
+REPEAT_HOLD = 0.3
+"""s that a key counts after it repeated; repeats are 0.03 to 0.05 s apart, ssh may delay them."""
+GIVE_WAY = 0.1
+"""s for which zero is asked after a key; then the source falls silent."""
+STEP = 1.1
+
+# Parts of the top speeds: forward, to the left, turning left.
+MOTIONS: dict[str, tuple[float, float, float]] = {
+    "i": (1, 0, 0),
+    ",": (-1, 0, 0),
+    "j": (0, 0, 1),
+    "l": (0, 0, -1),
+    "u": (1, 0, 1),
+    "o": (1, 0, -1),
+    "m": (-1, 0, -1),
+    ".": (-1, 0, 1),
+    "J": (0, 1, 0),
+    "L": (0, -1, 0),
+    "U": (1, 1, 0),
+    "O": (1, -1, 0),
+    "M": (-1, 1, 0),
+    ">": (-1, -1, 0),
+}
+_SAME = {
+    "w": "i", "s": ",", "a": "j", "d": "l", "A": "J", "D": "L", "I": "i", "<": ",", "W": "i",
+    "S": ",", "up": "i", "down": ",", "left": "j", "right": "l",
+    "shift-left": "J", "shift-right": "L", "shift-up": "i", "shift-down": ",",
+}  # fmt: skip
+
+HELP = """\
+  u i o    forward, with a turn to the left or right       or w a s d, or the arrow keys
+  j   l    turn on the spot                                with Shift: sideways
+  m , .    backward                                        space or k: stop
+  + -      faster, slower      1..9 0   10..90, 100 % of the top speed
+  x        safety stop: all sources; X releases it         r   reset odometry
+  h        home steering       f   reset faults            p   next parameter set
+  q        quit
+A key drives while it is held; the robot stops when it is not repeated."""
+
+_SERVICES: dict[str, Request] = {
+    "x": Request("safety_stop", {}),
+    "X": Request("release_safety_stop", {}),
+    "r": Request("reset_odometry", {}),
+    "h": Request("home_steering", {}),
+    "f": Request("reset_faults", {}),
+}
+
+
+class Keyboard:
+    """An operator at the keys that ``read`` gives, by their names, since it was last called.
+
+    ``read`` raises ``EOFError`` where the terminal is gone; the operator has finished then.
+    ``sets`` are the robot's parameter sets, beside its ordinary values.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        read: Callable[[], list[str]],
+        share: float = FIRST_SHARE,
+        sets: Sequence[str] = (),
+        close: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.limits = limits
+        self.share = share
+        self.message = ""
+        self.finished = False
+        self.close = close
+        self._sets = ("", *sets)
+        self._set = 0
+        self._read = read
+        self._motion = ZERO_TWIST
+        self._key = ""
+        self._until = 0.0
+        self._repeated = 0.0
+        self._driving = False
+        self._stopped = False
+
+    def poll(self, now: float) -> list[Request]:
+        try:
+            keys = self._read()
+        except EOFError:
+            keys, self.finished = [], True
+        requests: list[Request] = []
+        for key in keys:
+            self._press(_SAME.get(key, key), now, requests)
+        return requests
+
+    def twist(self, now: float) -> Twist | None:
+        """As promised.  After ``space``, zero until the next key that drives."""
+        if self.finished:
+            return ZERO_TWIST if self._driving else None
+        if self._stopped:
+            return ZERO_TWIST
+        if self._driving and now <= self._until:
+            x, y, yaw = self._motion
+            return self.limits.twist(x, y, yaw, self.share)
+        if self._driving and now <= self._until + GIVE_WAY:
+            return ZERO_TWIST
+        self._driving = False
+        return None
+
+    def _press(self, key: str, now: float, requests: list[Request]) -> None:
+        if key in MOTIONS:
+            self._move(key, now)
+        elif key in (" ", "k", "K"):
+            self._stopped, self._driving = True, False
+            self.message = "stop"
+        elif key in ("+", "="):
+            self._set_share(self.share * STEP)
+        elif key in ("-", "_"):
+            self._set_share(self.share / STEP)
+        elif key.isdigit():
+            self._set_share(int(key) / 10 or 1.0)
+        elif key in ("q", "Q", "ctrl-d", "ctrl-c"):
+            self.finished = True
+        elif key == "p":
+            self._set = (self._set + 1) % len(self._sets)
+            requests.append(Request("set_drive_parameters", {"set": self._sets[self._set]}))
+            self.message = f"parameters: {self._sets[self._set] or 'the ordinary ones'}"
+        elif key in _SERVICES:
+            if key == "x":
+                self._driving = False
+            requests.append(_SERVICES[key])
+
+    def _move(self, key: str, now: float) -> None:
+        motion = MOTIONS[key]
+        if motion[1] and not self.limits.sideways:
+            self.message = "this robot cannot move sideways"
+            self._driving = False
+            return
+        # A key that is still held repeats; a press of another one begins anew.
+        repeats = self._driving and key == self._key and now <= self._until
+        self._until = now + (REPEAT_HOLD if repeats else FIRST_HOLD)
+        self._motion, self._key = Twist(*motion), key
+        self._driving, self._stopped = True, False
+        self.message = ""
+
+    def _set_share(self, share: float) -> None:
+        self.share = min(max(share, SMALLEST_SHARE), 1.0)
+        self.message = ""
