@@ -164,7 +164,7 @@ def test_line_ends_and_byte_order_marks_do_not_matter(
 SCRIPT = """
 import hashlib, sys
 from thorvaldc.diagnostics import Report
-from thorvaldc.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
 for path in sys.argv[1:]:
     done = compile_file(path)
     report = Report()

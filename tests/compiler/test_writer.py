@@ -230,7 +230,7 @@ def test_a_build_killed_while_moving_can_be_built_over(
     write(ONE, out)
     script = (
         "import os, sys, pathlib\n"
-        "from thorvaldc import writer\n"
+        "from thorvaldc.compiler import writer\n"
         "writer._exchange = lambda a, b: False\n"
         "real, n = os.rename, []\n"
         "def rename(a, b):\n"
@@ -252,7 +252,7 @@ def test_a_build_killed_while_moving_can_be_built_over(
 
 WRITE_MANY = """
 import sys, pathlib
-from thorvaldc.writer import write_build
+from thorvaldc.compiler.writer import write_build
 print("ready", flush=True)
 n = 0
 while True:

@@ -86,7 +86,7 @@ modules:
 
 def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
     """345 was battery 1, and -1 an enclosure without one."""
-    original = Path(__file__).parents[1] / "importer" / "originals" / "standard.yaml"
+    original = Path(__file__).parents[1] / "compiler" / "importer" / "originals" / "standard.yaml"
     found = import_file(original, Report())
     assert found is not None
     path = tmp_path / "robot.yaml"

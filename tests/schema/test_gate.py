@@ -22,7 +22,7 @@ FILES: dict[Kind, list[Path]] = {
     "fleet": sorted(ROOT.glob("examples/*/fleet.yaml")),
     "scenario": sorted(ROOT.glob("examples/scenarios/*.yaml")),
     "bus_faults": sorted(ROOT.glob("examples/bus_faults/*.yaml")),
-    "calibration": [ROOT / "tests/passes/calibration.yaml"],
+    "calibration": [ROOT / "tests/compiler/modules/calibration.yaml"],
 }
 ODD = [None, True, 1, 1.0, -3, 1e9, "", "x", "1 m", "${a}", "A b", [], [1], [0, 0, 0], {}, {"x": 1}]
 

@@ -265,7 +265,7 @@ def test_gymnasium_finds_it_by_its_module() -> None:
     assert done.stdout == "(14,) thorvaldc/Robot-v0\n"
 
 
-@pytest.mark.parametrize("module", ["environments", "runtime.gym"])
+@pytest.mark.parametrize("module", ["environments", "simulation.gym.robot_env"])
 def test_without_gymnasium_a_line_says_what_to_install(module: str) -> None:
     program = f"import sys; sys.modules['gymnasium'] = None; import thorvaldc.{module}"
     done = subprocess.run(
