@@ -17,7 +17,7 @@ from thorvaldc.can.frame import INTERFRAME_BITS, CanFrame
 from thorvaldc.can.frame import frame_bits as exact_bits
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.bus import Bus, Frame
+from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import MASTER, bus_load, frame_response_times
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
@@ -49,7 +49,7 @@ def random_bus(number: int) -> Bus:
             return replace(bus, frames=timed, load=bus_load(bus))
 
 
-def _frames(draw: random.Random, cycle: float) -> Iterator[Frame]:
+def _frames(draw: random.Random, cycle: float) -> Iterator[FrameDefinition]:
     synchronous = draw.random() < 0.5
     yield _frame(0x000, "nmt", MASTER, 2)
     yield _frame(0x080, "sync", MASTER, 0, cycle)
@@ -86,8 +86,8 @@ def _frame(
     length: int,
     period: float | None = None,
     to: str = "",
-) -> Frame:
-    return Frame(
+) -> FrameDefinition:
+    return FrameDefinition(
         f"{kind}_{cob_id:03x}", cob_id, kind, producer, (to,), length, period, period, (), _SPAN
     )
 
@@ -118,7 +118,7 @@ class Traffic:
 
     bus: Bus
     seed: int
-    target: Frame | None = None
+    target: FrameDefinition | None = None
     seen: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -160,7 +160,7 @@ class Traffic:
         controller.switch_on()
         return controller
 
-    def _send(self, frame: Frame, due: int) -> None:
+    def _send(self, frame: FrameDefinition, due: int) -> None:
         self._due[frame.cob_id].append(due)
         self._controllers[frame.producer].send(self._sent[frame.cob_id])
 
@@ -208,17 +208,17 @@ class Traffic:
                 frame = self.target
             self._timeline.at(start, lambda f=frame: self._request(f))  # type: ignore[misc]
 
-    def _with_urgent_answer(self, choice: list[Frame]) -> list[Frame]:
+    def _with_urgent_answer(self, choice: list[FrameDefinition]) -> list[FrameDefinition]:
         """Requests that are answered with a frame that goes before the target."""
         urgent = {f.producer for f in self.bus.frames if f.kind == "sdo" and self._goes_before(f)}
         return [f for f in choice if f.kind == "sdo" and f.consumers[0] in urgent]
 
-    def _request(self, frame: Frame) -> None:
+    def _request(self, frame: FrameDefinition) -> None:
         if frame.kind == "sdo":
             self._asked[frame.consumers[0]] = self._timeline.now
         self._send(frame, self._timeline.now)
 
-    def _alone(self, frame: Frame, end: int) -> None:
+    def _alone(self, frame: FrameDefinition, end: int) -> None:
         """What a device sends of itself, as often as it may."""
         interval = frame.period if frame.kind != "relay" else frame.minimum_interval
         grouped = frame.kind == "pdo" and frame.producer == MASTER
@@ -228,7 +228,7 @@ class Traffic:
         for start in range(self._phase(frame, period), end, period):
             self._timeline.at(start, lambda: self._send(frame, self._timeline.now))
 
-    def _phase(self, frame: Frame, period: int) -> int:
+    def _phase(self, frame: FrameDefinition, period: int) -> int:
         """When it comes first: what goes before the target with it, what blocks just before."""
         if self.target is not None:
             if self._goes_before(frame) or frame.cob_id == self.target.cob_id:
@@ -237,7 +237,7 @@ class Traffic:
                 return (self._critical - 1) % period
         return self._draw.randrange(period)
 
-    def _goes_before(self, frame: Frame) -> bool:
+    def _goes_before(self, frame: FrameDefinition) -> bool:
         return self.target is not None and frame.cob_id < self.target.cob_id
 
     def _blocker(self) -> int:

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 from bench.figure import ROOT, Figure
 from bench.robots import example
-from thorvaldc.can.interface import open_ports
+from thorvaldc.can.interface import open_interfaces
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import State
@@ -84,7 +84,7 @@ def figures() -> Iterator[Figure]:
 
 def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]]:
     """Drive for ``SECONDS``; what it took, and the faults after which it was reset."""
-    ports = open_ports(f"sim:{channel}", robot)
+    ports = open_interfaces(f"sim:{channel}", robot)
     clock = next(iter(ports.values()))
     base = CanBase(robot, ports)
     runner = BaseRunner(robot, base, clock, keep_starts=True)

@@ -6,16 +6,16 @@ import dataclasses
 import math
 
 from tests.robots import SPAN, make_robot
-from thorvaldc.model.robot import Battery, Bus, Channel, Frame, Node, Robot, Signal
+from thorvaldc.model.robot import Battery, Bus, Channel, FrameDefinition, Node, Robot, Signal
 
 GEAR, STEERING_GEAR, PPR, MAX_SPEED, LIMIT = 42.0, 42.857, 1024, 314.159, 3.078027759
 CYCLE = 0.02
 
 
-def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Frame, ...]:
+def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[FrameDefinition, ...]:
     """Four frames of a propulsion and steering controller, with its scalings by formula."""
     return (
-        Frame(
+        FrameDefinition(
             f"{name}_rpdo1",
             0x200 + n,
             "pdo",
@@ -40,7 +40,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
             SPAN,
             "Propulsion command.",
         ),
-        Frame(
+        FrameDefinition(
             f"{name}_rpdo4",
             0x500 + n,
             "pdo",
@@ -56,7 +56,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
             ),
             SPAN,
         ),
-        Frame(
+        FrameDefinition(
             f"{name}_tpdo1",
             0x180 + n,
             "pdo",
@@ -87,7 +87,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
             ),
             SPAN,
         ),
-        Frame(
+        FrameDefinition(
             f"{name}_tpdo4",
             0x480 + n,
             "pdo",
@@ -111,7 +111,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
             ),
             SPAN,
         ),
-        Frame(
+        FrameDefinition(
             f"{name}_heartbeat",
             0x700 + n,
             "heartbeat",
@@ -149,11 +149,11 @@ def robot_with_bus() -> Robot:
     robot = make_robot([(0.5, 0.4, "steered"), (0.5, -0.4, "steered"), (-0.5, 0.0, "swivel")])
     battery = Node("battery", "battery", "kc", 1, "kc_battery", None, "0x12", (), (), SPAN)
     frames = (
-        Frame("sync", 0x080, "sync", "master", ("w0_controller", "w1_controller"), 0,
+        FrameDefinition("sync", 0x080, "sync", "master", ("w0_controller", "w1_controller"), 0,
               CYCLE, CYCLE, (), SPAN),
         *drive_frames("w0_controller", 3, "w0_axle", "w0_steering_axis"),
         *drive_frames("w1_controller", 2, "w1_axle", "w1_steering_axis"),
-        Frame(
+        FrameDefinition(
             "battery_status", 0x3C1, "broadcast", "battery", ("master",), 8, 0.1, 0.1,
             (
                 Signal("voltage", 16, 16, scale=0.01, unit="V"),

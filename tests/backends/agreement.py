@@ -50,7 +50,7 @@ def differences(folder: Path, robot: Robot) -> list[str]:
 class _Check:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self.prefix = f"{robot.namespace}/" if robot.namespace else ""
+        self.prefix = robot.prefix
         self.found: list[str] = []
 
     def same(self, what: str, *values: Any, tolerance: float = TOLERANCE) -> None:

@@ -17,7 +17,7 @@ from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_b
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model.robot import Bus, Frame, Node, Robot, Signal
+from thorvaldc.model.robot import Bus, FrameDefinition, Node, Robot, Signal
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -44,7 +44,7 @@ def read_dbc(data: bytes) -> Any:
     return cantools.database.load_string(data.decode("cp1252"), "dbc", strict=True)
 
 
-def with_frame(frame: Frame, node: Node | None = None) -> Robot:
+def with_frame(frame: FrameDefinition, node: Node | None = None) -> Robot:
     robot = robot_with_bus()
     bus = robot.buses[0]
     bus = dataclasses.replace(
@@ -89,7 +89,7 @@ def test_canmap_frames_carry_every_field_of_the_model(canmap: dict[str, Any]) ->
     frames = canmap["buses"][0]["frames"]
     for stored, frame in zip(frames, robot_with_bus().buses[0].frames, strict=True):
         for field in dataclasses.fields(frame):
-            if field.name in ("origin", "signals"):
+            if field.name in ("span", "signals"):
                 continue
             value = getattr(frame, field.name)
             assert stored[field.name] == (list(value) if isinstance(value, tuple) else value)
@@ -167,7 +167,7 @@ def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
         choices=((1, 'a "b"'),),
         description='ends with \\ and "quotes"\nand ; \u0394',
     )
-    frame = Frame(
+    frame = FrameDefinition(
         "odd", 0x101, "relay", "master", ("battery",), 1, None, None, (signal,), SPAN, "\u0394"
     )
     robot = with_frame(frame)
@@ -191,7 +191,9 @@ def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
 )
 def test_limits_of_a_signal(given: dict[str, float], read: tuple[float, float]) -> None:
     signal = Signal("x", 0, 8, signed=True, scale=0.1, **given)
-    frame = Frame("odd", 0x181, "pdo", "master", ("battery",), 1, None, None, (signal,), SPAN)
+    frame = FrameDefinition(
+        "odd", 0x181, "pdo", "master", ("battery",), 1, None, None, (signal,), SPAN
+    )
     message = read_dbc(Can().emit(with_frame(frame))["can/robot.dbc"]).get_message_by_name("odd")
     (found,) = message.signals
     assert (found.minimum, found.maximum) == (
@@ -202,7 +204,9 @@ def test_limits_of_a_signal(given: dict[str, float], read: tuple[float, float]) 
 def test_long_names_survive() -> None:
     name = "a_drive_with_a_name_that_is_longer_than_32_characters_controller"
     node = Node(name, name, "p", 9, "canopen", None, None, (), (), SPAN)
-    frame = Frame(f"{name}_tpdo1", 0x189, "pdo", name, ("master",), 8, 90.0, 1.0, (), SPAN)
+    frame = FrameDefinition(
+        f"{name}_tpdo1", 0x189, "pdo", name, ("master",), 8, 90.0, 1.0, (), SPAN
+    )
     database = read_dbc(Can().emit(with_frame(frame, node))["can/robot.dbc"])
     message = database.get_message_by_frame_id(0x189)
     assert (message.name, message.senders) == (f"{name}_tpdo1", [name])

@@ -19,7 +19,7 @@ from tests.examples import ROBOTS, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model.robot import Bus, Frame, Robot, Signal
+from thorvaldc.model.robot import Bus, FrameDefinition, Robot, Signal
 
 DRIVES = """\
 thorvaldc: 1
@@ -207,8 +207,8 @@ def test_names_and_texts_that_would_break_a_header(tmp_path: Path, cc: str) -> N
         Signal("b", 0, 8, unit="*/ \\", choices=((-1, "start"), (1, "scale"))),
         Signal("b_is", 8, 8, scale=-0.5, offset=-3.0, unit="°C", choices=((0, "x"),)),
     )
-    odd = Frame("a", 0x190, "relay", "master", ("battery",), 8, None, None, signals, SPAN)
-    clash = Frame("a_b", 0x191, "relay", "master", ("battery",), 8, None, None,
+    odd = FrameDefinition("a", 0x190, "relay", "master", ("battery",), 8, None, None, signals, SPAN)
+    clash = FrameDefinition("a_b", 0x191, "relay", "master", ("battery",), 8, None, None,
                   (Signal("start", 0, 8), Signal("is_start", 0, 8)), SPAN)  # fmt: skip
     robot = robot_with_bus()
     bus = dataclasses.replace(robot.buses[0], frames=(odd, clash))

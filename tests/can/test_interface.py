@@ -23,7 +23,7 @@ from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.interface import PythonCanPort, open_port, open_ports
+from thorvaldc.can.interface import PythonCanInterface, open_interface, open_interfaces
 from thorvaldc.can.simulated_bus_client import RemoteClient
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
@@ -47,15 +47,15 @@ def bus() -> Bus:
     return Bus("can", 500_000, 0.02, (), (), SPAN)
 
 
-def opened(spec: str, bus: Bus) -> PythonCanPort:
-    port = open_port(spec, bus)
-    assert isinstance(port, PythonCanPort)
+def opened(spec: str, bus: Bus) -> PythonCanInterface:
+    port = open_interface(spec, bus)
+    assert isinstance(port, PythonCanInterface)
     return port
 
 
 def refused(spec: str, bus: Bus) -> tuple[str, str]:
     with pytest.raises(DiagnosticError) as caught:
-        open_port(spec, bus)
+        open_interface(spec, bus)
     found = caught.value.diagnostic
     assert found.code.name == "bus-interface"
     assert found.code.outside
@@ -67,7 +67,7 @@ def refused(spec: str, bus: Bus) -> tuple[str, str]:
 
 
 @pytest.fixture
-def pair(bus: Bus) -> Iterator[tuple[PythonCanPort, PythonCanPort]]:
+def pair(bus: Bus) -> Iterator[tuple[PythonCanInterface, PythonCanInterface]]:
     ports = opened("virtual:test_port", bus), opened("virtual:test_port", bus)
     yield ports
     for port in ports:
@@ -76,7 +76,7 @@ def pair(bus: Bus) -> Iterator[tuple[PythonCanPort, PythonCanPort]]:
 
 @pytest.mark.parametrize("frame", ALL_KINDS, ids=str)
 def test_every_kind_of_frame_arrives_as_it_was_sent(
-    frame: CanFrame, pair: tuple[PythonCanPort, PythonCanPort]
+    frame: CanFrame, pair: tuple[PythonCanInterface, PythonCanInterface]
 ) -> None:
     one, other = pair
     before = time.monotonic_ns()
@@ -90,7 +90,7 @@ def test_every_kind_of_frame_arrives_as_it_was_sent(
 
 
 def test_without_a_frame_it_waits_for_the_time_out(
-    pair: tuple[PythonCanPort, PythonCanPort],
+    pair: tuple[PythonCanInterface, PythonCanInterface],
 ) -> None:
     one, _ = pair
     before = one.now
@@ -132,7 +132,7 @@ def message(stamp: float, data: bytes = b"\x05") -> can.Message:
 def test_times_are_of_the_monotonic_clock_and_never_go_back() -> None:
     wall = time.time()
     stamps = [wall - 0.3, wall - 0.2, wall + 50.0, wall - 500.0, wall - 0.1]
-    port = PythonCanPort(Scripted(*(message(stamp) for stamp in stamps)))
+    port = PythonCanInterface(Scripted(*(message(stamp) for stamp in stamps)))
     begun = time.monotonic()
     times = []
     for _ in stamps:
@@ -156,7 +156,7 @@ def error_frame(what: int, controller: int = 0) -> can.Message:
 
 def test_error_frames_tell_the_controllers_state() -> None:
     script = Scripted()
-    port = PythonCanPort(script)
+    port = PythonCanInterface(script)
     seen = []
     for item in (
         error_frame(0x04, 0x10),
@@ -176,7 +176,7 @@ def test_error_frames_tell_the_controllers_state() -> None:
 def test_a_full_queue_is_said_and_a_lost_interface_raises() -> None:
     full = can.CanOperationError("Transmit buffer full", errno.ENOBUFS)
     unplugged = can.CanOperationError("Failed to transmit: No such device", errno.ENODEV)
-    port = PythonCanPort(Scripted(full, unplugged, unplugged, OSError(errno.EIO, "gone")))
+    port = PythonCanInterface(Scripted(full, unplugged, unplugged, OSError(errno.EIO, "gone")))
     assert not port.send(HEARTBEAT)
     with pytest.raises(ConnectionError):
         port.send(HEARTBEAT)
@@ -191,7 +191,7 @@ def test_own_frames_that_come_back_are_left_out() -> None:
     """UDP multicast gives a program its own frames; another's with the same content stay."""
     wall = time.time()
     script = Scripted()
-    port = PythonCanPort(script, echoes=True)
+    port = PythonCanInterface(script, echoes=True)
     assert port.send(HEARTBEAT)
     script.items += [message(wall), message(wall), message(wall, b"\x7f")]
     found = [port.receive(0.0) for _ in range(3)]
@@ -365,13 +365,13 @@ def test_a_driver_that_refuses(bus: Bus) -> None:
 
 
 def test_ports_of_several_buses_are_named(two_buses: Robot) -> None:
-    ports = open_ports("left=virtual:l,right=virtual:r", two_buses)
+    ports = open_interfaces("left=virtual:l,right=virtual:r", two_buses)
     assert list(ports) == ["left", "right"]
     for port in ports.values():
         port.close()
     for spec in ("virtual:l", "left=virtual:l", "left=virtual:l,wrong=virtual:r", "left=,right="):
         with pytest.raises(DiagnosticError) as caught:
-            open_ports(spec, two_buses)
+            open_interfaces(spec, two_buses)
         assert "left=socketcan:can0,right=socketcan:can1" in (caught.value.diagnostic.hint or "")
 
 
@@ -387,7 +387,7 @@ def test_a_master_on_a_simulated_bus_sends_in_its_own_order(bus: Bus, tmp_path: 
     channel = str(tmp_path / "bus.sock")
     with (
         serving(wire.timeline, {channel: wire}),
-        closing(open_port(f"sim:{channel}", bus)) as master,
+        closing(open_interface(f"sim:{channel}", bus)) as master,
         closing(RemoteClient(channel)) as other,
     ):
         sent = [CanFrame(k, bytes(8)) for k in (0x201, 0x202, 0x303, 0x304, 0x080)]

@@ -93,7 +93,7 @@ def test_places_in_a_model_do_not_depend_on_where_it_lies(tmp_path: Path) -> Non
     assert models[0].model == models[1].model
     assert models[0].source_sha256 == models[1].source_sha256
     assert isinstance(models[0].model, Robot)
-    assert {link.origin.file for link in models[0].model.links} == {"robot.yaml"}
+    assert {link.span.file for link in models[0].model.links} == {"robot.yaml"}
 
 
 # -- hashes -----------------------------------------------------------------------------

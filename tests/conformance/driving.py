@@ -94,7 +94,7 @@ def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
 
     Distances are measured after the ramp and after casters have settled.
     """
-    prefix = f"{robot.namespace}/" if robot.namespace else ""
+    prefix = robot.prefix
     m = mujoco.MjModel.from_xml_path(str(scene))
     d = mujoco.MjData(m)
     mujoco.mj_resetDataKeyframe(m, d, 0)

@@ -118,11 +118,11 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         except DiagnosticError as fault:
             done.report.put(fault.diagnostic)
     if how == "port" and isinstance(done.model, Robot):
-        from thorvaldc.can.interface import open_port
+        from thorvaldc.can.interface import open_interface
         from thorvaldc.diagnostics.error import DiagnosticError
 
         try:
-            open_port(case["bus"], done.model.buses[0]).close()
+            open_interface(case["bus"], done.model.buses[0]).close()
         except DiagnosticError as fault:
             done.report.put(fault.diagnostic)
     if how == "replay" and isinstance(done.model, Robot):

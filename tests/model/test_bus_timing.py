@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import pytest
 
 from tests.robots import SPAN
-from thorvaldc.model.bus import Bus, Frame
+from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import (
     Stream,
     bus_load,
@@ -121,13 +121,17 @@ def _simulated(streams: Sequence[Stream], offsets: Sequence[int], bit: int) -> l
 # -- a robot's bus ----------------------------------------------------------------------
 
 
-def frame(cob_id: int, kind: str = "pdo", producer: str = "n", **changes: object) -> Frame:
+def frame(
+    cob_id: int, kind: str = "pdo", producer: str = "n", **changes: object
+) -> FrameDefinition:
     consumer = "n" if producer == "master" else "master"
-    plain = Frame(f"f{cob_id:x}", cob_id, kind, producer, (consumer,), 8, None, None, (), SPAN)
+    plain = FrameDefinition(
+        f"f{cob_id:x}", cob_id, kind, producer, (consumer,), 8, None, None, (), SPAN
+    )
     return dataclasses.replace(plain, **changes)  # type: ignore[arg-type]
 
 
-def bus(*frames: Frame) -> Bus:
+def bus(*frames: FrameDefinition) -> Bus:
     return Bus("main", 500_000, 0.02, (), frames, SPAN)
 
 

@@ -20,7 +20,7 @@ from thorvaldc.model import (
     Collision,
     Cylinder,
     Fleet,
-    Frame,
+    FrameDefinition,
     Ground,
     Link,
     Mesh,
@@ -79,7 +79,9 @@ def everything() -> Robot:
         "of the wheel",
     )
     select = Signal("content", 0, 8, multiplexer=True)
-    frame = Frame("rpdo1", 0x201, "pdo", "master", ("node",), 8, 0.02, None, (signal, select), SPAN)
+    frame = FrameDefinition(
+        "rpdo1", 0x201, "pdo", "master", ("node",), 8, 0.02, None, (signal, select), SPAN
+    )
     channels = (
         Channel("left", "propulsion", "w0_propulsion"),
         Channel("right", "propulsion", None),
@@ -238,7 +240,7 @@ def changed(path: str, value: Any) -> str:
         changed("model.name", ...),
         changed("model.name", 3),
         changed("model.links", {}),
-        changed("model.links.0.origin", ["robot.yaml"] * 9),
+        changed("model.links.0.span", ["robot.yaml"] * 9),
         changed("model.joints.0.pose.xyz", [0.0, 1.0]),
         changed("model.joints.0.pose.xyz.0", "left"),
         changed("model.joints.0.pose.xyz.0", None),

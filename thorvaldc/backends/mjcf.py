@@ -83,7 +83,7 @@ class Mjcf(Backend):
                 CODES["urdf-only-element"],
                 "MJCF has no place for what the extras hold besides links and joints: "
                 + ", ".join(f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)),
-                robot.origin,
+                robot.span,
                 "it is in the URDF",
             )
         for link in robot.links:
@@ -92,7 +92,7 @@ class Mjcf(Backend):
                     CODES["mjcf-name-reserved"],
                     f"MuJoCo keeps the name `{WORLD}` for the ground; in MJCF the link is "
                     f"`{_body_names(robot)[WORLD]}`",
-                    link.origin,
+                    link.span,
                     "rename it in the extra, or give the robot a `namespace`",
                 )
 
@@ -131,7 +131,7 @@ class Mjcf(Backend):
 
 
 def _prefix(robot: Robot) -> str:
-    return f"{robot.namespace}/" if robot.namespace else ""
+    return robot.prefix
 
 
 def _free(name: str, taken: Iterable[str]) -> str:

@@ -183,4 +183,4 @@ def robot_state_publisher(robot: Robot) -> Parameters:
 
 
 def _prefix(robot: Robot) -> str:
-    return f"{robot.namespace}/" if robot.namespace else ""
+    return robot.prefix

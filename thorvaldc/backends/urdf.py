@@ -50,7 +50,7 @@ def _text(same: _Same) -> str:
 
 
 def _robot(robot: Robot) -> Element:
-    prefix = f"{robot.namespace}/" if robot.namespace else ""
+    prefix = robot.prefix
     root = Element("robot", name=robot.name)
     # Else MuJoCo merges base_link into the world and drops the mass of all that
     # is fixed to it, drops visuals, and guesses masses from shapes.

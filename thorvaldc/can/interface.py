@@ -47,7 +47,7 @@ _PASSIVE, _ACTIVE_AGAIN = 0x30, 0x40
 _GONE = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
 
 
-class Port(Protocol):
+class CanInterface(Protocol):
     """Sends and receives frames.  Times are s of its own monotonic clock, ``now``.
 
     Where the interface itself is lost (unplugged, its process ended) ``send`` and
@@ -83,7 +83,7 @@ class Port(Protocol):
     def close(self) -> None: ...
 
 
-class PythonCanPort:
+class PythonCanInterface:
     """A bus of python-can.  Times are those of ``time.monotonic``.
 
     The interface's time stamps are of the wall clock: they are turned into ages, and
@@ -253,7 +253,7 @@ class PythonCanPort:
             raise ConnectionError(_plain(fault)) from None
 
 
-def open_port(spec: str, bus: Bus, *, listen_only: bool = False) -> Port:
+def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInterface:
     """The port that ``spec`` names, at the bitrate of ``bus``.
 
     - ``sim:NAME``: a bus that ``thorvaldc bus`` runs, by the name that it prints;
@@ -301,7 +301,7 @@ def open_port(spec: str, bus: Bus, *, listen_only: bool = False) -> Port:
     elif interface == "udp_multicast":
         options["fd"] = False
         del options["bitrate"]
-    return PythonCanPort(
+    return PythonCanInterface(
         _open(spec, interface, channel, options),
         echoes=interface == "udp_multicast",
         # pyserial sends part of a frame where it must not wait at all.
@@ -309,7 +309,7 @@ def open_port(spec: str, bus: Bus, *, listen_only: bool = False) -> Port:
     )
 
 
-def open_ports(spec: str, robot: Robot) -> dict[str, Port]:
+def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
     """A port for each bus of the robot, by the bus's name.
 
     Of a robot with several buses ``spec`` names one for each, ``left=socketcan:can0,
@@ -318,10 +318,10 @@ def open_ports(spec: str, robot: Robot) -> dict[str, Port]:
     require_bus(robot)
     names = [bus.name for bus in robot.buses]
     specs = _specs(spec, names)
-    ports: dict[str, Port] = {}
+    ports: dict[str, CanInterface] = {}
     try:
         for bus in robot.buses:
-            ports[bus.name] = open_port(specs[bus.name], bus)
+            ports[bus.name] = open_interface(specs[bus.name], bus)
     except DiagnosticError:
         for port in ports.values():
             port.close()
@@ -347,7 +347,7 @@ def _specs(spec: str, names: list[str]) -> Mapping[str, str]:
 # -- opening ---------------------------------------------------------------------------------
 
 
-def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> Port:
+def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> CanInterface:
     if not channel:
         raise _fault(spec, "`sim` needs the name of a bus", "`thorvaldc bus FILE` prints it")
     try:

@@ -20,7 +20,7 @@ from thorvaldc.cli.options import bus_of
 from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
-    from thorvaldc.can.interface import Port
+    from thorvaldc.can.interface import CanInterface
     from thorvaldc.commissioning.bus_master import Session
     from thorvaldc.commissioning.plan import Plan
     from thorvaldc.commissioning.plan import Step as PlanStep
@@ -291,7 +291,7 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
         simulated = SimulatedRobot(robot, delivered=how == "delivered", kept=kept)
         simulated.power_on()
         simulated.run(0.2)
-        port: Port = simulated.client(bus.name, receive_limit=100_000)
+        port: CanInterface = simulated.client(bus.name, receive_limit=100_000)
         session = Session(port, bus)
         try:
             yield Place(robot, bus, target_of(robot, bus), session, simulated, Progress(1.0, ""))
@@ -301,13 +301,13 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
         return
     if store:
         raise typer.BadParameter("is for a simulated robot, --bus virtual", param_hint="'--store'")
-    from thorvaldc.can.interface import open_port
+    from thorvaldc.can.interface import open_interface
     from thorvaldc.commissioning.bus_lock import BusLock
 
     if name not in SIMULATED:
         message(UNTRIED)
     with BusLock(spec):
-        port = open_port(spec, bus)
+        port = open_interface(spec, bus)
         try:
             session = Session(port, bus)
             yield Place(robot, bus, target_of(robot, bus), session, None, Progress(1.0, ""))

@@ -18,7 +18,7 @@ from thorvaldc.cli.faults import Faults, finite
 from thorvaldc.cli.options import bus_of, seconds_of
 
 if TYPE_CHECKING:
-    from thorvaldc.can.interface import Port
+    from thorvaldc.can.interface import CanInterface
     from thorvaldc.model import Robot
     from thorvaldc.model.bus import Bus
 
@@ -69,7 +69,13 @@ def monitor(
 
 
 def _watch(
-    robot: Robot, bus: Bus, port: Port, period: float, seconds: float, json: bool, live: bool
+    robot: Robot,
+    bus: Bus,
+    port: CanInterface,
+    period: float,
+    seconds: float,
+    json: bool,
+    live: bool,
 ) -> None:
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
     from thorvaldc.tools.monitor.monitor_text import monitor_lines
@@ -149,12 +155,12 @@ def _print_json(found: Mapping[str, Any]) -> None:
     print(json_format.dumps(finite(found), ensure_ascii=False), flush=True)
 
 
-def _open(spec: str, bus: Bus) -> Port:
-    from thorvaldc.can.interface import open_port
+def _open(spec: str, bus: Bus) -> CanInterface:
+    from thorvaldc.can.interface import open_interface
 
     if spec == "virtual":
         raise typer.BadParameter(
             "a virtual bus is the own process's alone; run `thorvaldc bus FILE` and watch sim:NAME",
             param_hint="'--bus'",
         )
-    return open_port(spec, bus, listen_only=True)
+    return open_interface(spec, bus, listen_only=True)

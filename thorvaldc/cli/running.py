@@ -21,7 +21,7 @@ from thorvaldc.cli.faults import Faults, finite, message
 from thorvaldc.cli.options import seconds_of
 
 if TYPE_CHECKING:
-    from thorvaldc.can.interface import Port
+    from thorvaldc.can.interface import CanInterface
     from thorvaldc.diagnostics import Diagnostic, Report
     from thorvaldc.model import Robot
     from thorvaldc.runtime.base_interface import BaseHandle
@@ -116,7 +116,7 @@ class Session:
     def __init__(
         self,
         robot: Robot,
-        ports: Mapping[str, Port],
+        ports: Mapping[str, CanInterface],
         simulated: SimulatedRobot | None,
         parameters: str,
         twist: Twist | None,
@@ -222,7 +222,7 @@ class Session:
             hint = "is it this robot's file? `thorvaldc can plan` shows what differs"
         elif not supervisor.was_ready:
             code = "bus-start"
-        return Diagnostic(CODES[code], supervisor.reason, self.robot.origin, hint)
+        return Diagnostic(CODES[code], supervisor.reason, self.robot.span, hint)
 
     # -- what is shown -------------------------------------------------------------------------
 
@@ -376,15 +376,15 @@ def _parse(twist: str) -> Twist | None:
 
 def ports_of(
     robot: Robot, file: str, bus: str, physics: str, faults: str, seed: str, report: Report
-) -> tuple[SimulatedRobot | None, Mapping[str, Port]]:
+) -> tuple[SimulatedRobot | None, Mapping[str, CanInterface]]:
     """The ports of the robot's buses; simulated ones with their robot.
 
     Raises ``DiagnosticError``.
     """
     if bus != VIRTUAL:
-        from thorvaldc.can.interface import open_ports
+        from thorvaldc.can.interface import open_interfaces
 
-        return None, open_ports(bus, robot)
+        return None, open_interfaces(bus, robot)
     from thorvaldc.compiler.pipeline import read_faults
     from thorvaldc.simulation.bus import fault_injection as bus_faults
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

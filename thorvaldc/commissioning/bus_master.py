@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame, worst_case_bits
-from thorvaldc.can.interface import Port
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus
@@ -48,7 +48,7 @@ class Session:
     Raises ``DiagnosticError`` (``bus-error``, ``bus-other-master``) from all that waits.
     """
 
-    def __init__(self, port: Port, bus: Bus, timing: Timing | None = None) -> None:
+    def __init__(self, port: CanInterface, bus: Bus, timing: Timing | None = None) -> None:
         self.port = port
         self.bus = bus
         self.timing = timing or Timing()

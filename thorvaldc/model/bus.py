@@ -49,7 +49,7 @@ class Signal(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Frame(Element):
+class FrameDefinition(Element):
     """A standard CAN frame; ``producer``/``consumers`` are node names or ``master``.
 
     ``kind`` is ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``,
@@ -73,7 +73,7 @@ class Frame(Element):
     period: float | None
     deadline: float | None
     signals: tuple[Signal, ...]
-    origin: Span
+    span: Span
     description: str = ""
     minimum_interval: float | None = None
     response_time: float | None = None
@@ -131,7 +131,7 @@ class Node(Element):
     serial: str | None
     channels: tuple[Channel, ...]
     properties: tuple[tuple[str, Scalar], ...]
-    origin: Span
+    span: Span
     automatic: bool = False
     product_code: int | None = None
     revision_number: int | None = None
@@ -160,7 +160,7 @@ class Bus(Element):
     bitrate: int
     sync_period: float
     nodes: tuple[Node, ...]
-    frames: tuple[Frame, ...]
-    origin: Span
+    frames: tuple[FrameDefinition, ...]
+    span: Span
     master_id: int = 127
     load: float = 0.0

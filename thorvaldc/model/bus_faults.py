@@ -54,7 +54,7 @@ class BusFault:
     node: str | None
     time: float | None
     frame: int | None
-    origin: Span
+    span: Span
     delay: float = 0.0
     duration: float | None = None
     id: int = 0

@@ -24,7 +24,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.bus import Bus, Frame
+from thorvaldc.model.bus import Bus, FrameDefinition
 
 MASTER = "master"
 _SECOND = 10**12  # ps
@@ -232,7 +232,7 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
     ]
 
 
-def _group(frame: Frame) -> str:
+def _group(frame: FrameDefinition) -> str:
     """Frames of which there is one in a control cycle, or empty."""
     if frame.period is not None or frame.kind == "relay":
         return ""
@@ -241,7 +241,7 @@ def _group(frame: Frame) -> str:
     return {"sdo": _ANSWER, "emcy": _EMERGENCY}.get(frame.kind, "")
 
 
-def _stage(frame: Frame, bus: Bus) -> int | None:
+def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
     """Of what each cycle has: commands, then SYNC, then what is sent at the SYNC."""
     if frame.period != bus.sync_period:
         return None

@@ -12,6 +12,6 @@ def require_bus(robot: Robot) -> None:
         raise DiagnosticError(
             "bus-missing",
             f"{robot.name} has no devices, and so no bus",
-            robot.origin,
+            robot.span,
             hint="give its motors controllers, as the assemblies of the library have",
         )

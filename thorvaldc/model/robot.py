@@ -1,7 +1,7 @@
 """The intermediate model: a robot as frozen dataclasses, everything in SI.
 
 Passes build it, backends and the runtime read it; nothing changes it.  Every
-element carries the ``origin`` in the source it came from.  Lists are in model
+element carries the ``span`` in the source it came from.  Lists are in model
 order: the order of the modules in the file, depth first, which every output
 follows.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.bus import Bus, Channel, Frame, Node, ObjectValue, Scalar, Signal
+from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
 from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
@@ -26,7 +26,7 @@ __all__ = [
     "Collision",
     "Cylinder",
     "DriverSettings",
-    "Frame",
+    "FrameDefinition",
     "Joint",
     "Link",
     "Mesh",
@@ -127,7 +127,7 @@ class Link(Element):
     inertial: Inertial | None
     visuals: tuple[Visual, ...]
     collisions: tuple[Collision, ...]
-    origin: Span
+    span: Span
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -159,7 +159,7 @@ class Joint(Element):
     parent: str
     child: str
     pose: Pose
-    origin: Span
+    span: Span
     axis: Vec3 = (0.0, 0.0, 1.0)
     lower: float | None = None
     upper: float | None = None
@@ -228,7 +228,7 @@ class Wheel(Element):
     rolling_resistance: float
     load: float
     contact_height: float
-    origin: Span
+    span: Span
     treads: tuple[Tread, ...] = ()
 
     @property
@@ -263,7 +263,7 @@ class Actuator(Element):
     armature: float
     node: str | None
     channel: str | None
-    origin: Span
+    span: Span
     encoder_offset: float = 0.0
 
 
@@ -279,7 +279,7 @@ class Sensor(Element):
     type: str
     link: str
     properties: tuple[tuple[str, Scalar], ...]
-    origin: Span
+    span: Span
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -291,7 +291,7 @@ class Battery(Element):
     link: str
     node: str | None
     properties: tuple[tuple[str, Scalar], ...]
-    origin: Span
+    span: Span
 
 
 # -- the whole ----------------------------------------------------------------------
@@ -334,7 +334,7 @@ class ParameterSet(Element):
     name: str
     radii: str | None
     driver: DriverSettings
-    origin: Span
+    span: Span
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -375,11 +375,16 @@ class Robot(Element):
     calculator: CalculatorChoice
     driver: DriverSettings
     inertial: Inertial
-    origin: Span
+    span: Span
     urdf_extensions: tuple[str, ...] = ()
     parameter_sets: tuple[ParameterSet, ...] = ()
     twist_sources: tuple[TwistInput, ...] = ()
     twist_locks: tuple[TwistInput, ...] = ()
+
+    @property
+    def prefix(self) -> str:
+        """The namespace with a slash, in front of every name in an output; or empty."""
+        return f"{self.namespace}/" if self.namespace else ""
 
     def link(self, name: str) -> Link:
         """The link of that name; ``KeyError`` where there is none."""

@@ -42,7 +42,7 @@ class Fault:
     value: float
     start: float
     end: float
-    origin: Span
+    span: Span
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Expectation:
     metric: str
     least: float | None
     most: float | None
-    origin: Span
+    span: Span
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +90,6 @@ class Scenario:
     faults: tuple[Fault, ...]
     noise: Noise
     expectations: tuple[Expectation, ...]
-    origin: Span
+    span: Span
     record: tuple[str, ...] = field(default=GROUPS)
     every: float = 0.0

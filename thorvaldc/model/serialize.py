@@ -18,7 +18,7 @@ from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.robot import Robot
 
 FORMAT = "thorvaldc-model"
-VERSION = 1
+VERSION = 2
 
 # Left out of the JSON form: mesh bytes lie beside it as files.
 _SKIPPED = {("Mesh", "data")}

@@ -47,7 +47,7 @@ class Parameters:
         raise DiagnosticError(
             "parameter-set-unknown",
             f"{robot.name} has no parameter set `{name}`",
-            robot.origin,
+            robot.span,
             hint=did_you_mean(
                 name, known, f"it has {', '.join(known)}" if known else "its file names none"
             ),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.interface import Port
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.base_state_machine import State
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState, IoBoardDriver
@@ -73,7 +73,7 @@ class BaseRunner:
         self,
         robot: Robot,
         base: CanBase,
-        clock: Port,
+        clock: CanInterface,
         *,
         parameters: str | None = None,
         keep_starts: bool = False,

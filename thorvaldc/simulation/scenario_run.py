@@ -49,7 +49,7 @@ class Check:
     value: float
     least: float | None
     most: float | None
-    origin: Span
+    span: Span
 
     @property
     def passed(self) -> bool:
@@ -201,7 +201,7 @@ class ScenarioSimulation(Simulation):
                     "expectation-failed",
                     f"`{check.metric}` of {check.robot} is {check.words}; "
                     f"{check.bounds} is expected",
-                    check.origin,
+                    check.span,
                 )
         return ScenarioResult(self.scenario.name, run, metrics, checks, digest.hexdigest())
 
@@ -307,4 +307,4 @@ def _metrics(run: RobotRun, observer: Observer, contacts: Contacts) -> dict[str,
 
 def _check(robot: str, values: Mapping[str, float], wanted: Expectation) -> Check:
     value = values[wanted.metric]
-    return Check(robot, wanted.metric, value, wanted.least, wanted.most, wanted.origin)
+    return Check(robot, wanted.metric, value, wanted.least, wanted.most, wanted.span)

@@ -188,7 +188,7 @@ class Simulation:
                         f"{name} drives by `{self.parameters}`, with {wheel.name} on "
                         f"{radius * 1000:.6g} mm; in this scene it rolls on "
                         f"{wheel.radius * 1000:.6g} mm",
-                        robot.origin,
+                        robot.span,
                         hint="drive with ideal joints (--ideal), or by a set of these radii",
                     )
                     break
@@ -238,7 +238,7 @@ def _tell(
         report.add(
             "simulation-diverged",
             f"the simulation left all bounds after {result.simulated:.2f} s{cause}",
-            next((m for m in meters if f"`{m.robot.namespace}/" in cause), meters[0]).robot.origin,
+            next((m for m in meters if f"`{m.robot.namespace}/" in cause), meters[0]).robot.span,
             hint="look for masses or inertias that are very small beside the forces on them",
         )
         return
@@ -248,7 +248,7 @@ def _tell(
                 "simulation-tipped",
                 f"{meter.name} fell over{_way(meter)} after {result.simulated:.2f} s, "
                 f"asked for {_words(meter.driver.state.asked)}",
-                meter.robot.origin,
+                meter.robot.span,
                 hint=_LOWER if result.simulated >= _AT_ONCE else _ELSEWHERE,
             )
         if meter.unreachable:
@@ -257,7 +257,7 @@ def _tell(
                 "steering-unreachable",
                 f"{meter.name} cannot steer {wheels} to the motion "
                 f"{_words(meter.unreachable_twist)} within the joints' limits",
-                meter.robot.origin,
+                meter.robot.span,
                 hint="ask for another motion, or widen the steering limits",
             )
         if size(meter.infeasible) > NOTICEABLE and not _only_swing(meter):
@@ -265,7 +265,7 @@ def _tell(
                 "twist-infeasible",
                 f"{meter.name} was asked for {_words(meter.infeasible_twist)}; "
                 f"its fixed wheels do not allow {_words(meter.infeasible)} of it",
-                meter.robot.origin,
+                meter.robot.span,
                 hint="a robot with fixed wheels cannot move across them",
             )
 

@@ -99,7 +99,7 @@ class Replay:
 class _Puppet:
     def __init__(self, scene: MujocoScene, robot: Robot, run: RecordedRun) -> None:
         model = scene.model
-        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        prefix = robot.prefix
         body = scene.index("body", prefix + robot.links[0].name, robot)
         self._base = int(model.jnt_qposadr[int(model.body_jntadr[body])])
         self._spin: list[tuple[int, int]] = []

@@ -22,7 +22,7 @@ from tests.devices import (
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, connect_actuators
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Bus, Frame, Signal
+from thorvaldc.model.robot import Bus, FrameDefinition, Signal
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def bench() -> Bench:
     return Bench()
 
 
-def frame(bus: Bus, name: str) -> Frame:
+def frame(bus: Bus, name: str) -> FrameDefinition:
     return next(f for f in bus.frames if f.name == name)
 
 

@@ -115,8 +115,8 @@ def test_a_root_link_hangs_on_the_parent_at_its_place(tmp_path: Path) -> None:
     assert (joint.type, joint.parent, joint.child) == ("fixed", "frame_body", "mast")
     assert joint.pose.xyz == (0.1, 0.0, 0.7)
     assert joint.pose.rpy() == pytest.approx((0.0, 0.0, 1.570796327))
-    assert found.link("mast").origin.file == "a.xacro"
-    assert found.link("mast").origin.line == 3
+    assert found.link("mast").span.file == "a.xacro"
+    assert found.link("mast").span.line == 3
 
 
 def test_the_place_is_given_in_the_axes_of_the_port(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_a_sensor_macro_with_parent_and_origin_block(tmp_path: Path) -> None:
     assert back.inertial is not None
     assert back.inertial.com == (0.0, 0.0, 0.1)
     assert back.inertial.inertia == pytest.approx((0.2, 0.1, 0.2, 0.0, 0.0, 0.0))
-    assert back.origin == Span("sensors/laser.xacro", 11, 3, 11, 8)
+    assert back.span == Span("sensors/laser.xacro", 11, 3, 11, 8)
     assert found.parts.urdf_extensions[1].startswith('<gazebo reference="back"><sensor name="back"')
 
 
@@ -394,7 +394,7 @@ def test_packages_by_the_folders_around(tmp_path: Path) -> None:
     )
     assert found.codes == []
     assert [link.name for link in found.parts.links] == ["b", "m"]
-    assert found.link("b").origin.file == "ws/src/other/b.xacro"
+    assert found.link("b").span.file == "ws/src/other/b.xacro"
 
 
 def test_packages_by_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -413,7 +413,7 @@ def test_packages_by_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyP
     )
     assert found.codes == []
     assert [link.name for link in found.parts.links] == ["o", "t"]
-    assert found.link("t").origin.file == "package://two/t.xacro"
+    assert found.link("t").span.file == "package://two/t.xacro"
 
 
 def test_a_package_that_is_not_found_names_who_asked_and_the_cure(tmp_path: Path) -> None:

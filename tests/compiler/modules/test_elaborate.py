@@ -403,11 +403,9 @@ def test_every_element_says_where_in_the_robots_file_it_comes_from(workshop: Wor
     robot = workshop.robot(on_plate(*THREE))
     lines = {"body": 5, "a": 6, "b": 7, "c": 8}
     elements = [*robot.links[1:], *robot.joints, *robot.wheels, *robot.actuators]
-    assert {(e.origin.file, e.origin.line) for e in elements if e.module == "b"} == {
-        ("robot.yaml", 7)
-    }
-    assert all(e.origin.line == lines[e.module] for e in elements)
-    assert robot.links[0].origin.line == 2
+    assert {(e.span.file, e.span.line) for e in elements if e.module == "b"} == {("robot.yaml", 7)}
+    assert all(e.span.line == lines[e.module] for e in elements)
+    assert robot.links[0].span.line == 2
 
 
 def test_two_modules_of_one_type_share_nothing_that_differs(workshop: Workshop) -> None:

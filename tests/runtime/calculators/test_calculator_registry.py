@@ -25,7 +25,7 @@ def code_of(robot: Robot) -> tuple[str, str]:
     with pytest.raises(DiagnosticError) as caught:
         calculators.for_robot(robot)
     diagnostic = caught.value.diagnostic
-    assert diagnostic.span == robot.origin
+    assert diagnostic.span == robot.span
     return diagnostic.code.name, f"{diagnostic.message} ({diagnostic.hint})"
 
 

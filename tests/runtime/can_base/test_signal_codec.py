@@ -15,7 +15,7 @@ from tests.runtime.can_base.test_can_base import drives, four_wheels
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Frame, Signal
+from thorvaldc.model.bus import FrameDefinition, Signal
 from thorvaldc.runtime.can_base.frame_receiver import Receiver
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
@@ -49,8 +49,8 @@ def test_values_are_those_of_cantools(make: Callable[[], Robot]) -> None:
     assert compared > 300
 
 
-def frame(*signals: Signal, length: int = 8) -> Frame:
-    return Frame("f", 0x181, "pdo", "n", ("master",), length, None, None, signals, SPAN)
+def frame(*signals: Signal, length: int = 8) -> FrameDefinition:
+    return FrameDefinition("f", 0x181, "pdo", "n", ("master",), length, None, None, signals, SPAN)
 
 
 def test_values_beyond_their_bounds_are_drawn_back() -> None:

@@ -377,7 +377,7 @@ def test_overlay_of_what_tells_nothing(tmp_path: Path) -> None:
 
 def test_radii_of_a_parameter_set(tmp_path: Path) -> None:
     rail = tuple(replace(w, radii=(("rail", 0.15),)) for w in ROBOT.wheels[:3])
-    sets = (ParameterSet("rails", "rail", ROBOT.driver, ROBOT.origin),)
+    sets = (ParameterSet("rails", "rail", ROBOT.driver, ROBOT.span),)
     robot = replace(ROBOT, wheels=(*rail, ROBOT.wheels[3]), parameter_sets=sets)
     rolls = replace(robot, wheels=(*(replace(w, radius=0.15) for w in rail), ROBOT.wheels[3]))
     log = logged(tmp_path, robot, record(rolls, radii=RADII, offsets=OFFSETS))

@@ -7,7 +7,7 @@ from typing import Any
 
 from thorvaldc.backends.can.canmap import json_text
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Frame
+from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import frame_bits
 
 FORMAT = "thorvaldc-can-budget"
@@ -38,11 +38,11 @@ def budget_json(robot: Robot) -> str:
     )
 
 
-def _by_urgency(bus: Bus) -> list[Frame]:
+def _by_urgency(bus: Bus) -> list[FrameDefinition]:
     return sorted(bus.frames, key=lambda frame: frame.cob_id)
 
 
-def _row(bus: Bus, frame: Frame) -> dict[str, Any]:
+def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
     bits = frame_bits(frame.length)
     interval = frame.period or frame.minimum_interval
     return {

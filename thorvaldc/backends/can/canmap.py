@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.model.robot import Actuator, Bus, Channel, Frame, Joint, Node, Signal
+from thorvaldc.model.robot import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Signal
 
 FORMAT = "thorvaldc-canmap"
 VERSION = 2
@@ -33,7 +33,7 @@ def canmap_text(robot: Robot) -> str:
 def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
     joints = {joint.name: joint for joint in robot.joints}
     motors = {a.name: (a, joints[a.joint]) for a in robot.actuators}
-    frames: dict[str, list[Frame]] = {}
+    frames: dict[str, list[FrameDefinition]] = {}
     for frame in bus.frames:
         for name in (frame.producer, *frame.consumers):
             frames.setdefault(name, []).append(frame)
@@ -48,7 +48,7 @@ def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
     }
 
 
-def _node(node: Node, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
+def _node(node: Node, motors: Motors, frames: list[FrameDefinition]) -> dict[str, Any]:
     return {
         "name": node.name,
         "module": node.module,
@@ -69,7 +69,9 @@ def _node(node: Node, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
     }
 
 
-def _channel(node: Node, channel: Channel, motors: Motors, frames: list[Frame]) -> dict[str, Any]:
+def _channel(
+    node: Node, channel: Channel, motors: Motors, frames: list[FrameDefinition]
+) -> dict[str, Any]:
     plain: dict[str, Any] = {"name": channel.name, "role": channel.role, "actuator": None}
     if channel.actuator is None:
         return plain
@@ -101,7 +103,7 @@ def _channel(node: Node, channel: Channel, motors: Motors, frames: list[Frame]) 
     }
 
 
-def _frame(frame: Frame) -> dict[str, Any]:
+def _frame(frame: FrameDefinition) -> dict[str, Any]:
     return {
         "name": frame.name,
         "cob_id": frame.cob_id,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.diagnostics import CODES, Diagnostic
-from thorvaldc.model.robot import Bus, Frame, Signal
+from thorvaldc.model.robot import Bus, FrameDefinition, Signal
 
 ENCODING = "cp1252"  # what readers of DBC files take for granted
 
@@ -27,7 +27,7 @@ def lost_texts(bus: Bus) -> Iterator[Diagnostic]:
                 CODES["dbc-text"],
                 f"the texts of `{frame.name}` have characters that a DBC file cannot "
                 f"hold: {' '.join(lost[:8])}",
-                frame.origin,
+                frame.span,
                 "they are `?` there; the CAN map has them all",
             )
 
@@ -89,7 +89,7 @@ def dbc_text(bus: Bus) -> str:
     return text
 
 
-def _dbc_signals(db: Any, frame: Frame) -> list[Any]:
+def _dbc_signals(db: Any, frame: FrameDefinition) -> list[Any]:
     selector = next((s.name for s in frame.signals if s.multiplexer), None)
     made = []
     for signal in frame.signals:

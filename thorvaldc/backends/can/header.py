@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Frame, Signal
+from thorvaldc.model.bus import Bus, FrameDefinition, Signal
 
 GUARD = "ROBOT_CAN_H"
 LEGEND = """\
@@ -50,7 +50,7 @@ def _macros(bus: Bus) -> Iterator[tuple[str, str, str]]:
         yield from _frame(frame)
 
 
-def _frame(frame: Frame) -> Iterator[tuple[str, str, str]]:
+def _frame(frame: FrameDefinition) -> Iterator[tuple[str, str, str]]:
     to = ", ".join(frame.consumers)
     yield "", "", f"{frame.name}: {frame.producer} to {to if len(to) < 60 else 'all'}"
     yield f"{frame.name}_cob_id", f"0x{frame.cob_id:03X}u", ""

@@ -34,7 +34,7 @@ from thorvaldc.compiler.bus.node_ids import place
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
-from thorvaldc.model.robot import Actuator, Bus, Frame, Signal
+from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
@@ -166,18 +166,20 @@ def _fast_enough(bus: Bus, report: Report) -> Bus:
             "can-bitrate-chosen",
             f"the bus `{bus.name}` gets {chosen.bitrate / 1000:g} kbit/s: its frames would {why} "
             f"{bus.bitrate / 1000:g} kbit/s",
-            bus.origin,
+            bus.span,
             hint=f"state a bitrate: `buses: {{{bus.name}: {{bitrate: ..}}}}`",
         )
     return chosen
 
 
-def _master_frames(spec: BusSpec, placed: Sequence[Placed], sync_period: float) -> Iterator[Frame]:
+def _master_frames(
+    spec: BusSpec, placed: Sequence[Placed], sync_period: float
+) -> Iterator[FrameDefinition]:
     """What the master says to all, where there are CANopen nodes to hear it."""
     nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
     if not nodes:
         return
-    yield Frame(
+    yield FrameDefinition(
         "nmt",
         0x000,
         "nmt",
@@ -190,7 +192,7 @@ def _master_frames(spec: BusSpec, placed: Sequence[Placed], sync_period: float) 
         spec.span,
         "Network management: change the state of one node, or of all (0).",
     )
-    yield Frame(
+    yield FrameDefinition(
         "sync",
         0x080,
         "sync",

@@ -21,7 +21,7 @@ from thorvaldc.compiler.bus.device_sections import (
 from thorvaldc.compiler.bus.object_dictionary import serial_number
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, Bus, Frame
+from thorvaldc.model.robot import Actuator, Bus, FrameDefinition
 
 # Identifiers that CiA 301 (table "restricted CAN-IDs") keeps for its own services.
 RESTRICTED = (
@@ -73,13 +73,13 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                     f"the channel `{wire.channel}` of `{device.path}` is for "
                     f"{roles[wire.channel]}, the motor `{motor.name}` for {motor.role}",
                     wire.span,
-                    labels=[Label(motor.origin, "the motor")],
+                    labels=[Label(motor.span, "the motor")],
                 )
         if roles and not device.wires:
             report.add(
                 "controller-without-motor",
                 f"`{device.path}` drives no motor",
-                device.origin,
+                device.span,
                 hint="connect one: `channels: {" + next(iter(roles)) + ": <module>.<motor>}`",
             )
     if not any(_roles(device) for device in devices):
@@ -88,7 +88,7 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                 "robot-without-controller",
                 f"none of the {len(actuators)} motors has a controller: "
                 "the robot can be simulated, but not driven on a bus",
-                actuators[0].origin,
+                actuators[0].span,
             )
         return
     for motor in actuators:
@@ -97,7 +97,7 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                 "motor-without-controller",
                 f"the motor `{motor.name}` is on no controller's channel: "
                 "it moves in simulation, but not on the bus",
-                motor.origin,
+                motor.span,
                 hint="add a controller, or connect one that has a free channel",
             )
 
@@ -191,7 +191,7 @@ def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     report.add(
         "can-bitrate",
         f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s, which {who} cannot do",
-        bus.origin,
+        bus.span,
         labels=[
             *(Label(device.span, "this device is on it") for device in unable[:2]),
             Label(first.module_span, f"what `{first.path}` can do is said here"),
@@ -213,7 +213,7 @@ def _check_restricted(placed: Sequence[Placed], report: Report) -> None:
                         "can-cob-id-restricted",
                         f"the frame `{frame.name}` has the COB-ID {frame.cob_id:#05x}; "
                         f"CANopen keeps {low:#05x} to {high:#05x} for itself",
-                        frame.origin,
+                        frame.span,
                         labels=[Label(device.span, "this device has it")],
                     )
 
@@ -266,10 +266,10 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
         if frame.name not in own:
             canopen = True
             what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
-            yield _Claim(frame.cob_id, what, MASTER, bus.origin, None)
+            yield _Claim(frame.cob_id, what, MASTER, bus.span, None)
     if canopen:
         for cob_id, service in STANDARD:
-            yield _Claim(cob_id, service, MASTER, bus.origin, None)
+            yield _Claim(cob_id, service, MASTER, bus.span, None)
     for device in placed:
         if device.node.name in skipped:
             continue
@@ -282,7 +282,7 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
 def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     """Frames and producers are known by name: in the DBC, to the driver."""
     spans = {frame.name: device.span for device in placed for frame in device.frames}
-    seen: dict[str, Frame] = {}
+    seen: dict[str, FrameDefinition] = {}
     named: dict[str, Placed] = {}
     for device in placed:
         twin = named.setdefault(device.node.name, device)
@@ -308,8 +308,8 @@ def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
             report.add(
                 "can-name-conflict",
                 f"two frames on the bus `{bus.name}` are named `{frame.name}`",
-                spans.get(frame.name, frame.origin),
-                labels=[Label(other.origin, "the first")],
+                spans.get(frame.name, frame.span),
+                labels=[Label(other.span, "the first")],
                 hint="give one of the modules another name",
             )
 
@@ -323,12 +323,12 @@ def _check_load(bus: Bus, report: Report) -> None:
         code,
         f"the periodic frames of the bus `{bus.name}` take {100 * load:.0f} % of its "
         f"{bus.bitrate / 1000:g} kbit/s at worst; the limit is {100 * limit:.0f} %",
-        bus.origin,
+        bus.span,
         hint="a higher bitrate, a lower rate of the driver, or a second bus",
     )
 
 
-def late_frames(bus: Bus) -> list[Frame]:
+def late_frames(bus: Bus) -> list[FrameDefinition]:
     """The periodic frames that can come after their deadline."""
     return [
         frame
@@ -354,14 +354,14 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
     labels = []
     if worst.name in owners:  # not one of the master's, which are in no file
         labels = [
-            Label(worst.origin, f"`{worst.name}`"),
+            Label(worst.span, f"`{worst.name}`"),
             Label(owners[worst.name].span, "this device has it"),
         ]
     report.add(
         "can-deadline",
         f"on the bus `{bus.name}` {named} can come too late: `{worst.name}` takes {takes} at "
         f"worst, its deadline is {(worst.deadline or 0.0) * 1000:.4g} ms",
-        bus.origin,
+        bus.span,
         labels=labels,
         hint="a higher bitrate, a lower rate of the driver, or a second bus",
     )
@@ -396,7 +396,7 @@ def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> Non
                 device.span,
                 labels=[
                     Label(device.module_span, "what it has is said here"),
-                    Label(bus.origin, "the bus"),
+                    Label(bus.span, "the bus"),
                 ],
                 hint=f"wait {2000 * period:.6g} ms or more",
             )

@@ -22,7 +22,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
-from thorvaldc.model.robot import Frame, Signal
+from thorvaldc.model.robot import FrameDefinition, Signal
 
 HEARTBEAT_PERIOD = 0.1  # s, where the module does not say
 LAST_PDO = 512
@@ -44,7 +44,9 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
     }
 
 
-def frames_of(device: Device, node_id: int, sync_period: float, report: Report) -> Iterator[Frame]:
+def frames_of(
+    device: Device, node_id: int, sync_period: float, report: Report
+) -> Iterator[FrameDefinition]:
     scope, name = device.scope, device.name
     for key, node in entries(device.can.get("frames")):
         cob_id = _cob_id(device, key, node, report)
@@ -73,7 +75,7 @@ def frames_of(device: Device, node_id: int, sync_period: float, report: Report) 
             period = _by_timer(sync_period)
         if fits:
             check_scales(device, node, signals, report)
-            yield Frame(
+            yield FrameDefinition(
                 f"{name}_{key}",
                 cob_id,
                 scope.text(node.get("kind"), "pdo"),
@@ -111,7 +113,7 @@ def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
     return None
 
 
-def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[Frame]:
+def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[FrameDefinition]:
     stated = device.can.get("heartbeat_period")
     every = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
     has = device.can.get("canopen")
@@ -120,7 +122,7 @@ def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[F
 
 def standard_frames(
     name: str, node_id: int, has: Node | None, heartbeat_period: float
-) -> Iterator[Frame]:
+) -> Iterator[FrameDefinition]:
     """The CANopen objects that a device says it has (CiA 301, predefined connection set).
 
     ``has`` is its list of their names, ``heartbeat_period`` in s.
@@ -130,7 +132,7 @@ def standard_frames(
     here = has.where
     for item in items(has):
         if item.value == "emcy":
-            yield Frame(
+            yield FrameDefinition(
                 f"{name}_emcy",
                 0x080 + node_id,
                 "emcy",
@@ -152,7 +154,7 @@ def standard_frames(
                 ("request", 0x600, MASTER, name),
                 ("response", 0x580, name, MASTER),
             ):
-                yield Frame(
+                yield FrameDefinition(
                     f"{name}_sdo_{way}",
                     base + node_id,
                     "sdo",
@@ -176,8 +178,8 @@ def standard_frames(
 
 def heartbeat(
     prefix: str, cob_id: int, producer: str, consumers: tuple[str, ...], period: float, here: Span
-) -> Frame:
-    return Frame(
+) -> FrameDefinition:
+    return FrameDefinition(
         f"{prefix}_heartbeat",
         cob_id,
         "heartbeat",
@@ -315,7 +317,7 @@ def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None
             f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
             "a standard frame has 0x0 to 0x7ff",
             node.span,
-            labels=[Label(device.origin, "this device has it")],
+            labels=[Label(device.span, "this device has it")],
         )
     return None
 

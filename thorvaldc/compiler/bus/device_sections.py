@@ -8,7 +8,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.robot import Actuator, Frame, Node
+from thorvaldc.model.robot import Actuator, FrameDefinition, Node
 
 MASTER = "master"
 MASTER_ID = 127
@@ -34,7 +34,7 @@ class Device(NamedTuple):
 
     ``can`` and ``channels`` are those sections of the module; ``address`` is what
     the robot says under `can` of the module (an id, ``auto``, a mapping, or
-    ``None``); ``origin`` the module's place in the robot's file.
+    ``None``); ``span`` the module's place in the robot's file.
     """
 
     path: str
@@ -44,7 +44,7 @@ class Device(NamedTuple):
     wires: tuple[Wire, ...]
     address: source.Node | None
     scope: Scope
-    origin: Span
+    span: Span
 
 
 class Placed(NamedTuple):
@@ -59,7 +59,7 @@ class Placed(NamedTuple):
     span: Span
     serial_span: Span
     node: Node
-    frames: tuple[Frame, ...]
+    frames: tuple[FrameDefinition, ...]
     module_span: Span
 
 

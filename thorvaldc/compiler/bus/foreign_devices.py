@@ -11,7 +11,7 @@ from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.robot import Frame, Node
+from thorvaldc.model.robot import FrameDefinition, Node
 
 PROTOCOL = "foreign"
 
@@ -53,18 +53,20 @@ def foreign_devices(
     return found
 
 
-def _node(name: str, node_id: int | None, origin: Span) -> Node:
+def _node(name: str, node_id: int | None, span: Span) -> Node:
     id_space = CANOPEN if node_id is not None else ""
-    return Node(name, "", PROTOCOL, node_id or 0, id_space, None, None, (), (), origin)
+    return Node(name, "", PROTOCOL, node_id or 0, id_space, None, None, (), (), span)
 
 
-def _relayed(name: str, device: source.Node, scope: Scope, report: Report) -> Iterator[Frame]:
+def _relayed(
+    name: str, device: source.Node, scope: Scope, report: Report
+) -> Iterator[FrameDefinition]:
     for key, node in entries(device.get("frames")):
         cob_id, length = node.get("cob_id"), node.get("length")
         if cob_id is None or type(cob_id.value) is not int:
             continue  # reported
         to_device = scope.text(node.get("direction")) == "command"
-        yield Frame(
+        yield FrameDefinition(
             f"{name}_{key}",
             cob_id.value,
             "relay",

@@ -203,10 +203,10 @@ def check_scales(
             "can-scale",
             f"`{signal.name}` can say {low:.4g} to {high:.4g} {signal.unit}; the joint "
             f"`{signal.joint}` has {wanted[0]:.4g} to {wanted[1]:.4g} {signal.unit}",
-            device.origin,
+            device.span,
             labels=[
                 Label(node.where, f"{field}, {signal.scale:.4g} {signal.unit} a step"),
-                Label(wires[channel].actuator.origin, "the motor"),
+                Label(wires[channel].actuator.span, "the motor"),
             ],
             hint="a wider field, a coarser scale, or lower limits of the motor or joint",
         )

@@ -25,7 +25,7 @@ from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Channel, Frame, Node, Scalar
+from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
 HEARTBEATS_MISSED = 3  # after which a node counts as lost, where its module does not say
 
@@ -90,7 +90,7 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
     default = specs[0].name
     address = device.address
     if address is None:
-        return _Request(default, None, None, device.origin, device.origin)
+        return _Request(default, None, None, device.span, device.span)
     here = address.span
     if not isinstance(address.value, dict):
         node_id = device.scope.evaluate(address)
@@ -233,7 +233,7 @@ def _node(
     device: Device,
     node_id: int,
     request: _Request,
-    frames: Sequence[Frame],
+    frames: Sequence[FrameDefinition],
 ) -> Node:
     scope, can = device.scope, device.can
     wired = {wire.channel: wire.actuator.name for wire in reversed(device.wires)}
@@ -272,7 +272,7 @@ def _node(
             for name, node in entries(can.get("properties"))
             if (value := _scalar(scope, node)) is not None
         ),
-        device.origin,
+        device.span,
         automatic=request.id is None,
         product_code=number("product_code"),
         revision_number=number("revision_number"),

@@ -17,7 +17,7 @@ from thorvaldc.compiler.bus.device_sections import (
     integer,
 )
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.bus import OBJECT_TYPES, Frame, Node, ObjectValue
+from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node, ObjectValue
 
 DEVICE_TYPE, ERROR_REGISTER, SYNC_COB_ID, EMCY_COB_ID = 0x1000, 0x1001, 0x1005, 0x1014
 HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER, IDENTITY = 0x1016, 0x1017, 0x1018
@@ -27,7 +27,7 @@ AT_SYNC, ON_EVENT = 1, 255  # transmission types
 
 
 def objects_of(
-    device: Device, node: Node, frames: Sequence[Frame], report: Report
+    device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> tuple[ObjectValue, ...]:
     """The entries in order, for a node whose object dictionary can be reached at all."""
     if node.id_space != CANOPEN or not any(f.kind == "sdo" for f in frames):
@@ -107,7 +107,7 @@ def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
                 f"`{name}` of `{device.path}` is {number}; its type `{type_name}` has {low} to "
                 f"{high}",
                 value.span,
-                labels=[Label(device.origin, "this device has it")],
+                labels=[Label(device.span, "this device has it")],
                 hint="another unit of the device, a wider type, or lower limits of the motor",
             )
             continue
@@ -115,7 +115,7 @@ def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
 
 
 def _derived(
-    device: Device, node: Node, frames: Sequence[Frame], report: Report
+    device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> Iterator[tuple[ObjectValue, Span]]:
     here = device.can.where
     serial = serial_number(node.serial)
@@ -142,24 +142,24 @@ def _derived(
         yield ObjectValue(key, HEARTBEAT_CONSUMER, 1, "unsigned32", watched), here
     if any(frame.synchronous for frame in frames):
         yield ObjectValue("sync_cob_id", SYNC_COB_ID, 0, "unsigned32", 0x080), here
-    numbers: dict[tuple[bool, int], Frame] = {}
+    numbers: dict[tuple[bool, int], FrameDefinition] = {}
     for frame in frames:
         if frame.pdo is None:
             continue
         other = numbers.setdefault((frame.producer == MASTER, frame.pdo), frame)
         if other is frame:
             for entry in _pdo(device, frame, report):
-                yield entry, frame.origin
+                yield entry, frame.span
         else:
             report.add(
                 "can-pdo-mapping",
                 f"two PDOs of one direction have the number {frame.pdo}",
-                frame.origin,
-                labels=[Label(other.origin, "first used here")],
+                frame.span,
+                labels=[Label(other.span, "first used here")],
             )
 
 
-def _pdo(device: Device, frame: Frame, report: Report) -> Iterator[ObjectValue]:
+def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[ObjectValue]:
     """Communication and mapping parameters of a PDO."""
     received = frame.producer == MASTER
     base = (RPDO if received else TPDO) + (frame.pdo or 1) - 1
@@ -179,7 +179,7 @@ def _pdo(device: Device, frame: Frame, report: Report) -> Iterator[ObjectValue]:
         yield ObjectValue(f"{name}_mapping_{i}", base, i, "unsigned32", entry)
 
 
-def _mapped(frames: Sequence[Frame]) -> Iterator[ObjectValue]:
+def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
     """The objects in PDOs, named after the signals that lie just there."""
     for frame in frames:
         start = 0
@@ -202,7 +202,7 @@ def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
             "can-object-range",
             f"`{key}` of `{device.path}` is {time * 1000:.6g} ms; CANopen has whole milliseconds "
             f"from 1 to {LONGEST_TIME}",
-            device.origin,
+            device.span,
             labels=[Label(device.can.where, "what it has is said here")],
         )
     return max(1, min(number, LONGEST_TIME))

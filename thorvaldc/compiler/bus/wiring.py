@@ -83,7 +83,7 @@ class Wiring(NamedTuple):
             wires=tuple(wires),
             address=leaf.can,
             scope=leaf.scope,
-            origin=leaf.origin,
+            span=leaf.span,
         )
 
     def _wire(self, leaf: Instance, channel: str, node: Node) -> Wire | None:

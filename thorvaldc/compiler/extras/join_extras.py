@@ -74,8 +74,8 @@ class Joined:
         while waiting:
             joint = waiting.pop()
             reached[joint.child] = None
-            self.links[joint.child] = own[joint.child].origin
-            self.joints[joint.name] = joint.origin
+            self.links[joint.child] = own[joint.child].span
+            self.joints[joint.name] = joint.span
             self.new_links.append(own[joint.child])
             self.new_joints.append(joint)
             waiting += reversed(children.get(joint.child, []))
@@ -88,14 +88,14 @@ class Joined:
         """The file's links by name, without those that stand for one of the robot's."""
         own: dict[str, Link] = {}
         for link in links:
-            first = own[link.name].origin if link.name in own else self.links.get(link.name)
+            first = own[link.name].span if link.name in own else self.links.get(link.name)
             if first is None:
                 own[link.name] = link
             elif link.name in own or link.inertial or link.visuals or link.collisions:
                 self.report.add(
                     "extra-name-duplicate",
                     f"there is already a link `{link.name}`",
-                    link.origin,
+                    link.span,
                     hint="rename it; many macros have a parameter for the name or a prefix",
                     labels=[Label(first, "first defined here")],
                 )
@@ -107,12 +107,12 @@ class Joined:
         names: dict[str, Span] = {}
         for joint in joints:
             first = names.get(joint.name) or self.joints.get(joint.name)
-            names.setdefault(joint.name, joint.origin)
+            names.setdefault(joint.name, joint.span)
             if first is not None:
                 self.report.add(
                     "extra-name-duplicate",
                     f"there is already a joint `{joint.name}`",
-                    joint.origin,
+                    joint.span,
                     hint="rename it; many macros have a parameter for the name or a prefix",
                     labels=[Label(first, "first defined here")],
                 )
@@ -124,20 +124,20 @@ class Joined:
                     self.report.add(
                         "extra-link-unknown",
                         f"joint `{joint.name}` names the {end} link `{name}`, which does not exist",
-                        joint.origin,
+                        joint.span,
                         hint=did_you_mean(name, [*own, *self.links])
                         or "the robot's links are named <module>_<link>, as frame_body",
                     )
             if not known:
                 continue
-            other = parent_of[joint.child].origin if joint.child in parent_of else None
+            other = parent_of[joint.child].span if joint.child in parent_of else None
             if joint.child not in own:
                 other = self.links[joint.child]
             if other is not None:
                 self.report.add(
                     "extra-two-parents",
                     f"joint `{joint.name}` gives link `{joint.child}` a second parent",
-                    joint.origin,
+                    joint.span,
                     hint="a link hangs on one joint; a robot is a tree",
                     labels=[Label(other, "its first is here")],
                 )
@@ -176,7 +176,7 @@ class Joined:
                 self.report.add(
                     "extra-name-duplicate",
                     f"there is already a joint `{name}`, the name of this link's mount",
-                    link.origin,
+                    link.span,
                     labels=[Label(self.joints[name], "first defined here")],
                 )
                 continue
@@ -194,7 +194,7 @@ class Joined:
         self.report.add(
             "extra-cycle",
             f"the links {' -> '.join(reversed(path))} hang on one another",
-            parent_of[path[0]].origin,
+            parent_of[path[0]].span,
             hint="one of these joints must go, or hang on another link",
         )
 
@@ -215,9 +215,9 @@ class Joined:
                     self.report.add(
                         "extra-massless",
                         f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
-                        own[joint.child].origin,
+                        own[joint.child].span,
                         hint="give it an <inertial>, or make the joint fixed",
-                        labels=[Label(joint.origin, "the joint")],
+                        labels=[Label(joint.span, "the joint")],
                     )
 
     def check_mimics(self) -> None:
@@ -226,6 +226,6 @@ class Joined:
                 self.report.add(
                     "extra-link-unknown",
                     f"joint `{joint.name}` mimics `{joint.mimic.joint}`, which does not exist",
-                    joint.origin,
+                    joint.span,
                     hint=did_you_mean(joint.mimic.joint, list(self.joints)),
                 )

@@ -49,11 +49,11 @@ def check_masses(robot: Robot, report: Report) -> None:
             report.add(
                 "link-massless",
                 f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
-                origins[joint.child].origin,
+                origins[joint.child].span,
                 hint="give one of its parts a `mass`",
             )
     if sum(masses.values()) <= 0.0:
-        report.add("link-massless", "the robot has no mass at all", robot.origin)
+        report.add("link-massless", "the robot has no mass at all", robot.span)
 
 
 def check_inertias(robot: Robot, report: Report) -> None:
@@ -67,16 +67,16 @@ def check_inertias(robot: Robot, report: Report) -> None:
                 "inertia-impossible",
                 f"the inertia of link `{link.name}` is that of no body: principal moments "
                 f"{low:.4g}, {middle:.4g} and {high:.4g} kg m^2",
-                link.origin,
+                link.span,
                 hint="each must be positive and at most the sum of the other two",
             )
 
 
 def check_wheels_present(robot: Robot, report: Report) -> None:
     if not robot.wheels:
-        report.add("no-wheels", "the robot has no wheels", robot.origin)
+        report.add("no-wheels", "the robot has no wheels", robot.span)
     elif not any(w.driven for w in robot.wheels):
-        report.add("no-drive", "no wheel of the robot is driven", robot.origin)
+        report.add("no-drive", "no wheel of the robot is driven", robot.span)
 
 
 def check_wheels_on_ground(robot: Robot, report: Report) -> None:
@@ -87,8 +87,8 @@ def check_wheels_on_ground(robot: Robot, report: Report) -> None:
                 "wheel-off-ground",
                 f"the wheel of `{wheel.module}` ends {wheel.contact_height * 1000:.3g} mm "
                 "above the ground",
-                wheel.origin,
-                labels=[Label(lowest.origin, "the lowest wheel")],
+                wheel.span,
+                labels=[Label(lowest.span, "the lowest wheel")],
                 hint=f"lower its mount by {wheel.contact_height * 1000:.3g} mm "
                 "(`mount: {port: .., xyz: [0, 0, ..]}`) or use legs of another length",
             )
@@ -108,7 +108,7 @@ def check_parts_above_ground(robot: Robot, report: Report) -> None:
             report.add(
                 "part-below-ground",
                 f"the middle of link `{link.name}` is {-height * 1000:.3g} mm below the ground",
-                link.origin,
+                link.span,
                 hint="raise its mount, or turn it over",
             )
 
@@ -136,8 +136,8 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
             report.add(
                 "wheels-overlap",
                 f"the wheels of `{other.module}` and `{wheel.module}` are in one place",
-                wheel.origin,
-                labels=[Label(other.origin, "the other wheel")],
+                wheel.span,
+                labels=[Label(other.span, "the other wheel")],
                 hint="move one of the mounts",
             )
             continue
@@ -175,7 +175,7 @@ def check_stability(robot: Robot, design: Design, report: Report) -> None:
         report.add(
             "unstable",
             "the robot stands on a line: its wheels do not span an area",
-            robot.origin,
+            robot.span,
             hint="add a caster or a wheel off that line",
         )
         return
@@ -185,7 +185,7 @@ def check_stability(robot: Robot, design: Design, report: Report) -> None:
             "unstable",
             f"the centre of mass (x {x:.3f} m, y {y:.3f} m) is {-margin * 1000:.3g} mm outside "
             "of the area between the wheels: the robot falls over",
-            robot.origin,
+            robot.span,
             hint="move a battery or a wheel",
         )
         return
@@ -196,7 +196,7 @@ def check_stability(robot: Robot, design: Design, report: Report) -> None:
             f"the robot tips over at {math.degrees(angle):.1f} deg "
             f"(centre of mass {z:.3f} m high, {margin:.3f} m from the nearest edge); "
             f"at least {math.degrees(design.tip_over_angle):.1f} deg is asked for",
-            design.tip_over_place or robot.origin,
+            design.tip_over_place or robot.span,
             hint="widen the base, lower the masses, "
             "or state another `design: {minimum_tip_over_angle: ..}`",
         )
@@ -230,7 +230,7 @@ def check_wheel_loads(robot: Robot, report: Report) -> None:
             report.add(
                 "wheel-unloaded",
                 f"the wheel of `{wheel.module}` carries {wheel.load:.3g} N of {weight:.4g} N",
-                wheel.origin,
+                wheel.span,
                 hint="move masses towards it, or leave it out",
             )
 
@@ -250,7 +250,7 @@ def check_steering_range(robot: Robot, report: Report) -> None:
                 "steering-range",
                 f"`{wheel.module}` steers over {math.degrees(joint.upper - joint.lower):.1f} deg; "
                 f"{math.degrees(needed):.0f} deg are needed to reach every direction",
-                wheel.origin,
+                wheel.span,
                 hint="give the steering a wider range, or accept that some twists are refused",
             )
 
@@ -283,7 +283,7 @@ def check_controllable(robot: Robot, report: Report) -> None:
         report.add(
             "no-free-motion",
             "the wheels that cannot turn block one another: no motion is free of skidding",
-            robot.origin,
+            robot.span,
             hint="steer some of them, or let them swivel",
         )
         return
@@ -300,12 +300,12 @@ def check_controllable(robot: Robot, report: Report) -> None:
         best = max(best, _rank(rows))
     if best < 3:
         casters = [w for w in robot.wheels if w.swivel_joint is not None]
-        labels = [Label(w.origin, "swivels freely") for w in casters[:2]]
+        labels = [Label(w.span, "swivels freely") for w in casters[:2]]
         report.add(
             "twist-uncontrolled",
             f"the wheels control only {best} of the 3 components of the robot's motion "
             "(forward, sideways, turning)",
-            robot.origin,
+            robot.span,
             labels=labels,
             hint="replace a swivelling caster by a wheel with a fixed direction (`caster/fixed`), "
             "or drive another wheel",
@@ -314,7 +314,7 @@ def check_controllable(robot: Robot, report: Report) -> None:
         report.add(
             "skid-steering",
             "the robot can turn only by skidding: its fixed wheels are not on one axle",
-            robot.origin,
+            robot.span,
             hint="odometry will be poor; steer some wheels or let them swivel",
         )
 
@@ -375,6 +375,6 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
             report.add(
                 "slope-too-steep",
                 f"{word} with {force:.0f} N; a slope of {degrees:.1f} deg needs {needed:.0f} N",
-                design.slope_place or robot.origin,
+                design.slope_place or robot.span,
                 hint=hint,
             )

@@ -33,7 +33,7 @@ class PlacedWheel(NamedTuple):
     module: str
     link: str
     part: WheelPart
-    origin: Span
+    span: Span
 
 
 class Tree:
@@ -106,7 +106,7 @@ def _chain(tree: Tree, wheel: PlacedWheel, report: Report) -> _Chain | None:
         report.add(
             "wheel-does-not-spin",
             f"the wheel of `{wheel.module}` hangs on no joint that turns it",
-            wheel.origin,
+            wheel.span,
             hint="mount it on a drive or a caster",
         )
         return None
@@ -152,7 +152,7 @@ def make_wheels(
             report.add(
                 "wheel-lies-flat",
                 f"the wheel of `{item.module}` spins about a vertical axis",
-                item.origin,
+                item.span,
                 hint="turn its mount",
             )
             continue
@@ -169,7 +169,7 @@ def make_wheels(
                 report.add(
                     "steering-axis-tilted",
                     f"the steering axis of `{item.module}` is {tilt:.0f} deg off the vertical",
-                    item.origin,
+                    item.span,
                     hint="the base calculators need a nearly vertical axis",
                 )
                 continue
@@ -202,7 +202,7 @@ def make_wheels(
                 rolling_resistance=part.rolling_resistance,
                 load=0.0,
                 contact_height=clean(round(point[2], 9)),
-                origin=item.origin,
+                span=item.span,
                 treads=part.treads,
             )
         )

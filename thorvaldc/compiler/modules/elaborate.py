@@ -88,7 +88,7 @@ class Elaborator:
         self.base_dir = base_dir
         self.files = files
         # What is said of the robot as a whole is said where it is named.
-        self.origin = (document.get("name") or document).span
+        self.span = (document.get("name") or document).span
         self.lock = lock
         self.report = report
         self.scope = Scope(None, {}, resolver.library, report, None)
@@ -99,14 +99,14 @@ class Elaborator:
         Then nothing is said about its geometry, which would be that of another
         robot; the bus is checked in either case.
         """
-        parts = _Parts(links=[Link("base_link", "", None, (), (), self.origin)])
+        parts = _Parts(links=[Link("base_link", "", None, (), (), self.span)])
         calibration = load_calibration(self.document, self.base_dir, self.report, self.files)
         hardware: dict[str, Hardware] = {}
         self.resolver.library.palette(self.report)
         for leaf in robot.leaves():
             if leaf.type is None:
                 continue
-            with self.report.used_by(used_by(leaf.path, leaf.origin)):
+            with self.report.used_by(used_by(leaf.path, leaf.span)):
                 own = hardware_of(leaf.type, leaf.scope, self.report)
             if own is not None:
                 hardware[leaf.path] = own
@@ -172,7 +172,7 @@ class Elaborator:
             calculator=self._calculator(),
             driver=driver,
             inertial=body.clean(),
-            origin=self.origin,
+            span=self.span,
             urdf_extensions=extensions,
             parameter_sets=parameter_sets,
             twist_sources=sources,
@@ -208,24 +208,24 @@ class Elaborator:
                     link.inertial,
                     link.visuals,
                     link.collisions,
-                    leaf.origin,
+                    leaf.span,
                 )
             )
         parts.joints.append(self._mount_joint(leaf, own, hardware, prefix))
         if own.wheel is not None:
             parts.wheels.append(
-                PlacedWheel(prefix, leaf.path, f"{prefix}_{own.wheel.link}", own.wheel, leaf.origin)
+                PlacedWheel(prefix, leaf.path, f"{prefix}_{own.wheel.link}", own.wheel, leaf.span)
             )
         if own.sensor is not None:
             s = own.sensor
             parts.sensors.append(
-                Sensor(prefix, leaf.path, s.type, f"{prefix}_{s.link}", s.properties, leaf.origin)
+                Sensor(prefix, leaf.path, s.type, f"{prefix}_{s.link}", s.properties, leaf.span)
             )
         if own.battery is not None:
             b = own.battery
             node = prefix if b.present else None
             parts.batteries.append(
-                Battery(prefix, leaf.path, f"{prefix}_{b.link}", node, b.properties, leaf.origin)
+                Battery(prefix, leaf.path, f"{prefix}_{b.link}", node, b.properties, leaf.span)
             )
 
     def _place_joints(self, leaf: Instance, own: Hardware, parts: _Parts) -> None:
@@ -248,7 +248,7 @@ class Elaborator:
                     parent=f"{prefix}_{joint.parent}",
                     child=f"{prefix}_{joint.child}",
                     pose=joint.pose,
-                    origin=leaf.origin,
+                    span=leaf.span,
                     axis=joint.axis,
                     lower=joint.lower,
                     upper=joint.upper,
@@ -278,7 +278,7 @@ class Elaborator:
                     armature=clean(motor.armature),
                     node=None,
                     channel=None,
-                    origin=leaf.origin,
+                    span=leaf.span,
                 )
             )
 
@@ -293,9 +293,7 @@ class Elaborator:
             link = leaf.mount.link or holder.links[0].name
             parent = f"{flat(leaf.mount.leaf.path)}_{link}"
             pose = leaf.mount.pose * own.mount_pose.inverse()
-        return Joint(
-            f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.origin
-        )
+        return Joint(f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.span)
 
     def _check_names(self, parts: _Parts) -> None:
         for word, elements in (("link", parts.links), ("joint", parts.joints)):
@@ -307,8 +305,8 @@ class Elaborator:
                         "name-twice",
                         f"two {word}s come out as `{element.name}`: "
                         f"of `{other.module or 'the base'}` and of `{element.module}`",
-                        element.origin,
-                        labels=[Label(other.origin, "the first one")],
+                        element.span,
+                        labels=[Label(other.span, "the first one")],
                         hint="rename one of the modules",
                     )
 
@@ -330,7 +328,7 @@ class Elaborator:
         named = {
             leaf.path: roots[flat(leaf.path)] for leaf in robot.leaves() if flat(leaf.path) in roots
         }
-        links = {link.name: link.origin for link in parts.links}
+        links = {link.name: link.span for link in parts.links}
 
         def resolve(text: str) -> tuple[str, Pose] | None:
             """A link and a pose in it for `module`, `module.port` or a link's own name."""
@@ -362,7 +360,7 @@ class Elaborator:
             extras.value,
             self.base_dir,
             links=links,
-            joints={joint.name: joint.origin for joint in parts.joints},
+            joints={joint.name: joint.span for joint in parts.joints},
             attach=attach,
             report=self.report,
         )
@@ -395,7 +393,7 @@ class Elaborator:
                         "frame-height",
                         f"`{joint.module}` says its height is {stated * 1000:.6g} mm; "
                         f"on these wheels it is {xyz[2] * 1000:.6g} mm",
-                        joint.origin,
+                        joint.span,
                         hint=f"set `height: {xyz[2] * 1000:.6g} mm`, leave it out, "
                         "or choose legs of another length",
                     )

@@ -25,7 +25,7 @@ MAX_MODULES = 5000
 class Instance:
     """A module in its place.  ``path`` is dotted, ``fl.steering``; the robot's is empty.
 
-    ``origin`` is the span of the robot file's own entry that it came from.
+    ``span`` is the span of the robot file's own entry that it came from.
     ``left_out`` names the parts that were chosen to be ``none``, ``failed`` those
     with a fault that is reported.
     """
@@ -34,7 +34,7 @@ class Instance:
     type: ModuleType | None
     scope: Scope
     entry: Node
-    origin: Span
+    span: Span
     parent: Instance | None
     can: Node | None = None
     children: dict[str, Instance] = field(default_factory=dict)
@@ -123,7 +123,7 @@ class Resolver:
             self._check_devices(part)
 
     def _expand(
-        self, parent: Instance, name: str, entry: Node, origin: Span, chain: tuple[str, ...]
+        self, parent: Instance, name: str, entry: Node, span: Span, chain: tuple[str, ...]
     ) -> None:
         report, scope = self.report, parent.scope
         if not scope.boolean(entry.get("when"), True):
@@ -166,7 +166,7 @@ class Resolver:
             report.add(
                 "too-many-parts",
                 f"the robot has more than {MAX_MODULES} modules; no more are read",
-                origin,
+                span,
             )
             parent.failed.add(name)
             return
@@ -184,10 +184,10 @@ class Resolver:
         inner = Scope(module, given, self.library, report, entry)
         inner.check_given()
         inner.evaluate_all()
-        instance = Instance(path, module, inner, entry, origin, parent, entry.get("can"))
+        instance = Instance(path, module, inner, entry, span, parent, entry.get("can"))
         parent.children[name] = instance
         for child, child_entry in module.section("modules").items():
-            self._expand(instance, child, child_entry, origin, (*chain, module.name))
+            self._expand(instance, child, child_entry, span, (*chain, module.name))
         if module.is_assembly:
             self._pass_can_on(instance)
 
@@ -522,7 +522,7 @@ class Resolver:
                 "mount-cycle",
                 "these modules are mounted on one another and not on the frame: "
                 + ", ".join(f"`{w.path}`" for w in round_and_round),
-                leaf.mount.span if leaf.mount is not None else leaf.origin,
+                leaf.mount.span if leaf.mount is not None else leaf.span,
             )
 
 
@@ -530,9 +530,9 @@ def _entries(node: Node | None) -> dict[str, Node]:
     return node.value if node is not None and isinstance(node.value, dict) else {}
 
 
-def used_by(path: str, origin: Span) -> Label:
+def used_by(path: str, span: Span) -> Label:
     """What a fault in a module's document says of the robot's module that uses it."""
-    return Label(origin, f"`{path.split('.', 1)[0]}` uses it")
+    return Label(span, f"`{path.split('.', 1)[0]}` uses it")
 
 
 def _last(path: str) -> str:

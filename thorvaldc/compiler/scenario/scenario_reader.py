@@ -96,7 +96,7 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
         faults=tuple(reader.faults(document.get("faults"))),
         noise=reader.noise(document.get("noise")),
         expectations=tuple(reader.expectations(document.get("expect"))),
-        origin=document.span,
+        span=document.span,
         record=_groups(record),
         every=numbers(record, "every", "time", least=0.0) if record is not None else 0.0,
     )

@@ -50,7 +50,7 @@ class Varied:
     most: float = 0.0
     unit: str = ""
     whole: bool = False
-    origin: Span | None = None
+    span: Span | None = None
 
     def drawn(self, seed: int, draw: int) -> Node:
         """The value of a draw; it depends on nothing else."""
@@ -66,7 +66,7 @@ class Varied:
 
     def _node(self, value: float) -> Node:
         number = int(value) if self.whole else value
-        span = self.origin or Span("")
+        span = self.span or Span("")
         return Node(f"{number!r} {self.unit}" if self.unit else number, span, span)
 
 
@@ -150,7 +150,7 @@ def read_variations(
 def _varied(path: str, node: Node, report: Report) -> Varied | None:
     if isinstance(node.value, tuple):
         choices = tuple(value._replace(key_span=value.span) for value in node.value)
-        return Varied(path, choices, origin=node.where)
+        return Varied(path, choices, span=node.where)
     low, high = node.get("min"), node.get("max")
     if low is None or high is None:
         return None
@@ -174,7 +174,7 @@ def _setting(path: str, text: str, report: Report) -> Varied | None:
         )
         return None
     span = Span(name)
-    return Varied(path, tuple(_at(value, span) for value in values), origin=span)
+    return Varied(path, tuple(_at(value, span) for value in values), span=span)
 
 
 def _at(node: Node, span: Span) -> Node:

@@ -84,11 +84,11 @@ def faults(robot: Robot) -> list[CalculatorFault]:
         known = names()
         hint = did_you_mean(choice.name, known, f"known: {', '.join(known)}")
         text = f"there is no base calculator `{choice.name}`"
-        return [CalculatorFault("calculator-unknown", text, robot.origin, hint=hint)]
+        return [CalculatorFault("calculator-unknown", text, robot.span, hint=hint)]
     except Exception as fault:
         text = f"base calculator `{choice.name}` cannot be loaded: {fault or type(fault).__name__}"
         hint = "install its package again, or ask those who made it"
-        return [CalculatorFault("calculator-unknown", text, robot.origin, hint=hint)]
+        return [CalculatorFault("calculator-unknown", text, robot.span, hint=hint)]
     found = _options(cls, robot)[1]
     reason = cls.unsuited(BaseGeometry.from_robot(robot))
     if reason is not None:
@@ -98,7 +98,7 @@ def faults(robot: Robot) -> list[CalculatorFault]:
             if cls.name != "general"
             else "give the robot a wheel with a motor"
         )
-        found.insert(0, CalculatorFault("calculator-unsuited", text, robot.origin, hint=hint))
+        found.insert(0, CalculatorFault("calculator-unsuited", text, robot.span, hint=hint))
     return found
 
 
@@ -109,7 +109,7 @@ def _options(cls: type[BaseCalculator], robot: Robot) -> tuple[Any, list[Calcula
     found: list[CalculatorFault] = []
 
     def say(key: str | None, text: str, hint: str | None = None) -> None:
-        fault = CalculatorFault("calculator-option", text, robot.origin, hint=hint)
+        fault = CalculatorFault("calculator-option", text, robot.span, hint=hint)
         fault.option = key
         found.append(fault)
 

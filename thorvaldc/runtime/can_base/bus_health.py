@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.interface import Port
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus import Bus, Frame, Node
+from thorvaldc.model.bus import Bus, FrameDefinition, Node
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.battery_and_io_drivers import (
     BatteryDriver,
@@ -71,7 +71,7 @@ class BusLink:
     were too short.
     """
 
-    def __init__(self, robot: Robot, bus: Bus, port: Port, *, threaded: bool) -> None:
+    def __init__(self, robot: Robot, bus: Bus, port: CanInterface, *, threaded: bool) -> None:
         """Raises ``DiagnosticError`` for a motor controller that no driver knows."""
         self.robot = robot
         self.bus = bus
@@ -183,7 +183,7 @@ class BusLink:
             what = {NMT_COB_ID: "NMT", 0x080: "SYNC"}.get(cob_id, "a heartbeat")
             self.foreign_master = f"another master is on the bus: it sends {what} ({cob_id:#05x})"
 
-    def _beat(self, frame: Frame, time: float, state: int) -> None:
+    def _beat(self, frame: FrameDefinition, time: float, state: int) -> None:
         name = frame.producer
         if state == BOOT_UP:
             controller = next(c for c in self.controllers if c.node.name == name)
@@ -269,7 +269,7 @@ class BusLink:
         times += [(b.node.name, b.time) for b in self.boards]
         return [name for name, time in times if now - time > SILENT]
 
-    def _beats(self, node: Node) -> Frame | None:
+    def _beats(self, node: Node) -> FrameDefinition | None:
         found = (f for f in self._heartbeat_frames.values() if f.producer == node.name)
         return next(found, None)
 
@@ -362,7 +362,7 @@ def _watched(bus: Bus, node: Node) -> Iterator[_Watched]:
             yield _Watched(frame.cob_id, name, frame.period)
 
 
-def _sdo_frames(bus: Bus, node: str) -> list[Frame]:
+def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:
     """Request and response."""
     own = [f for f in bus.frames if f.kind == "sdo" and node in (f.producer, *f.consumers)]
     return sorted(own, key=lambda f: f.producer != MASTER)
@@ -383,7 +383,7 @@ def unconnected(robot: Robot) -> DiagnosticError | None:
             return DiagnosticError(
                 "bus-motor-unconnected",
                 f"the motor {actuator.name} has no controller on a bus",
-                actuator.origin,
+                actuator.span,
                 hint="give it a channel of a controller",
             )
     return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from thorvaldc.can.interface import Port
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.buses import require_bus
 from thorvaldc.model.robot import Robot
@@ -32,7 +32,7 @@ class CanBase(BaseHandle):
     def __init__(
         self,
         robot: Robot,
-        ports: Mapping[str, Port],
+        ports: Mapping[str, CanInterface],
         *,
         threaded: bool = True,
         times: Times | None = None,

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from thorvaldc.can.frame import ReceivedFrame
-from thorvaldc.can.interface import Port
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.nanoseconds import NANOSECONDS
 
 RING = 512
@@ -33,7 +33,7 @@ class Receiver:
     ``dropped``.  Only standard data frames count; others are counted in ``strange``.
     """
 
-    def __init__(self, port: Port, events: Collection[int], *, ring: int = RING) -> None:
+    def __init__(self, port: CanInterface, events: Collection[int], *, ring: int = RING) -> None:
         self.port = port
         self.latest: dict[int, Latest] = {}
         self.received = 0

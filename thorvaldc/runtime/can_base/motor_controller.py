@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus import Bus, Frame, Node, ObjectValue
+from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.robot import Actuator, Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
@@ -214,7 +214,7 @@ class MotorController(abc.ABC):
         return next((axis for axis in self.axes if axis.channel == channel), None)
 
 
-def frames_of(bus: Bus, node: Node) -> list[Frame]:
+def frames_of(bus: Bus, node: Node) -> list[FrameDefinition]:
     """The frames that a node sends, and those that are for it alone."""
     return [
         frame
@@ -255,7 +255,7 @@ def controller_class(node: Node) -> type[MotorController]:
         raise DiagnosticError(
             "bus-driver-unknown",
             f"no driver knows how to talk to `{node.name}`: its protocol is `{node.protocol}`",
-            node.origin,
+            node.span,
             hint=f"there are {known}; a package of your own may add one ({ENTRY_POINT_GROUP})",
         )
     return found
@@ -277,10 +277,10 @@ def plugin(builtin: dict[str, str], group: str, kind: type[T], node: Node) -> ty
             return None
     except Exception as fault:
         text = f"the driver for `{name}` cannot be loaded: {fault or type(fault).__name__}"
-        raise DiagnosticError("bus-driver-unknown", text, node.origin) from None
+        raise DiagnosticError("bus-driver-unknown", text, node.span) from None
     if not (isinstance(cls, type) and issubclass(cls, kind)):
         raise DiagnosticError(
-            "bus-driver-unknown", f"the driver for `{name}` is no {kind.__name__}", node.origin
+            "bus-driver-unknown", f"the driver for `{name}` is no {kind.__name__}", node.span
         )
     return cls
 

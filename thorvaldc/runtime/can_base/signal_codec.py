@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 
-from thorvaldc.model.bus import Frame, Signal
+from thorvaldc.model.bus import FrameDefinition, Signal
 
 _FORMATS = {
     (8, False): "B",
@@ -27,7 +27,7 @@ class FrameCodec:
     bytes (most frames) a single ``struct`` does the work.
     """
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: FrameDefinition) -> None:
         self.frame = frame
         self.cob_id = frame.cob_id
         self.length = frame.length
@@ -120,7 +120,7 @@ def _range(signal: Signal) -> tuple[int, int]:
     return 0, (1 << signal.length) - 1
 
 
-def _compiled(frame: Frame) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
+def _compiled(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
     """A ``struct`` for the frame and the place in it of each signal (``None``: as they stand)."""
     places = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].start)
     text, at = "<", 0

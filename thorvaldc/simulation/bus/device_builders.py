@@ -10,7 +10,7 @@ from typing import Any
 
 from thorvaldc.can import lss as lss_layer
 from thorvaldc.model import Actuator, Robot
-from thorvaldc.model.bus import OBJECT_TYPES, Bus, Frame, Node
+from thorvaldc.model.bus import OBJECT_TYPES, Bus, FrameDefinition, Node
 from thorvaldc.simulation.bus.battery_and_io_devices import (
     BATTERY_FRAMES,
     ForeignDevice,
@@ -52,11 +52,11 @@ class Build:
     kept: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def sent(self) -> list[Frame]:
+    def sent(self) -> list[FrameDefinition]:
         return [f for f in self.bus.frames if f.producer == self.node.name]
 
     @property
-    def received(self) -> list[Frame]:
+    def received(self) -> list[FrameDefinition]:
         return [
             f for f in self.bus.frames if f.producer == MASTER and f.consumers == (self.node.name,)
         ]
@@ -170,7 +170,7 @@ def _cia402(given: Build) -> Device:
     )
 
 
-def _pdo(frame: Frame, node: Node) -> Pdo:
+def _pdo(frame: FrameDefinition, node: Node) -> Pdo:
     mapping = tuple((index, sub, _TYPES[kind]) for index, sub, kind in frame.mapping)
     return Pdo(frame.pdo or 1, frame.cob_id - node.id, EVENT_DRIVEN, mapping)
 

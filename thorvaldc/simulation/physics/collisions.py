@@ -27,7 +27,7 @@ class Contacts:
         owner: dict[int, str] = {}
         wheels: set[int] = set()
         for name, robot in robots.items():
-            prefix = f"{robot.namespace}/" if robot.namespace else ""
+            prefix = robot.prefix
             owner[scene.index("body", prefix + robot.links[0].name, robot)] = name
             # A wheel is what its joint turns; its own link may be welded to that.
             joints = (scene.index("joint", prefix + w.spin_joint, robot) for w in robot.wheels)
@@ -68,7 +68,7 @@ class Rings:
     """On which of their rings wheels roll: on the tyre, or beside it on a rail."""
 
     def __init__(self, robot: Robot, scene: MujocoScene) -> None:
-        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        prefix = robot.prefix
         self._scene = scene
         self._tyres = [wheel.radius for wheel in robot.wheels]
         # (geom, wheel, radius) of the rings beside the tyres.

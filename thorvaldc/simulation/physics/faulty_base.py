@@ -235,7 +235,7 @@ class _Footing:
     def __init__(self, base: FaultyBase, number: int) -> None:
         robot, scene = base.robot, base.scene
         wheel = robot.wheels[number]
-        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        prefix = robot.prefix
         joint = scene.index("joint", prefix + wheel.spin_joint, robot)
         model = scene.model
         # What its joint turns: the wheel's own link may be welded to that.

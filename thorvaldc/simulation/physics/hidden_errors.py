@@ -67,4 +67,4 @@ class HiddenErrors:
 
 
 def _fault(robot: Robot, message: str, hint: str | None = None) -> DiagnosticError:
-    return DiagnosticError("hidden-error", message, robot.origin, hint=hint)
+    return DiagnosticError("hidden-error", message, robot.span, hint=hint)

@@ -129,7 +129,7 @@ class MujocoScene:
             raise DiagnosticError(
                 "simulation-scene",
                 f"the scene has no {kind} `{name}`, which {robot.name} has",
-                robot.origin,
+                robot.span,
                 hint="model.json and the MJCF files come from different builds: build again",
             )
         return found
@@ -159,7 +159,7 @@ class MujocoBase(SimulatedBase):
     ) -> None:
         """Raises ``DiagnosticError`` where the scene is not of this robot."""
         if prefix is None:
-            prefix = f"{robot.namespace}/" if robot.namespace else ""
+            prefix = robot.prefix
         self.robot = robot
         self.scene = scene
         model = scene.model
@@ -172,7 +172,7 @@ class MujocoBase(SimulatedBase):
             raise DiagnosticError(
                 "simulation-scene",
                 f"the body `{prefix + robot.links[0].name}` of the scene has no free joint",
-                robot.origin,
+                robot.span,
             )
         self._base = int(model.jnt_qposadr[free])
         self._base_velocity = int(model.jnt_dofadr[free])

@@ -195,7 +195,7 @@ def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: f
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     position = scene.data.qpos
     for robot in robots:
-        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        prefix = robot.prefix
         for index, wheel in enumerate(robot.wheels):
             axle = scene.index("joint", prefix + wheel.spin_joint, robot)
             position[scene.model.jnt_qposadr[axle]] += spin * (index + 1)

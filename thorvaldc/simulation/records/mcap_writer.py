@@ -142,7 +142,7 @@ class McapRecorder:
             self._writer.write(connection, time, data)
 
     def _open(self, robot: Robot, topics: Sequence[str]) -> _RobotTopics:
-        prefix = f"{robot.namespace}/" if robot.namespace else ""
+        prefix = robot.prefix
         found = {topic: self._connect(f"/{prefix}{topic}", TYPES[topic]) for topic in topics}
         return _RobotTopics(robot, prefix, found, self, self._make)
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from thorvaldc.can.cia402 import DriveState
 from thorvaldc.can.frame import CanFrame, ReceivedFrame, frame_bits
-from thorvaldc.can.interface import Port
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Frame, Node, Signal
+from thorvaldc.model.bus import Bus, FrameDefinition, Node, Signal
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 WINDOW = 1.0
@@ -166,7 +166,7 @@ class BusMonitor:
         while recent and recent[0][0] < now - WINDOW:
             self._bits -= recent.popleft()[1]
 
-    def _emergency(self, time: float, frame: Frame, data: bytes) -> None:
+    def _emergency(self, time: float, frame: FrameDefinition, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little")
         self._emergencies.append(
             {
@@ -199,7 +199,7 @@ class BusMonitor:
             found["silent"] = limit is not None and not now - beat.time <= limit
         return found
 
-    def _frame(self, frame: Frame, now: float) -> dict[str, Any]:
+    def _frame(self, frame: FrameDefinition, now: float) -> dict[str, Any]:
         heard = self._frames[frame.cob_id]
         values = heard.shown_values()
         return {
@@ -218,7 +218,7 @@ class BusMonitor:
 
 
 def watch(
-    port: Port,
+    port: CanInterface,
     monitor: BusMonitor,
     interval: float,
     tell: Callable[[Mapping[str, Any]], None],
@@ -251,7 +251,7 @@ def watch(
             received = port.receive(0.0)
 
 
-def _problem(frame: Frame, heard: _Heard, age: float) -> str:
+def _problem(frame: FrameDefinition, heard: _Heard, age: float) -> str:
     if heard.short:
         return f"{heard.short} of {heard.count} too short"
     expected = frame.period
