@@ -232,7 +232,7 @@ def changed(path: str, value: Any) -> str:
         "[" * 100_000,
         '{"format": "thorvaldc-model"}',
         changed("format", "urdf"),
-        changed("version", 2),
+        changed("version", 1),
         changed("version", "1"),
         changed("kind", "Rover"),
         changed("kind", ["Robot"]),
@@ -258,5 +258,5 @@ def test_what_is_no_model_is_refused(text: str) -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 2; this program reads 1"):
-        from_json(changed("version", 2))
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 2"):
+        from_json(changed("version", 1))

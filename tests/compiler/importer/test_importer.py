@@ -15,7 +15,7 @@ import yaml
 from thorvaldc.compiler.importer import ImportResult, import_file, import_original
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Diagnostic, Report
-from thorvaldc.model import Frame, Pose, Robot, Signal
+from thorvaldc.model import FrameDefinition, Pose, Robot, Signal
 
 ORIGINALS = Path(__file__).parent / "originals"
 GOOD = sorted(path.stem for path in ORIGINALS.glob("*.yaml"))
@@ -63,7 +63,7 @@ def poses(robot: Robot) -> dict[str, Pose]:
     return found
 
 
-def frame(robot: Robot, cob_id: int) -> Frame:
+def frame(robot: Robot, cob_id: int) -> FrameDefinition:
     (found,) = [f for bus in robot.buses for f in bus.frames if f.cob_id == cob_id]
     return found
 
