@@ -373,7 +373,7 @@ class _RobotWriter:
         self, body: Element, wheel: Wheel, tread: Tread, axis: Vec3, contact: WheelContact
     ) -> None:
         """A ring beside the tyre, and its flanges, along which a rail slides."""
-        radius = dict(wheel.radii)[tread.name]
+        radius = wheel.radius_named(tread.name)
         name = f"{self.prefix}{wheel.link}_{tread.name}"
         mu, half = wheel.friction, tread.width / 2
         ring = body.add("geom", name=name, class_="wheel", **self.bits)

@@ -128,9 +128,7 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
     }
     names = dict.fromkeys(name for wheel in wheels for name, _ in wheel.radii)
     if names:
-        found["radii"] = {
-            name: [dict(w.radii).get(name, w.radius) for w in wheels] for name in names
-        }
+        found["radii"] = {name: [w.radius_named(name) for w in wheels] for name in names}
     return found
 
 

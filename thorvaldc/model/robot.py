@@ -235,6 +235,13 @@ class Wheel(Element):
     def steered(self) -> bool:
         return self.steering_joint is not None
 
+    def radius_named(self, name: str | None) -> float:
+        """The radius (m) of this name in ``radii``.
+
+        The ordinary ``radius`` for ``None``, and for a name that this wheel does not have.
+        """
+        return dict(self.radii).get(name, self.radius) if name else self.radius
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Actuator(Element):

@@ -41,7 +41,7 @@ class Parameters:
             return Parameters(tuple(w.radius for w in robot.wheels), robot.driver)
         for found in robot.parameter_sets:
             if found.name == name:
-                radii = (dict(w.radii).get(found.radii or "", w.radius) for w in robot.wheels)
+                radii = (w.radius_named(found.radii) for w in robot.wheels)
                 return Parameters(tuple(radii), found.driver)
         known = [found.name for found in robot.parameter_sets]
         raise DiagnosticError(

@@ -136,7 +136,7 @@ class DriverParameters:
             actuator = self._actuators.get(wheel.spin_joint)
             if actuator is None:
                 continue
-            radius = dict(wheel.radii).get(radii, wheel.radius) if radii else wheel.radius
+            radius = wheel.radius_named(radii)
             v = actuator.max_velocity * radius
             a = actuator.max_acceleration * radius
             arm = max(math.hypot(*contact_point(wheel)), 0.05)

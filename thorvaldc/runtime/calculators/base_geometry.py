@@ -81,13 +81,10 @@ class BaseGeometry:
     length: float
 
     @staticmethod
-    def from_robot(robot: Robot, radii: str | None = None) -> BaseGeometry:
-        """Geometry of a robot; ``radii`` names the set of wheel radii in force.
-
-        A wheel without a radius of that name keeps its ordinary one.
-        """
+    def from_robot(robot: Robot) -> BaseGeometry:
+        """Geometry of a robot with the ordinary radii of its wheels."""
         return BaseGeometry.from_wheels(
-            [_wheel_geometry(robot, wheel, radii) for wheel in robot.wheels],
+            [_wheel_geometry(robot, wheel) for wheel in robot.wheels],
             steering=[wheel.steering_joint for wheel in robot.wheels],
             spin=[wheel.spin_joint for wheel in robot.wheels],
         )
@@ -150,7 +147,7 @@ class BaseGeometry:
         return max((t for t in times if math.isfinite(t)), default=0.0)
 
 
-def _wheel_geometry(robot: Robot, wheel: Wheel, radii: str | None) -> WheelGeometry:
+def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
     spin = robot.actuator_of(wheel.spin_joint) if wheel.driven else None
     steering = robot.actuator_of(wheel.steering_joint) if wheel.steering_joint else None
     limits = robot.joint(wheel.steering_joint) if wheel.steering_joint else None
@@ -162,7 +159,7 @@ def _wheel_geometry(robot: Robot, wheel: Wheel, radii: str | None) -> WheelGeome
         sign=wheel.steering_sign,
         trail=wheel.trail,
         lateral=wheel.lateral_offset,
-        radius=dict(wheel.radii).get(radii, wheel.radius) if radii else wheel.radius,
+        radius=wheel.radius,
         driven=spin is not None,
         steered=steering is not None,
         # A steering joint that no motor turns is free to turn.

@@ -60,19 +60,18 @@ def calculator_class(name: str) -> type[BaseCalculator]:
     raise KeyError(name)
 
 
-def for_robot(robot: Robot, radii: str | None = None) -> BaseCalculator:
+def for_robot(robot: Robot) -> BaseCalculator:
     """The calculator that the robot's file names, for its wheels and its noise.
 
-    ``radii`` names the set of wheel radii in force.  Raises ``CalculatorFault``
-    where there is no such calculator, where it is not for such a robot and
-    where an option is wrong.
+    The wheels have their ordinary radii.  Raises ``CalculatorFault`` for an unknown calculator,
+    for one that cannot drive this robot and for an invalid option.
     """
     for fault in faults(robot):
         raise fault
     cls = calculator_class(robot.calculator.name)
     options, _ = _options(cls, robot)
     noise = Noise(**dict(robot.driver.noise))
-    return cls(BaseGeometry.from_robot(robot, radii), options, noise)
+    return cls(BaseGeometry.from_robot(robot), options, noise)
 
 
 def faults(robot: Robot) -> list[CalculatorFault]:

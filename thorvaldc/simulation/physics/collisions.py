@@ -76,7 +76,7 @@ class Rings:
             (
                 scene.index("geom", f"{prefix}{wheel.link}_{tread.name}", robot),
                 i,
-                dict(wheel.radii)[tread.name],
+                wheel.radius_named(tread.name),
             )
             for i, wheel in enumerate(robot.wheels)
             for tread in wheel.treads
