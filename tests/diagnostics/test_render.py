@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from thorvaldc.diagnostics import CODES, Label, Report, Span
-from thorvaldc.diagnostics.explain import UnknownCode, explain, find
+from thorvaldc.diagnostics.explain import UnknownCode, explain, find_code
 from thorvaldc.diagnostics.render import FORMATS, render, render_text
 
 
@@ -207,7 +207,7 @@ def test_a_report_without_faults(form: str) -> None:
 
 @pytest.mark.parametrize("asked", ["TV501", "tv501", "501", "can-id-duplicate", " TV501 "])
 def test_codes_are_found_by_number_and_by_name(asked: str) -> None:
-    assert find(asked) is CODES["can-id-duplicate"]
+    assert find_code(asked) is CODES["can-id-duplicate"]
     assert explain(asked).startswith("# TV501 can-id-duplicate\n")
 
 

@@ -103,11 +103,11 @@ def each(watches: Sequence[Watch]) -> Watch:
 @contextmanager
 def writing(path: str) -> Iterator[None]:
     """What cannot be written, as a fault of the world."""
-    from thorvaldc.compiler.source.ros_bag import RecordError
+    from thorvaldc.compiler.source.ros_bag import MissingPackageError
 
     try:
         yield
-    except RecordError as fault:
+    except MissingPackageError as fault:
         raise OutsideError(str(fault)) from None
     except OSError as fault:
         name = fault.filename or path

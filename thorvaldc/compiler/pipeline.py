@@ -21,8 +21,8 @@ from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
-from thorvaldc.compiler.validation.document_check import check, sound
-from thorvaldc.compiler.validation.document_kinds import is_fleet, is_other, is_scenario
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
+from thorvaldc.compiler.validation.document_kinds import is_fleet, is_scenario, report_wrong_kind
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import CalculatorChoice, Fleet, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
@@ -96,7 +96,7 @@ def _compile(
     robots: dict[str, Compilation] = {}
     pins = ""
     document = read_file(path, name, shape)
-    if document is not None and is_other(document, shape):
+    if document is not None and report_wrong_kind(document, shape):
         document = None
     if document is not None:
         scenario = is_scenario(document)
@@ -111,8 +111,8 @@ def _compile(
         check(document, "scenario" if scenario else "fleet" if fleet else "robot", shape)
         modules = document.get("modules")
         whole = modules is None or not shape.has_error_in(modules.span)
-        # The next stages go on with what is sound: one run shows the faults of all.
-        sound_part = sound(document, shape)
+        # Later stages continue with the valid values: one run reports the diagnostics of all.
+        sound_part = without_invalid_values(document, shape)
         if fleet or scenario:
             if fleet:
                 done.model = _fleet(sound_part, path, library, report, robots)
@@ -132,7 +132,7 @@ def _compile(
             pins = _pins(model, path, done) if model is not None else ""
             done.model = model
         done.source_sha256 = _sha256(files, robots, pins)
-    for said in (shape, report.without_places_of(shape)):
+    for said in (shape, report.excluding_spans_of(shape)):
         done.report.extend(done.located(said))
     for shown, file in files.items():
         done.sources[shown if shown.startswith(OWN) else os.path.normpath(file)] = file
@@ -195,8 +195,8 @@ def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | N
         report.extend(shape)
         return None
     check(document, "bus_faults", shape)
-    script = read_bus_faults(sound(document, shape), robot, said)
-    for found in (shape, said.without_places_of(shape)):
+    script = read_bus_faults(without_invalid_values(document, shape), robot, said)
+    for found in (shape, said.excluding_spans_of(shape)):
         report.extend(found)
     return None if shape.has_errors or said.has_errors else script
 

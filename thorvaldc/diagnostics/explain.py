@@ -18,7 +18,7 @@ class UnknownCode(LookupError):
         self.hint = hint
 
 
-def find(asked: str) -> Code:
+def find_code(asked: str) -> Code:
     """The code for ``TV501``, ``501`` or ``can-id-duplicate``.  Raises UnknownCode."""
     text = asked.strip()
     found = CODES.get(text.lower())
@@ -46,7 +46,7 @@ def page(code: Code) -> str:
 
 def explain(asked: str) -> str:
     """The page of the code that was asked for.  Raises UnknownCode."""
-    return page(find(asked))
+    return page(find_code(asked))
 
 
 def _folder() -> Path:

@@ -142,7 +142,7 @@ class Report:
             for d in self.errors
         )
 
-    def without_places_of(self, earlier: Report) -> Report:
+    def excluding_spans_of(self, earlier: Report) -> Report:
         """What is said of places that ``earlier`` had no errors in."""
         known = {d.span for d in earlier.errors if d.span is not None}
         out = Report()

@@ -22,7 +22,7 @@ from thorvaldc.compiler.scenario.variations import (
     without_variations,
 )
 from thorvaldc.compiler.source.reader import read_file
-from thorvaldc.compiler.validation.document_check import check, sound
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Report
 
 __all__ = ["Batch", "Run", "plan_variations", "processors"]
@@ -50,7 +50,7 @@ def plan_variations(
     if document.get("scenario") is None:
         return None
     check(document, "scenario", shape)
-    document = sound(document, shape)
+    document = without_invalid_values(document, shape)
     if not own:
         document = without_variations(document)
     found = read_variations(document, settings, draws, seed, said)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.compiler.source.reader import read_text
-from thorvaldc.compiler.validation.document_check import check, sound
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.schema import Kind
 
@@ -266,7 +266,7 @@ def test_what_is_sound_goes_on_without_the_values_at_fault() -> None:
     node = read_text(text.encode(), "f.yaml", report)
     assert node is not None
     assert not check(node, "robot", report)
-    left = sound(node, report)
+    left = without_invalid_values(node, report)
     assert left.plain()["driver"] == {"rate": None, "command_timeout": "1 s"}
     assert left.plain()["modules"] == {"a": {"type": "x"}}
     assert left.get("driver").span == node.get("driver").span  # type: ignore[union-attr]

@@ -12,7 +12,7 @@ from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
-from thorvaldc.compiler.validation.document_check import check, sound
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Joint, Wheel
@@ -59,7 +59,7 @@ def load_calibration(
     whole = read_file(path, node.value, shape)
     if whole is not None:
         check(whole, "calibration", shape)
-        whole = sound(whole, shape)
+        whole = without_invalid_values(whole, shape)
     report.extend(shape)
     if whole is None:
         return None

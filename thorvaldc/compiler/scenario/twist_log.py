@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.source.csv_table import TIME, Table, read_table
-from thorvaldc.compiler.source.ros_bag import AIMED, ASKED, RecordError, is_bag, read_bag
+from thorvaldc.compiler.source.ros_bag import (
+    COMMANDED_TWIST,
+    LIMITED_TWIST,
+    MissingPackageError,
+    is_bag,
+    read_bag,
+)
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
@@ -118,7 +124,7 @@ def _of_bag(
 
     try:
         bag = read_bag(path, display, span, choose, report)
-    except RecordError as fault:
+    except MissingPackageError as fault:
         report.add("script-log", str(fault), span)
         return {}
     if bag is None:
@@ -141,13 +147,13 @@ def _of_bag(
                 "script-log",
                 f"`{display}` has "
                 + (f"{len(candidates)} topics" if candidates else "no topic")
-                + f" with velocities, and none is `/{name}/{ASKED}`",
+                + f" with velocities, and none is `/{name}/{COMMANDED_TWIST}`",
                 span,
                 hint=f"add `topic:`; {_listed(candidates)}" if candidates else None,
             )
             continue
         # In our records a velocity holds until the next; of a robot, for its time-out.
-        ours = f"{own.removesuffix(ASKED)}{AIMED}" in bag.topics
+        ours = f"{own.removesuffix(COMMANDED_TWIST)}{LIMITED_TWIST}" in bag.topics
         timeout = math.inf if ours else robot.driver.command_timeout
         commands = _commands(bag.messages[own], timeout)
         if commands is None:
@@ -160,12 +166,14 @@ def _of_bag(
 def _with_twists(topics: Mapping[str, str]) -> list[str]:
     """The topics with velocities that were asked for, in order of their names."""
     found = {name for name, type_ in topics.items() if type_ in (TWIST, TWIST_STAMPED)}
-    limited = {name for name in found if name.endswith(f"/{AIMED}")}
-    return sorted(found - {n for n in limited if f"{n.removesuffix(AIMED)}{ASKED}" in found})
+    limited = {name for name in found if name.endswith(f"/{LIMITED_TWIST}")}
+    return sorted(
+        found - {n for n in limited if f"{n.removesuffix(LIMITED_TWIST)}{COMMANDED_TWIST}" in found}
+    )
 
 
 def _topic_of(robot: str, candidates: Sequence[str]) -> str | None:
-    own = f"/{robot}/{ASKED}"
+    own = f"/{robot}/{COMMANDED_TWIST}"
     if own in candidates:
         return own
     return candidates[0] if len(candidates) == 1 else None

@@ -36,7 +36,7 @@ def read_table(path: Path, display: str, report: Report) -> Table | None:
     All that is wrong with it goes to ``report``, with line and column.  If only its last line
     breaks off, that is a warning, and the line is left out.
     """
-    text = load_text(path, display, report)
+    text = read_utf8(path, display, report)
     if text is None:
         return None
     lines = text.split("\n")
@@ -78,7 +78,7 @@ def _rows(
             break
         fault = _fault(cells, names, before, clock)
         if fault is None:
-            rows.append([number(cell) for cell in cells])
+            rows.append([parse_number(cell) for cell in cells])
             before = rows[-1][clock]
             continue
         index, message = fault
@@ -99,15 +99,15 @@ def _fault(
     if len(cells) != len(names):
         return -1, f"the line has {len(cells)} values; there are {len(names)} columns"
     for i, cell in enumerate(cells):
-        if not math.isfinite(number(cell)) and (cell.strip() or i == clock):
+        if not math.isfinite(parse_number(cell)) and (cell.strip() or i == clock):
             return i, f"`{cell.strip()}` in column {names[i]} is not a finite number"
-    time = number(cells[clock])
+    time = parse_number(cells[clock])
     if not time > before:
         return clock, f"the time goes from {before:.10g} s to {time:.10g} s"
     return None
 
 
-def load_text(path: Path, display: str, report: Report) -> str | None:
+def read_utf8(path: Path, display: str, report: Report) -> str | None:
     """The text of a file; what keeps it from being read goes to ``report``."""
     try:
         return path.read_bytes().decode("utf-8-sig")
@@ -125,7 +125,7 @@ def load_text(path: Path, display: str, report: Report) -> str | None:
     return None
 
 
-def number(cell: str) -> float:
+def parse_number(cell: str) -> float:
     """The number in a cell, nan if there is none."""
     try:
         # Python would take 1_000 as well.

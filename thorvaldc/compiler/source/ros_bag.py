@@ -9,14 +9,14 @@ from typing import Any
 
 from thorvaldc.diagnostics import Report, Span
 
-ODOM, TRUTH = "odom", "ground_truth/odom"
-ASKED, AIMED = "cmd_vel", "cmd_vel_limited"
+ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
+COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
 JOINTS, COMMANDS = "joint_states", "joint_commands"
 TYPES = {
     ODOM: "nav_msgs/msg/Odometry",
-    TRUTH: "nav_msgs/msg/Odometry",
-    ASKED: "geometry_msgs/msg/TwistStamped",
-    AIMED: "geometry_msgs/msg/TwistStamped",
+    TRUE_ODOM: "nav_msgs/msg/Odometry",
+    COMMANDED_TWIST: "geometry_msgs/msg/TwistStamped",
+    LIMITED_TWIST: "geometry_msgs/msg/TwistStamped",
     JOINTS: "sensor_msgs/msg/JointState",
     COMMANDS: "sensor_msgs/msg/JointState",
 }
@@ -25,16 +25,16 @@ SUFFIXES = (".mcap", ".db3", ".bag")
 """Of files; a folder is a bag if it has ``metadata.yaml``."""
 
 
-class RecordError(Exception):
+class MissingPackageError(Exception):
     """What a record needs is not there; the message is one line for the user."""
 
 
-def check_rosbags() -> None:
-    """Raises ``RecordError`` where rosbags is missing."""
+def require_rosbags() -> None:
+    """Raises ``MissingPackageError`` where rosbags is missing."""
     try:
         import rosbags.rosbag2  # noqa: F401
     except ImportError:
-        raise RecordError(
+        raise MissingPackageError(
             "MCAP files need rosbags, which is not installed: pip install 'thorvaldc[record]'"
         ) from None
 
@@ -66,9 +66,9 @@ def read_bag(
     """The bag with the topics that ``choose`` takes of all; ``None`` if it cannot be read.
 
     ``display`` is what the file is called in a diagnostic, and ``span`` its place.
-    Raises ``RecordError`` where rosbags is missing.
+    Raises ``MissingPackageError`` where rosbags is missing.
     """
-    check_rosbags()
+    require_rosbags()
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 

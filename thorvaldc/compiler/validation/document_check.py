@@ -61,7 +61,7 @@ def _validator(kind: Kind) -> Any:
     return strict(inlined(kind))
 
 
-def sound(node: Node, report: Report) -> Node:
+def without_invalid_values(node: Node, report: Report) -> Node:
     """The document with nothing in place of each value that the report has an error at.
 
     What is left can be given to the next stages, so that their faults are found

@@ -23,7 +23,7 @@ _OTHERS = (
 )
 
 
-def is_other(document: Node, report: Report) -> bool:
+def report_wrong_kind(document: Node, report: Report) -> bool:
     """Whether the document is another thing altogether, which is all that is said of it."""
     if document.get("name") is None:
         for key, what, hint in _OTHERS:

@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from thorvaldc.compiler.source.csv_table import cell_span, load_text, number
+from thorvaldc.compiler.source.csv_table import cell_span, parse_number, read_utf8
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
@@ -127,7 +127,7 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
 
     All that is wrong with it goes to ``report``, with the line and column.
     """
-    text = load_text(path, display, report)
+    text = read_utf8(path, display, report)
     if text is None:
         return None
     lines = text.split("\n")
@@ -240,7 +240,7 @@ def _values(
             )
             faults += 1
         else:
-            row = [number(cell) for cell in cells]
+            row = [parse_number(cell) for cell in cells]
             bad = next((i for i, value in enumerate(row) if not math.isfinite(value)), None)
             if bad is not None:
                 report.add(

@@ -28,14 +28,14 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.source.ros_bag import (
-    AIMED,
-    ASKED,
+    COMMANDED_TWIST,
     COMMANDS,
     JOINTS,
+    LIMITED_TWIST,
     ODOM,
-    TRUTH,
+    TRUE_ODOM,
     TYPES,
-    check_rosbags,
+    require_rosbags,
 )
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
@@ -48,8 +48,8 @@ from thorvaldc.simulation.records.ros_messages import RosMessages, covariance, p
 _TF = "tf2_msgs/msg/TFMessage"
 _GROUPS = {
     "odometry": (ODOM,),
-    "truth": (TRUTH,),
-    "twist": (ASKED, AIMED),
+    "truth": (TRUE_ODOM,),
+    "twist": (COMMANDED_TWIST, LIMITED_TWIST),
     "joints": (JOINTS, COMMANDS),
 }
 OURS = "thorvaldc"
@@ -74,8 +74,8 @@ class McapRecorder:
         groups: Sequence[str],
         every: float = 0.0,
     ) -> None:
-        """Raises ``RecordError`` without rosbags, and ``OSError`` if it cannot be written."""
-        check_rosbags()
+        """Raises ``MissingPackageError`` without rosbags, ``OSError`` if it cannot be written."""
+        require_rosbags()
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.path = path
@@ -98,7 +98,7 @@ class McapRecorder:
                 self._writer.open()
             topics = [topic for group in _GROUPS if group in groups for topic in _GROUPS[group]]
             self._robots = {name: self._open(robot, topics) for name, robot in robots}
-            if ODOM in topics or TRUTH in topics:
+            if ODOM in topics or TRUE_ODOM in topics:
                 self._tf = self._connect("/tf", _TF)
             if ODOM in topics:
                 self._tf_static = self._connect("/tf_static", _TF, latched=True)
@@ -180,7 +180,9 @@ class _RobotTopics:
         self._odometry = make.odometry(odom, base)
         self._truth = make.odometry("map", f"{base}_true")
         self._start_frame = make.transforms([("map", odom)])
-        frames = [(odom, base)] * (ODOM in topics) + [("map", f"{base}_true")] * (TRUTH in topics)
+        frames = [(odom, base)] * (ODOM in topics) + [("map", f"{base}_true")] * (
+            TRUE_ODOM in topics
+        )
         self._frames = make.transforms(frames)
         self._twist = make.twist(base)
         self._joints = make.joints([*drives, *steering])
@@ -200,15 +202,15 @@ class _RobotTopics:
             known = covariance(sample.pose_covariance, pose.yaw)
             moving = (*velocity(sample.estimated), *covariance(sample.twist_covariance))
             send(topics[ODOM], time, self._odometry.bytes(time, (*where, *known, *moving)))
-        if TRUTH in topics:
+        if TRUE_ODOM in topics:
             where = place(sample.pose_true, sample.posture)
             places += where
             none = covariance(ZERO_COV)
             numbers = (*where, *none, *velocity(sample.true), *none)
-            send(topics[TRUTH], time, self._truth.bytes(time, numbers))
+            send(topics[TRUE_ODOM], time, self._truth.bytes(time, numbers))
         if places:
             self._recorder.send_tf(time, self._frames.bytes(time, places))
-        for topic, twist in ((ASKED, sample.asked), (AIMED, sample.aimed)):
+        for topic, twist in ((COMMANDED_TWIST, sample.asked), (LIMITED_TWIST, sample.aimed)):
             if topic in topics:
                 send(topics[topic], time, self._twist.bytes(time, velocity(twist)))
         if JOINTS in topics and sample.joints is not None:

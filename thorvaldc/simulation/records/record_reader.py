@@ -10,12 +10,12 @@ from typing import Any
 
 from thorvaldc.compiler.source.csv_table import TIME, read_table
 from thorvaldc.compiler.source.ros_bag import (
-    AIMED,
-    ASKED,
+    COMMANDED_TWIST,
     COMMANDS,
     JOINTS,
+    LIMITED_TWIST,
     ODOM,
-    TRUTH,
+    TRUE_ODOM,
     TYPES,
     Bag,
     is_bag,
@@ -55,7 +55,7 @@ def read_record(
 
     ``path`` is an MCAP file, a folder of CSV files or the CSV file of one robot.  A
     record of one robot may have another name than ``robots`` gives it.  All that is wrong goes
-    to ``report``.  Raises ``RecordError`` where rosbags is wanted and missing.
+    to ``report``.  Raises ``MissingPackageError`` where rosbags is wanted and missing.
     """
     display = str(path)
     if not path.exists():
@@ -209,14 +209,16 @@ def _from_bag(
     there: dict[str, dict[str, str]] = {}  # topics by the names of their robots, then by kind
     for topic in bag.messages:
         for kind in TYPES:
-            if topic.endswith(f"/{kind}") and not (kind == ODOM and topic.endswith(f"/{TRUTH}")):
+            if topic.endswith(f"/{kind}") and not (
+                kind == ODOM and topic.endswith(f"/{TRUE_ODOM}")
+            ):
                 there.setdefault(topic.removesuffix(f"/{kind}").strip("/"), {})[kind] = topic
-    there = {name: kinds for name, kinds in there.items() if {ODOM, TRUTH} & set(kinds)}
+    there = {name: kinds for name, kinds in there.items() if {ODOM, TRUE_ODOM} & set(kinds)}
     if not there:
         some = ", ".join(sorted(bag.topics)[:6]) or "none"
         report.add(
             "record-unreadable",
-            f"`{display}` is no record of a run: it has no topic `{TRUTH}` or `{ODOM}`",
+            f"`{display}` is no record of a run: it has no topic `{TRUE_ODOM}` or `{ODOM}`",
             Span(display),
             hint=f"its topics: {some}",
         )
@@ -265,7 +267,7 @@ class _BagRun:
 
     def read(self, report: Report) -> RecordedRun | None:
         kinds = self.by_time
-        groups = {"odometry": ODOM, "truth": TRUTH, "twist": ASKED, "joints": JOINTS}
+        groups = {"odometry": ODOM, "truth": TRUE_ODOM, "twist": COMMANDED_TWIST, "joints": JOINTS}
         has = tuple(group for group in GROUPS if groups[group] in kinds)
         if not self._joints_fit(report):
             return None
@@ -318,7 +320,7 @@ class _BagRun:
             local, _ = _pose(where.position, where.orientation, turned[0])
             turned[0] = local.yaw
             pose, estimated = self.start.moved(local), _twist(message.twist.twist)
-        message = self._at(TRUTH, time)
+        message = self._at(TRUE_ODOM, time)
         if message is not None:
             where = message.pose.pose
             pose_true, posture = _pose(where.position, where.orientation, turned[1])
@@ -326,7 +328,7 @@ class _BagRun:
             true = _twist(message.twist.twist)
         asked, aimed = (
             _twist(message.twist) if message is not None else _NO_TWIST
-            for message in (self._at(ASKED, time), self._at(AIMED, time))
+            for message in (self._at(COMMANDED_TWIST, time), self._at(LIMITED_TWIST, time))
         )
         joints = self._joints(time)
         return Sample(time, asked, aimed, estimated, true, pose, pose_true, joints, posture)
