@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import (
-    BUILTIN,
+    PLUGINS,
     BaseCalculator,
     BaseGeometry,
     WheelGeometry,
@@ -135,7 +135,7 @@ SUITED: dict[str, Callable[[], st.SearchStrategy[list[WheelGeometry]]]] = {
     "one_wheel": tricycle_wheels,
     "random_pairs": lambda: any_wheels().filter(lambda w: sum(not v.swivel for v in w) > 1),
 }
-EXACT = sorted(set(BUILTIN) - {"random_pairs"})
+EXACT = sorted(set(PLUGINS.builtin) - {"random_pairs"})
 """Those whose odometry is that of the joints: not so the mean of random intersections."""
 
 twists = st.builds(
@@ -146,7 +146,7 @@ twists = st.builds(
 )
 
 
-@pytest.fixture(params=sorted(BUILTIN), scope="module")
+@pytest.fixture(params=sorted(PLUGINS.builtin), scope="module")
 def name(request: pytest.FixtureRequest) -> str:
     found: str = request.param
     return found

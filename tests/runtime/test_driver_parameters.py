@@ -11,7 +11,7 @@ from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.runtime.base_interface import JointStates
-from thorvaldc.runtime.calculators import BUILTIN, BaseGeometry, Noise, calculator_class
+from thorvaldc.runtime.calculators import PLUGINS, BaseGeometry, Noise, calculator_class
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.driver_parameters import Parameters
@@ -155,7 +155,7 @@ def test_a_change_while_driving_keeps_the_steering_and_the_motors_limits() -> No
         before = command.joints
 
 
-@pytest.mark.parametrize("name", sorted(BUILTIN))
+@pytest.mark.parametrize("name", sorted(PLUGINS.builtin))
 def test_every_calculator_resumes(name: str) -> None:
     """One that is replaced by its equal in every tick commands what it would have commanded."""
     kinds = {

@@ -1,38 +1,32 @@
-"""Backends: from the model to files.  One file and one line in the table each."""
+"""Backends: from the model to the files of a target.  Each is one file and one row of a table."""
 
 from __future__ import annotations
 
 import abc
 from collections.abc import Iterable
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Robot
-
-# Name of the target -> "module:class".  Backends from outside come by the entry
-# point group `thorvaldc.backends`; these are named here so that a build need not
-# read the metadata of every installed package.
-BUILTIN: dict[str, str] = {
-    "urdf": "thorvaldc.backends.urdf:Urdf",
-    "mjcf": "thorvaldc.backends.mjcf:Mjcf",
-    "ros2": "thorvaldc.backends.ros2:Ros2",
-    "can": "thorvaldc.backends.can:Can",
-}
-ENTRY_POINT_GROUP = "thorvaldc.backends"
+from thorvaldc.model.plugins import PluginFailure, PluginTable
 
 
 class Backend(abc.ABC):
-    """Writes one target.  Pure: no disk, clock, randomness or environment."""
+    """Writes the files of one target.
+
+    Pure: a backend reads no disk, clock, random numbers or environment, and the same model
+    gives the same bytes.  ``name`` and ``summary`` (one line) describe the target.
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]
 
     @abc.abstractmethod
     def emit(self, robot: Robot) -> dict[str, bytes]:
-        """Files of one robot by their path relative to the build folder."""
+        """Return the files of one robot by their POSIX path relative to the build folder."""
 
     def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
-        """Files of a fleet; by default each robot's own, in a folder of its name."""
+        """Return the files of a fleet; by default those of each robot in a folder of its name."""
         return {
             f"{placement.name}/{path}": data
             for placement in fleet.placements
@@ -40,29 +34,50 @@ class Backend(abc.ABC):
         }
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        """What of this robot the format cannot say, as warnings."""
+        """Return a diagnostic for each property of the robot that the format cannot express."""
         return ()
 
 
-def names() -> list[str]:
-    """All targets, built in and from outside, in alphabetical order."""
-    from importlib.metadata import entry_points
+class Target(NamedTuple):
+    """A built-in target: its class as ``"module:class"``; whether ``build`` writes it by default.
 
-    return sorted({*BUILTIN, *(e.name for e in entry_points(group=ENTRY_POINT_GROUP))})
+    The name and the summary of the target are those of its class.
+    """
+
+    backend: str
+    default: bool = True
+
+
+# The only list of built-in targets.  The order is that of ``build``'s report.
+TARGETS: dict[str, Target] = {
+    "urdf": Target("thorvaldc.backends.urdf:Urdf"),
+    "mjcf": Target("thorvaldc.backends.mjcf:Mjcf"),
+    "ros2": Target("thorvaldc.backends.ros2:Ros2"),
+    "can": Target("thorvaldc.backends.can:Can"),
+}
+DEFAULT_TARGETS = tuple(name for name, target in TARGETS.items() if target.default)
+PLUGINS: PluginTable[Backend] = PluginTable(
+    "thorvaldc.backends", Backend, {name: target.backend for name, target in TARGETS.items()}
+)
+
+
+class TargetError(KeyError):
+    """There is no such target, or its backend cannot be used; the message gives the reason."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # ``KeyError`` would show it in quotes
+
+
+def names() -> list[str]:
+    """Return all targets, built-in and plugged-in, in alphabetical order."""
+    return PLUGINS.names()
 
 
 def load(name: str) -> Backend:
-    """The backend of that name.  Raises ``KeyError`` for an unknown one."""
-    if name in BUILTIN:
-        from importlib import import_module
-
-        module, attribute = BUILTIN[name].split(":")
-        backend: Backend = getattr(import_module(module), attribute)()
-        return backend
-    from importlib.metadata import entry_points
-
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        if entry.name == name:
-            found: Backend = entry.load()()
-            return found
-    raise KeyError(name)
+    """Return the backend of a target.  Raises ``TargetError``, a ``KeyError``."""
+    backend_class = PLUGINS.load(name)
+    if isinstance(backend_class, PluginFailure):
+        if backend_class.unknown:
+            raise TargetError(f"there is no target {name!r}; there are {', '.join(names())}")
+        raise TargetError(f"the backend of target {name!r} {backend_class.reason}")
+    return backend_class()

@@ -126,15 +126,11 @@ def check_targets(text: str) -> list[str]:
     wanted = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
     if not wanted:
         raise typer.BadParameter("names no target", param_hint="'--target'")
-    if all(name in backends.BUILTIN for name in wanted):  # do not look for others' in vain
-        return wanted
-    known = backends.names()
     for name in wanted:
-        if name not in known:
-            raise typer.BadParameter(
-                f"there is no target {name!r}; there are {', '.join(known)}",
-                param_hint="'--target'",
-            )
+        try:
+            backends.load(name)
+        except backends.TargetError as error:
+            raise typer.BadParameter(str(error), param_hint="'--target'") from None
     return wanted
 
 

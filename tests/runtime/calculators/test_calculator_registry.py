@@ -30,11 +30,11 @@ def code_of(robot: Robot) -> tuple[str, str]:
 
 
 def test_every_builtin_calculator_loads_under_its_name() -> None:
-    for name in calculators.BUILTIN:
+    for name in calculators.PLUGINS.builtin:
         cls = calculators.calculator_class(name)
         assert cls.name == name
         assert cls.summary
-    assert set(calculators.BUILTIN) <= set(calculators.names())
+    assert set(calculators.PLUGINS.builtin) <= set(calculators.names())
 
 
 def test_unknown_calculator() -> None:

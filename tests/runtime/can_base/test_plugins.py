@@ -61,7 +61,7 @@ def renamed(robot: Robot, node: str, protocol: str) -> Robot:
 def test_a_robot_drives_by_a_motor_controller_of_another_package(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    offer(monkeypatch, controller.ENTRY_POINT_GROUP, Entry("acme_servo", Mine))
+    offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", Mine))
     monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
     rig = Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
     kinds = [type(c) for c in rig.base.supervisor.controllers]
@@ -70,7 +70,7 @@ def test_a_robot_drives_by_a_motor_controller_of_another_package(
 
 
 def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    offer(monkeypatch, devices.ENTRY_POINT_GROUP, Entry("acme_battery", MyBattery))
+    offer(monkeypatch, devices.PLUGINS.group, Entry("acme_battery", MyBattery))
     monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
     robot = four_wheels()
     name = robot.batteries[0].node
@@ -91,7 +91,7 @@ def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_driver_that_cannot_be_used(
     found: object, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    offer(monkeypatch, controller.ENTRY_POINT_GROUP, Entry("acme_servo", found))
+    offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", found))
     monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
     with pytest.raises(DiagnosticError) as caught:
         Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))

@@ -9,8 +9,7 @@ from __future__ import annotations
 from thorvaldc.runtime.calculators.base_calculator import BaseCalculator, BaseCommand, NoOptions
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.runtime.calculators.calculator_registry import (
-    BUILTIN,
-    ENTRY_POINT_GROUP,
+    PLUGINS,
     calculator_class,
     faults,
     for_robot,
@@ -20,8 +19,7 @@ from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate
 from thorvaldc.runtime.calculators.twist_fit import Noise
 
 __all__ = [
-    "BUILTIN",
-    "ENTRY_POINT_GROUP",
+    "PLUGINS",
     "BaseCalculator",
     "BaseCommand",
     "BaseGeometry",

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from importlib import import_module
 from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
+from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.calculators.base_calculator import BaseCalculator
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.twist_fit import Noise
 
-BUILTIN: dict[str, str] = {
-    "general": "thorvaldc.runtime.calculators.general:General",
-    "differential": "thorvaldc.runtime.calculators.differential:Differential",
-    "one_wheel": "thorvaldc.runtime.calculators.one_wheel:OneWheel",
-    "random_pairs": "thorvaldc.runtime.calculators.random_pairs:RandomPairs",
-}
-ENTRY_POINT_GROUP = "thorvaldc.base_calculators"
-
+PLUGINS: PluginTable[BaseCalculator] = PluginTable(
+    "thorvaldc.base_calculators",
+    BaseCalculator,
+    {
+        "general": "thorvaldc.runtime.calculators.general:General",
+        "differential": "thorvaldc.runtime.calculators.differential:Differential",
+        "one_wheel": "thorvaldc.runtime.calculators.one_wheel:OneWheel",
+        "random_pairs": "thorvaldc.runtime.calculators.random_pairs:RandomPairs",
+    },
+)
 
 _KINDS = {bool: "true or false,", int: "a whole number", float: "a number", str: "text"}
 
@@ -33,31 +35,29 @@ class CalculatorFault(DiagnosticError):
 
 
 def names() -> list[str]:
-    """All calculators, built in and from outside, in alphabetical order."""
-    from importlib.metadata import entry_points
-
-    return sorted({*BUILTIN, *(e.name for e in entry_points(group=ENTRY_POINT_GROUP))})
+    """Return the names of all calculators, built-in and plugged-in, in alphabetical order."""
+    return PLUGINS.names()
 
 
 def calculator_class(name: str) -> type[BaseCalculator]:
-    """The calculator of that name.
+    """Return the calculator class of this name.
 
-    Raises ``KeyError`` for an unknown one, ``TypeError`` where another package
-    offers something else under that name, and what loading it raises.
+    Raises ``CalculatorFault`` where there is none or where it cannot be used.
     """
-    if name in BUILTIN:
-        module, attribute = BUILTIN[name].split(":")
-        builtin: type[BaseCalculator] = getattr(import_module(module), attribute)
-        return builtin
-    from importlib.metadata import entry_points
-
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        if entry.name == name:
-            found = entry.load()
-            if isinstance(found, type) and issubclass(found, BaseCalculator):
-                return found
-            raise TypeError(f"{entry.value} is no BaseCalculator")
-    raise KeyError(name)
+    cls = PLUGINS.load(name)
+    if not isinstance(cls, PluginFailure):
+        return cls
+    if cls.unknown:
+        known = names()
+        hint = did_you_mean(name, known, f"known: {', '.join(known)}")
+        raise CalculatorFault(
+            "calculator-unknown", f"there is no base calculator `{name}`", hint=hint
+        )
+    raise CalculatorFault(
+        "calculator-unknown",
+        f"base calculator `{name}` {cls.reason}",
+        hint="install its package again, or report this to its authors",
+    )
 
 
 def for_robot(robot: Robot) -> BaseCalculator:
@@ -76,18 +76,11 @@ def for_robot(robot: Robot) -> BaseCalculator:
 
 def faults(robot: Robot) -> list[CalculatorFault]:
     """All that is wrong with the robot's choice of a calculator and its options."""
-    choice = robot.calculator
     try:
-        cls = calculator_class(choice.name)
-    except KeyError:
-        known = names()
-        hint = did_you_mean(choice.name, known, f"known: {', '.join(known)}")
-        text = f"there is no base calculator `{choice.name}`"
-        return [CalculatorFault("calculator-unknown", text, robot.span, hint=hint)]
-    except Exception as fault:
-        text = f"base calculator `{choice.name}` cannot be loaded: {fault or type(fault).__name__}"
-        hint = "install its package again, or ask those who made it"
-        return [CalculatorFault("calculator-unknown", text, robot.span, hint=hint)]
+        cls = calculator_class(robot.calculator.name)
+    except CalculatorFault as error:
+        said = error.diagnostic
+        return [CalculatorFault(said.code.name, said.message, robot.span, hint=said.hint)]
     found = _options(cls, robot)[1]
     reason = cls.unsuited(BaseGeometry.from_robot(robot))
     if reason is not None:

@@ -8,13 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from thorvaldc.model.bus import Bus, Node
-from thorvaldc.runtime.can_base.motor_controller import MASTER, Message, frames_of, plugin
+from thorvaldc.model.plugins import PluginTable
+from thorvaldc.runtime.can_base.motor_controller import MASTER, Message, driver_class, frames_of
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
-
-BUILTIN: dict[str, str] = {
-    "thorvald_kc_battery": "thorvaldc.runtime.can_base.battery_and_io_drivers:KcBatteryDriver",
-}
-ENTRY_POINT_GROUP = "thorvaldc.batteries"
 
 
 @dataclass(slots=True)
@@ -146,7 +142,14 @@ class IoBoardDriver:
             self.reported, self.time = self._report.named(data), time
 
 
+PLUGINS: PluginTable[BatteryDriver] = PluginTable(
+    "thorvaldc.batteries",
+    BatteryDriver,
+    {"thorvald_kc_battery": "thorvaldc.runtime.can_base.battery_and_io_drivers:KcBatteryDriver"},
+)
+
+
 def battery_driver(bus: Bus, node: Node) -> BatteryDriver | None:
     """The driver of a battery; ``None`` for a node that is none, or of an unknown kind."""
-    found = plugin(BUILTIN, ENTRY_POINT_GROUP, BatteryDriver, node)  # type: ignore[type-abstract]
+    found = driver_class(PLUGINS, node)
     return None if found is None else found(bus, node)

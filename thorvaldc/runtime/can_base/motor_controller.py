@@ -6,16 +6,13 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator
-from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
+from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.robot import Actuator, Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 MASTER = "master"
@@ -239,53 +236,44 @@ def _axes(robot: Robot, node: Node) -> Iterator[Axis]:
             yield Axis(actuator, wheels[actuator.joint], channel.name)
 
 
-BUILTIN: dict[str, str] = {
-    "cia402": "thorvaldc.runtime.can_base.cia402_driver:Cia402Controller",
-    "thorvald_roboteq": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScript",
-    "thorvald_roboteq_propulsion": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScript",
-}
-ENTRY_POINT_GROUP = "thorvaldc.motor_controllers"
+PLUGINS: PluginTable[MotorController] = PluginTable(
+    "thorvaldc.motor_controllers",
+    MotorController,
+    {
+        "cia402": "thorvaldc.runtime.can_base.cia402_driver:Cia402Controller",
+        "thorvald_roboteq": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScript",
+        "thorvald_roboteq_propulsion": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScript",
+    },
+)
 
 
 def controller_class(node: Node) -> type[MotorController]:
-    """The driver for a node's protocol.  Raises ``DiagnosticError`` (``bus-driver-unknown``)."""
-    found = plugin(BUILTIN, ENTRY_POINT_GROUP, MotorController, node)  # type: ignore[type-abstract]
-    if found is None:
-        known = ", ".join(sorted({*BUILTIN, *_outside(ENTRY_POINT_GROUP)}))
+    """Return the motor controller class for a node's protocol.
+
+    Raises ``DiagnosticError`` (``bus-driver-unknown``).
+    """
+    controller = driver_class(PLUGINS, node)
+    if controller is None:
+        known = ", ".join(PLUGINS.names())
         raise DiagnosticError(
             "bus-driver-unknown",
             f"no driver knows how to talk to `{node.name}`: its protocol is `{node.protocol}`",
             node.span,
-            hint=f"there are {known}; a package of your own may add one ({ENTRY_POINT_GROUP})",
+            hint=f"there are {known}; a package of your own may add one ({PLUGINS.group})",
         )
-    return found
+    return controller
 
 
-def plugin(builtin: dict[str, str], group: str, kind: type[T], node: Node) -> type[T] | None:
-    """The class for a node's protocol, built in or from outside; ``None`` where there is none.
+def driver_class(plugins: PluginTable[T], node: Node) -> type[T] | None:
+    """Return the class for a node's protocol, ``None`` where no package offers one.
 
-    Raises ``DiagnosticError`` (``bus-driver-unknown``) where one is there but cannot be used.
+    Raises ``DiagnosticError`` (``bus-driver-unknown``) where the offered class cannot be used.
     """
-    name = node.protocol
-    try:
-        if name in builtin:
-            module, attribute = builtin[name].split(":")
-            cls = getattr(import_module(module), attribute)
-        elif name in (outside := _outside(group)):
-            cls = outside[name].load()
-        else:
-            return None
-    except Exception as fault:
-        text = f"the driver for `{name}` cannot be loaded: {fault or type(fault).__name__}"
-        raise DiagnosticError("bus-driver-unknown", text, node.span) from None
-    if not (isinstance(cls, type) and issubclass(cls, kind)):
-        raise DiagnosticError(
-            "bus-driver-unknown", f"the driver for `{name}` is no {kind.__name__}", node.span
-        )
-    return cls
-
-
-def _outside(group: str) -> dict[str, EntryPoint]:
-    from importlib.metadata import entry_points
-
-    return {entry.name: entry for entry in entry_points(group=group)}
+    driver = plugins.load(node.protocol)
+    if not isinstance(driver, PluginFailure):
+        return driver
+    if driver.unknown:
+        return None
+    raise DiagnosticError(
+        "bus-driver-unknown", f"the driver for `{node.protocol}` {driver.reason}", node.span
+    )
