@@ -19,9 +19,9 @@ from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import MASTER, bus_load, frame_response_times
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.bus.wire_controller import Controller
 
 _SPAN = Span("traffic", 1, 1)
 _PATTERNS = (0x0F, 0x1E, 0x3C, 0x78, 0x87, 0xC3, 0xE1, 0xF0)
@@ -152,8 +152,8 @@ class Traffic:
 
     # -- who sends what ------------------------------------------------------------------------
 
-    def _controller(self, name: str) -> Controller:
-        controller = Controller(self._wire, name, self.bus.bitrate, queue_limit=QUEUE)
+    def _controller(self, name: str) -> CanController:
+        controller = CanController(self._wire, name, self.bus.bitrate, queue_limit=QUEUE)
         controller.on_sent = self._through
         controller.on_frame = lambda frame: self._heard(name, frame)
         self._wire.attach(controller)

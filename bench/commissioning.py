@@ -28,10 +28,10 @@ ROUNDS = 5
 
 
 def figures() -> Iterator[Figure]:
-    from thorvaldc.commissioning.bus_master import Session
+    from thorvaldc.commissioning.bus_configuration import configuration_of
+    from thorvaldc.commissioning.bus_master import BusMaster
     from thorvaldc.commissioning.flash import Flash
-    from thorvaldc.commissioning.journal import FileStore, Journal
-    from thorvaldc.commissioning.target_bus import target_of
+    from thorvaldc.commissioning.journal import Journal, JournalFile
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.model import Robot
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -46,14 +46,14 @@ def figures() -> Iterator[Figure]:
         told: list[tuple[float, int, float]] = []
 
         def flash() -> None:
-            simulated = SimulatedRobot(robot, delivered=True, kept=SWAPPED)
+            simulated = SimulatedRobot(robot, delivered=True, nonvolatile=SWAPPED)
             simulated.power_on()
             simulated.run(0.2)
             before, frames = simulated.timeline.seconds, simulated.wire().frames
-            store = FileStore(folder / f"{len(told)}.flash.jsonl")
-            session = Session(simulated.client(receive_limit=100_000), bus)
+            store = JournalFile(folder / f"{len(told)}.flash.jsonl")
+            session = BusMaster(simulated.interface(receive_limit=100_000), bus)
             start = time.perf_counter()
-            plan = Flash(session, target_of(robot, bus), Journal(store)).apply()
+            plan = Flash(session, configuration_of(robot, bus), Journal(store)).apply()
             wall = time.perf_counter() - start
             store.close()
             if len(plan.steps) != 9:

@@ -17,7 +17,7 @@ class SlcanAdapter:
 
     def __init__(self, simulated: SimulatedRobot) -> None:
         self.simulated = simulated
-        self.client = simulated.client(name="adapter", fifo=True)
+        self.client = simulated.interface(name="adapter", fifo=True)
         self.ours, self.theirs = pty.openpty()
         for end in (self.ours, self.theirs):
             tty.setraw(end)

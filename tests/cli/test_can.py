@@ -204,4 +204,4 @@ def test_through_a_serial_adapter(
         adapter.close()
     assert (process.returncode, out) == (0, "one_drive: done, 2 steps\n"), err
     assert "never tried on physical hardware" in err
-    assert simulated.devices["fl_controller"].kept["node_id"] == 1
+    assert simulated.devices["fl_controller"].nonvolatile["node_id"] == 1

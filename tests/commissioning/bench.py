@@ -9,17 +9,17 @@ from typing import Any
 
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
-from thorvaldc.commissioning.bus_master import Session, Timing
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
+from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.flash import Flash, Operator
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.plan import Plan, make_plan
-from thorvaldc.commissioning.scan_result import Scan
+from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
-from thorvaldc.commissioning.target_bus import Target, target_of
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.canopen_device import NODE_ID, PARAMETERS, CanopenDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
 QUICK = Timing(absent=0.01, probe_gap=0.001, probe_tail=0.02, boot=1.0)
 """For devices of which it is known how soon they answer."""
@@ -48,7 +48,7 @@ class Dead(BaseException):
     """The master's process is gone; nothing of it may catch this."""
 
 
-class MortalClient(Client):
+class MortalClient(VirtualTimeInterface):
     """A master whose process dies where ``dead`` is set: it does nothing more."""
 
     dead = False
@@ -139,8 +139,8 @@ class Bench:
     ) -> None:
         self.robot = robot
         self.bus = robot.buses[0]
-        self.target: Target = target_of(robot, self.bus)
-        self.simulated = SimulatedRobot(robot, delivered=delivered, kept=kept)
+        self.target: BusConfiguration = configuration_of(robot, self.bus)
+        self.simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=kept)
         for device in self.simulated.devices.values():
             device.torn_writes = torn
         self.wire = self.simulated.wire()
@@ -150,16 +150,16 @@ class Bench:
         self.simulated.power_on()
         self.simulated.run(0.15)
 
-    def session(self) -> Session:
+    def master(self) -> BusMaster:
         self.client = MortalClient(self.wire, "master", receive_limit=100_000)
-        return Session(self.client, self.bus, self.timing)
+        return BusMaster(self.client, self.bus, self.timing)
 
-    def scan(self, **options: Any) -> Scan:
-        session = self.session()
+    def scan(self, **options: Any) -> ScanResult:
+        master = self.master()
         try:
-            return Scanner(session, self.target).active(**options)
+            return Scanner(master, self.target).active(**options)
         finally:
-            session.port.close()
+            master.port.close()
 
     def plan(self) -> Plan:
         return make_plan(self.target, self.scan())
@@ -168,15 +168,15 @@ class Bench:
         self,
         how: Callable[[Flash], Plan],
         operator: Operator | None = None,
-        target: Target | None = None,
+        target: BusConfiguration | None = None,
     ) -> Plan:
         """A process of its own: a new place on the bus, the journal read anew."""
-        session = self.session()
+        master = self.master()
         try:
-            flash = Flash(session, target or self.target, Journal(self.store), operator=operator)
+            flash = Flash(master, target or self.target, Journal(self.store), operator=operator)
             return how(flash)
         finally:
-            session.port.close()
+            master.port.close()
 
     def apply(self, expected: str | None = None) -> Plan:
         return self.run(lambda flash: flash.apply(expected))
@@ -190,7 +190,10 @@ class Bench:
     def state(self) -> dict[str, tuple[int, dict[str, Any]]]:
         """What every CANopen device keeps: its id and its parameters."""
         return {
-            name: (device.kept.get(NODE_ID, 255), dict(device.kept.get(PARAMETERS, {})))
+            name: (
+                device.nonvolatile.get(NODE_ID, 255),
+                dict(device.nonvolatile.get(PARAMETERS, {})),
+            )
             for name, device in self.simulated.devices.items()
             if isinstance(device, CanopenDevice)
         }

@@ -16,7 +16,7 @@ from tests.runtime.can_base.fault_matrix import CASES, Case
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.simulation.bus.fault_injection import Faults
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 PAGE = Path(__file__).parents[2] / "docs" / "commissioning.md"
 BEGIN, END = (
@@ -29,8 +29,8 @@ LONGEST = 7.0
 """s that it takes at most to stop: 5 s for a node to start, and what is asked after that."""
 
 
-class Striking(Faults):
-    """Faults that end when they are told to."""
+class Striking(FaultInjector):
+    """FaultInjector that end when they are told to."""
 
     mend: Callable[[], None]
     struck = 0.0

@@ -25,7 +25,7 @@ def _no_power(bench: Bench) -> None:
 
 
 def _other_master(bench: Bench) -> None:
-    other = bench.simulated.client(name="driver")
+    other = bench.simulated.interface(name="driver")
     timeline = bench.simulated.timeline
 
     def sync() -> None:
@@ -43,7 +43,7 @@ def _wrong_robot(bench: Bench) -> None:
 
 def _enabled(bench: Bench) -> None:
     bench.apply()
-    bench.simulated.client(name="driver").send(CanFrame(0, b"\1\0"))
+    bench.simulated.interface(name="driver").send(CanFrame(0, b"\1\0"))
     bench.simulated.run(0.1)
     bench.apply()
 
@@ -86,7 +86,7 @@ def _meddled(bench: Bench) -> None:
     try:
         stop_halfway(bench)
     except Exception:
-        bench.devices()["fr_controller"].become(77)
+        bench.devices()["fr_controller"].change_node_id(77)
         bench.simulated.power_on()
         bench.simulated.run(0.2)
         bench.resume()

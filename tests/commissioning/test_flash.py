@@ -14,10 +14,10 @@ from tests.examples import example_robot
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.cli.operator import VirtualOperator
+from thorvaldc.commissioning.bus_configuration import from_json, to_json
 from thorvaldc.commissioning.flash import Flash
-from thorvaldc.commissioning.journal import FileStore, Journal
+from thorvaldc.commissioning.journal import Journal, JournalFile
 from thorvaldc.commissioning.plan import AddressStep, AttachStep, make_plan
-from thorvaldc.commissioning.target_bus import from_json, to_json
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
 
@@ -126,7 +126,7 @@ def test_another_kind_of_robot_writes_nothing() -> None:
 def test_a_drive_that_may_move_stops_it(how: str) -> None:
     """Its heartbeat tells, or what it says itself when it is asked."""
     bench = Bench(cia402_robot(), delivered=False, still=False)
-    driver = bench.simulated.client(name="driver")
+    driver = bench.simulated.interface(name="driver")
     if how == "operational":
         driver.send(CanFrame(0, b"\1\0"))
     else:
@@ -155,7 +155,7 @@ def test_a_drive_that_may_move_stops_it(how: str) -> None:
 )
 def test_a_master_that_appears_in_the_middle_stops_it(frame: CanFrame) -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    driver = bench.simulated.client(name="driver")
+    driver = bench.simulated.interface(name="driver")
     bench.wire.at_frame(bench.wire.frames + 400, lambda: driver.send(frame))
     count = writes(bench)
     assert fault_of(bench.apply) == "bus-other-master"
@@ -315,16 +315,16 @@ def test_modules_set_by_hand_are_gone_on_with() -> None:
 
 def test_the_journal_on_the_disk(tmp_path: Path) -> None:
     path = tmp_path / "robot.flash.jsonl"
-    store = FileStore(path)
+    store = JournalFile(path)
     with pytest.raises(DiagnosticError, match="another flash writes"):
-        FileStore(path)
+        JournalFile(path)
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    session = bench.session()
-    Flash(session, bench.target, Journal(store)).apply()
+    master = bench.master()
+    Flash(master, bench.target, Journal(store)).apply()
     store.close()
     lines = path.read_bytes().splitlines()
     assert len(lines) == 1 + 2 * 9 + 1
-    again = Journal(FileStore(path))
+    again = Journal(JournalFile(path))
     assert again.unfinished is None
     assert again.chain[0].plan.hash
     assert len(again.chain[0].old()) == 4
@@ -333,14 +333,14 @@ def test_the_journal_on_the_disk(tmp_path: Path) -> None:
 def test_verify_reads_only_and_tells_what_differs() -> None:
     bench = Bench(cia402_robot(), delivered=False)
     count = writes(bench)
-    session = bench.session()
-    found = verify(session, bench.target, bench.bus)
+    master = bench.master()
+    found = verify(master, bench.target, bench.bus)
     assert found.passed
     assert count() == 0
     drive = bench.devices()["fl_controller"]
     drive.objects[0x6083, 0].value += 1
     drive.objects[0x1017, 0].value = 150
-    found = verify(session, bench.target, bench.bus)
+    found = verify(master, bench.target, bench.bus)
     differing = {check.what for check in found.checks if not check.passed}
     assert differing == {
         "6083:0 propulsion_profile_acceleration",
@@ -348,7 +348,7 @@ def test_verify_reads_only_and_tells_what_differs() -> None:
         "period of fl_controller_heartbeat",
     }
     plan = make_plan(bench.target, bench.scan())
-    assert [step.words for step in plan.steps] == ["write 2 values of fl_controller (id 1)"]
+    assert [step.description for step in plan.steps] == ["write 2 values of fl_controller (id 1)"]
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,7 @@ def test_an_id_that_is_stored_but_not_yet_shown(how: str) -> None:
     bench.wire.observers.append(watch)
     assert interrupted(bench, hash_) == "dead"
     fr = bench.devices()["fr_controller"]
-    assert (fr.node_id, fr.kept["node_id"]) == (1, 2)
+    assert (fr.node_id, fr.nonvolatile["node_id"]) == (1, 2)
     if how == "resume":
         finish(bench)
         check(bench, how)

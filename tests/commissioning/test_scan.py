@@ -12,20 +12,20 @@ from tests.examples import example_robot
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.plan import make_plan
-from thorvaldc.commissioning.scan_result import Scan
+from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.diagnostics.error import DiagnosticError
 
 
-def passive(bench: Bench) -> Scan:
-    session = bench.session()
+def passive(bench: Bench) -> ScanResult:
+    master = bench.master()
     try:
-        return Scanner(session, bench.target).passive()
+        return Scanner(master, bench.target).passive()
     finally:
-        session.port.close()
+        master.port.close()
 
 
-def verdicts(scan: Scan) -> dict[str, str]:
+def verdicts(scan: ScanResult) -> dict[str, str]:
     return {
         entry.node or str(entry.found and entry.found.id): entry.verdict for entry in scan.entries
     }
@@ -120,7 +120,7 @@ def test_a_device_without_id_is_found_by_fastscan() -> None:
 
 def test_another_master_is_not_disturbed() -> None:
     bench = Bench(four_drives(), delivered=False, timing=QUICK)
-    other = bench.simulated.client(name="driver")
+    other = bench.simulated.interface(name="driver")
     other.send(CanFrame(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
     bench.simulated.timeline.after(100_000_000, lambda: other.send(CanFrame(0x77F, b"\5")))
     with pytest.raises(DiagnosticError, match="master_heartbeat"):

@@ -28,7 +28,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.battery_and_io_devices import BATTERY_FRAMES
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 
@@ -106,8 +106,8 @@ def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
 def test_a_full_receive_queue_keeps_the_newest() -> None:
     """It kept the oldest frames: the robot went by what had been."""
     wire = Wire(Timeline())
-    receiver = Receiver(Client(wire, "driver"), {0x701}, ring=8)
-    node = Client(wire, "node")
+    receiver = Receiver(VirtualTimeInterface(wire, "driver"), {0x701}, ring=8)
+    node = VirtualTimeInterface(wire, "node")
     for number in range(30):
         node.send(CanFrame(0x701, bytes([number])), timeout=1.0)
     node.sleep(0.1)

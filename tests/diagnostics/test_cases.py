@@ -139,7 +139,7 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 def run_on_a_bus(robot: Robot, report: Report) -> None:
     from thorvaldc.compiler.pipeline import read_faults
     from thorvaldc.diagnostics.error import DiagnosticError
-    from thorvaldc.simulation.bus.fault_injection import Faults
+    from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     script = read_faults("faults.yaml", robot, report)
@@ -149,7 +149,7 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
         report.put(fault.diagnostic)
         return
     if script is not None:
-        Faults(simulated, script)
+        FaultInjector(simulated, script)
         simulated.power_on()
         simulated.run(0.3)
 
@@ -159,7 +159,7 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
     from thorvaldc.cli.running import Session
     from thorvaldc.compiler.pipeline import compile_file, read_faults
     from thorvaldc.diagnostics.error import DiagnosticError
-    from thorvaldc.simulation.bus.fault_injection import Faults
+    from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     other = compile_file(devices).model if devices is not None else robot
@@ -168,9 +168,9 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
     if Path("faults.yaml").exists():
         script = read_faults("faults.yaml", robot, report)
         assert script is not None
-        Faults(simulated, script)
+        FaultInjector(simulated, script)
     simulated.power_on()
-    ports = {bus.name: simulated.client(bus.name) for bus in robot.buses}
+    ports = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
     try:
         session = Session(robot, ports, simulated, "", None, 5.0, fast=True)
     except DiagnosticError as fault:

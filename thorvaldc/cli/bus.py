@@ -68,13 +68,15 @@ def run_bus(
             return _tell(report, done.sources | {faults: Path(faults)})
         base = _mujoco(robot, emit(robot, ["mjcf"], report)) if physics == "mujoco" else None
         chosen = number if number is not None else script.seed if script is not None else 0
-        simulated = SimulatedRobot(robot, seed=chosen, base=base, delivered=delivered, kept=kept)
+        simulated = SimulatedRobot(
+            robot, seed=chosen, base=base, delivered=delivered, nonvolatile=kept
+        )
     except DiagnosticError as fault:
         found.put(fault.diagnostic)
         return _tell(done.located(found), done.sources)
     _tell(report, done.sources)
     if script is not None:
-        bus_faults.Faults(simulated, script, _say_fault)
+        bus_faults.FaultInjector(simulated, script, _say_fault)
     channels = _channels(robot, channel)
     server = BusServer(
         simulated.timeline,
@@ -153,7 +155,7 @@ def read_store(store: str) -> dict[str, dict[str, Any]]:
 
 
 def write_store(store: str, simulated: SimulatedRobot) -> None:
-    kept = {name: device.kept for name, device in simulated.devices.items()}
+    kept = {name: device.nonvolatile for name, device in simulated.devices.items()}
     text = json_format.dumps(kept, indent=1, ensure_ascii=False) + "\n"
     Path(store).write_text(text, encoding="utf-8")
 

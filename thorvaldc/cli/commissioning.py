@@ -21,12 +21,11 @@ from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
     from thorvaldc.can.interface import CanInterface
-    from thorvaldc.commissioning.bus_master import Session
-    from thorvaldc.commissioning.plan import Plan
-    from thorvaldc.commissioning.plan import Step as PlanStep
-    from thorvaldc.commissioning.scan_result import Scan
+    from thorvaldc.commissioning.bus_configuration import BusConfiguration
+    from thorvaldc.commissioning.bus_master import BusMaster
+    from thorvaldc.commissioning.plan import Plan, PlanStep
+    from thorvaldc.commissioning.scan_result import ScanResult
     from thorvaldc.commissioning.scanner import Scanner
-    from thorvaldc.commissioning.target_bus import Target
     from thorvaldc.model import Robot
     from thorvaldc.model.bus import Bus
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -143,7 +142,7 @@ def _write(
     place: Place, journal: str, yes: bool, apply: bool, resume: bool, expected: str, json: bool
 ) -> int:
     from thorvaldc.commissioning.flash import Flash
-    from thorvaldc.commissioning.journal import FileStore, Journal
+    from thorvaldc.commissioning.journal import Journal, JournalFile
 
     path = Path(journal)
     if not apply and not path.exists():
@@ -158,7 +157,7 @@ def _write(
         message("nothing was written")
         return INPUT
     try:
-        store = FileStore(path)
+        store = JournalFile(path)
     except OSError as fault:
         raise OutsideError(f"cannot write {journal}: {fault.strerror or fault}") from None
     try:
@@ -192,7 +191,7 @@ def _say_result(json: bool, plan: Plan, result: str) -> int:
     if json:
         _print_json({**plan_json(plan), "applied": True, "result": result})
     else:
-        print(f"{plan.target.robot}: {result}, {count(len(plan.steps), 'step')}")
+        print(f"{plan.configuration.robot}: {result}, {count(len(plan.steps), 'step')}")
     return DONE
 
 
@@ -205,8 +204,8 @@ class Place:
 
     robot: Robot
     bus: Bus
-    target: Target
-    session: Session
+    target: BusConfiguration
+    session: BusMaster
     simulated: SimulatedRobot | None
     bar: Progress
 
@@ -216,13 +215,13 @@ class Place:
         return Scanner(self.session, self.target, self.progress)
 
     def plan(self) -> Plan:
-        from thorvaldc.commissioning.bus_master import other_master
+        from thorvaldc.commissioning.bus_master import other_master_error
         from thorvaldc.commissioning.plan import make_plan
 
         scan = self.scanner().active(texts=False)
         self.clear()
         if scan.masters:
-            raise other_master(list(scan.masters))
+            raise other_master_error(list(scan.masters))
         return make_plan(self.target, scan)
 
     def operator(self, yes: bool) -> Person | VirtualOperator | None:
@@ -237,9 +236,9 @@ class Place:
     def step(self, number: int, of: int, step: PlanStep, done: bool) -> None:
         self.clear()
         if done:
-            message(f"{number + 1}/{of} {step.words}: verified")
+            message(f"{number + 1}/{of} {step.description}: verified")
         elif self.bar.active:
-            self.progress(f"{number + 1}/{of} {step.words}", number, of)
+            self.progress(f"{number + 1}/{of} {step.description}", number, of)
 
     def clear(self) -> None:
         self.bar.clear()
@@ -274,8 +273,8 @@ def _on_bus(
 
 @contextlib.contextmanager
 def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
-    from thorvaldc.commissioning.bus_master import Session
-    from thorvaldc.commissioning.target_bus import target_of
+    from thorvaldc.commissioning.bus_configuration import configuration_of
+    from thorvaldc.commissioning.bus_master import BusMaster
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     bus, spec = bus_of(robot, spec)
@@ -288,13 +287,15 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
         from thorvaldc.cli.bus import read_store, write_store
 
         kept = read_store(store)
-        simulated = SimulatedRobot(robot, delivered=how == "delivered", kept=kept)
+        simulated = SimulatedRobot(robot, delivered=how == "delivered", nonvolatile=kept)
         simulated.power_on()
         simulated.run(0.2)
-        port: CanInterface = simulated.client(bus.name, receive_limit=100_000)
-        session = Session(port, bus)
+        port: CanInterface = simulated.interface(bus.name, receive_limit=100_000)
+        session = BusMaster(port, bus)
         try:
-            yield Place(robot, bus, target_of(robot, bus), session, simulated, Progress(1.0, ""))
+            yield Place(
+                robot, bus, configuration_of(robot, bus), session, simulated, Progress(1.0, "")
+            )
         finally:
             if store:
                 write_store(store, simulated)
@@ -309,8 +310,8 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
     with BusLock(spec):
         port = open_interface(spec, bus)
         try:
-            session = Session(port, bus)
-            yield Place(robot, bus, target_of(robot, bus), session, None, Progress(1.0, ""))
+            session = BusMaster(port, bus)
+            yield Place(robot, bus, configuration_of(robot, bus), session, None, Progress(1.0, ""))
         finally:
             port.close()
 
@@ -333,7 +334,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
-def scan_table(scan: Scan) -> str:
+def scan_table(scan: ScanResult) -> str:
     from thorvaldc.commissioning.scan_result import identity_text
 
     rows = [("verdict", "node", "id", "found", "device")]
@@ -352,7 +353,7 @@ def scan_table(scan: Scan) -> str:
     return table(rows)
 
 
-def _say_signs(scan: Scan) -> None:
+def _say_signs(scan: ScanResult) -> None:
     for node, why in scan.duplicates:
         message(f"two devices may have the id {node}: {why}")
     if scan.masters:
@@ -368,7 +369,8 @@ def plan_table(plan: Plan) -> str:
     if plan.steps:
         rows = [("step", "how", "what")]
         rows += [
-            (str(number), step.back_end, step.words) for number, step in enumerate(plan.steps, 1)
+            (str(number), step.back_end, step.description)
+            for number, step in enumerate(plan.steps, 1)
         ]
         lines.append(table(rows))
     lines += [f"in the way: {problem}" for problem in (*plan.strangers, *plan.problems)]
@@ -384,9 +386,9 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
     return {
         "hash": plan.hash,
-        "robot": plan.target.robot,
-        "bus": plan.target.bus,
-        "steps": [{**step_to_json(step), "words": step.words} for step in plan.steps],
+        "robot": plan.configuration.robot,
+        "bus": plan.configuration.bus,
+        "steps": [{**step_to_json(step), "words": step.description} for step in plan.steps],
         "strangers": list(plan.strangers),
         "problems": list(plan.problems),
         "notes": list(plan.notes),

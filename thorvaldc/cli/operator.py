@@ -16,7 +16,7 @@ class Person:
     def attach(self, step: AttachStep, words: str) -> bool:
         return self._ask(f"{words} Press Enter when it is done, or type `skip`. ")
 
-    def all_on(self, words: str) -> bool:
+    def power_all(self, words: str) -> bool:
         return self._ask(f"{words} Press Enter when it is done. ")
 
     def _ask(self, words: str) -> bool:
@@ -37,11 +37,11 @@ class VirtualOperator:
         device = self.simulated.devices[step.node]
         device.power_on()
         self.simulated.run(0.3)
-        device.become(step.after)
+        device.change_node_id(step.after)
         self.simulated.run(0.3)
         return True
 
-    def all_on(self, words: str) -> bool:
+    def power_all(self, words: str) -> bool:
         self.simulated.power_on()
         self.simulated.run(0.3)
         return True

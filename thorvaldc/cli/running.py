@@ -394,9 +394,9 @@ def ports_of(
     base = mujoco_base(robot, file, report) if physics == "mujoco" else None
     simulated = SimulatedRobot(robot, seed=number, base=base)
     if script is not None:
-        bus_faults.Faults(simulated, script, _say_fault)
+        bus_faults.FaultInjector(simulated, script, _say_fault)
     simulated.power_on()
-    return simulated, {b.name: simulated.client(b.name, fifo=True) for b in robot.buses}
+    return simulated, {b.name: simulated.interface(b.name, fifo=True) for b in robot.buses}
 
 
 def mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:

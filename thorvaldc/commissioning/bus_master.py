@@ -39,7 +39,7 @@ class Timing:
     probe_tail: float = 0.25
 
 
-class Session:
+class BusMaster:
     """Sends for the master, and sorts what comes.
 
     While it is ``exclusive``, a frame that only a master sends stops everything, as does an
@@ -200,7 +200,7 @@ class Session:
         if sign:
             self.masters[sign] = self.masters.get(sign, 0) + 1
             if self.exclusive:
-                raise other_master([sign])
+                raise other_master_error([sign])
 
     def _sign_of_master(self, frame: CanFrame) -> str:
         """What of a frame only a master sends; empty for others' frames."""
@@ -234,7 +234,7 @@ def lost(fault: ConnectionError) -> DiagnosticError:
     )
 
 
-def other_master(signs: list[str]) -> DiagnosticError:
+def other_master_error(signs: list[str]) -> DiagnosticError:
     return DiagnosticError(
         "bus-other-master",
         f"another master is on the bus: {', '.join(signs)} was seen",

@@ -12,19 +12,19 @@ from collections import Counter
 from collections.abc import Callable
 
 from thorvaldc.can.lss import UNCONFIGURED
-from thorvaldc.commissioning.bus_master import Session, other_master
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, ParameterValue
+from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.journal import APPLY, RESUME, ROLLBACK, Journal
-from thorvaldc.commissioning.lss_master import LssFault
-from thorvaldc.commissioning.plan import AttachStep, Plan, Step, make_plan
-from thorvaldc.commissioning.plan_step import Operator, StepFailed, Stepper
-from thorvaldc.commissioning.scan_result import Scan
+from thorvaldc.commissioning.lss_master import LssError
+from thorvaldc.commissioning.plan import AttachStep, Plan, PlanStep, make_plan
+from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Progress as Scanning
 from thorvaldc.commissioning.scanner import Scanner
-from thorvaldc.commissioning.sdo_client import SdoDoubled, SdoRefused, SdoSilent
-from thorvaldc.commissioning.target_bus import Target, Value
+from thorvaldc.commissioning.sdo_client import SdoAborted, SdoMultipleResponses, SdoTimeout
+from thorvaldc.commissioning.step_executor import Operator, StepExecutor, StepFailed
 from thorvaldc.diagnostics.error import DiagnosticError
 
-Progress = Callable[[int, int, Step, bool], None]
+Progress = Callable[[int, int, PlanStep, bool], None]
 """Number of the step (from 0), how many, the step, and whether it is done."""
 
 
@@ -38,18 +38,18 @@ class Flash:
 
     def __init__(
         self,
-        session: Session,
-        target: Target,
+        master: BusMaster,
+        target: BusConfiguration,
         journal: Journal,
         *,
         operator: Operator | None = None,
         progress: Progress | None = None,
         scanning: Scanning | None = None,
     ) -> None:
-        self.session = session
+        self.master = master
         self.target = target
         self.journal = journal
-        self.stepper = Stepper(session, journal, operator)
+        self.stepper = StepExecutor(master, journal, operator)
         self._scanning = scanning
         self._progress = progress or (lambda number, of, step, done: None)
 
@@ -85,7 +85,7 @@ class Flash:
                 f"the journal {self.journal.store.name} has nothing to go on with",
                 hint="begin with --apply",
             )
-        target = left.plan.target
+        target = left.plan.configuration
         if left.mode != ROLLBACK:
             self._check_target()
             target = self.target
@@ -104,24 +104,24 @@ class Flash:
         self._check_target()
         return self._go_on(ROLLBACK, self._origin())
 
-    def _go_on(self, mode: str, target: Target) -> Plan:
+    def _go_on(self, mode: str, target: BusConfiguration) -> Plan:
         _, scan = self._look(target)
         self._check_reachable(scan)
         return self._carry_out(mode, make_plan(target, scan))
 
-    def _origin(self) -> Target:
+    def _origin(self) -> BusConfiguration:
         """The bus as it was: the ids that were found, the values that were changed."""
         chain = self.journal.chain
         first = chain[0].plan
         start, identities = dict(first.start), dict(first.identities)
-        old: dict[str, dict[tuple[int, int], Value]] = {}
+        old: dict[str, dict[tuple[int, int], ParameterValue]] = {}
         for run in chain:
             for name, before in run.old():
                 # The first is what was there; a later one may be what a cut left of it.
                 old.setdefault(name, {v.place: v for v in before})
         changed = {step.node for step in first.steps} | set(old)
         nodes = []
-        for node in first.target.nodes:
+        for node in first.configuration.nodes:
             values = tuple(old.get(node.name, {}).values())
             known = identities.get(node.name) if node.lss else None
             where = start.get(node.name, node.id) if node.name in changed else node.id
@@ -133,17 +133,17 @@ class Flash:
                     node, vendor=vendor, product=product, revision=revision, serial=serial
                 )
             nodes.append(node)
-        return dataclasses.replace(first.target, nodes=tuple(nodes))
+        return dataclasses.replace(first.configuration, nodes=tuple(nodes))
 
     # -- guards --------------------------------------------------------------------------------
 
-    def _look(self, target: Target) -> tuple[Scan, Scan]:
+    def _look(self, target: BusConfiguration) -> tuple[ScanResult, ScanResult]:
         """The bus as it is, and as it is after a reset of the robot's own nodes."""
-        self.session.exclusive = False
-        scanner = Scanner(self.session, target, self._scanning)
+        self.master.exclusive = False
+        scanner = Scanner(self.master, target, self._scanning)
         before = scanner.active(values=False, texts=False)
         self._check(target, before)
-        self.session.exclusive = True
+        self.master.exclusive = True
         own = {
             found.id
             for entry in before.entries
@@ -155,13 +155,13 @@ class Flash:
         ids = sorted(node for node in own if node is not None)
         self.stepper.at = Counter(before.ids().values())
         self.stepper.reset(ids, sum(self.stepper.at[node] for node in ids))
-        scan = Scanner(self.session, target, self._scanning).again(before)
+        scan = Scanner(self.master, target, self._scanning).again(before)
         self._check(target, scan)
         return before, scan
 
-    def _check(self, target: Target, scan: Scan) -> None:
+    def _check(self, target: BusConfiguration, scan: ScanResult) -> None:
         if scan.masters:
-            raise other_master(list(scan.masters))
+            raise other_master_error(list(scan.masters))
         plan = make_plan(target, scan)
         if plan.strangers:
             raise DiagnosticError(
@@ -181,7 +181,7 @@ class Flash:
             raise impossible(plan)
 
     def _check_target(self) -> None:
-        first = self.journal.chain[0].plan.target if self.journal.chain else None
+        first = self.journal.chain[0].plan.configuration if self.journal.chain else None
         if first is None or first.hash != self.target.hash:
             name = "nothing" if first is None else f"{first.robot}, bus {first.bus}"
             raise DiagnosticError(
@@ -191,7 +191,7 @@ class Flash:
                 "was written",
             )
 
-    def _check_reachable(self, scan: Scan) -> None:
+    def _check_reachable(self, scan: ScanResult) -> None:
         """Every device is where the journal's plans had it at some time, or has lost its id."""
         chain = self.journal.chain
         identities = dict(chain[0].plan.identities)
@@ -221,26 +221,27 @@ class Flash:
             raise impossible(plan)
         if mode == APPLY and not plan.steps:
             return plan
-        self.session.exclusive = True
-        self.session.surplus.clear()  # what the scan has seen is in the plan
+        self.master.exclusive = True
+        self.master.surplus.clear()  # what the scan has seen is in the plan
         self.journal.start(mode, plan)
         number = 0
         try:
             for number, step in enumerate(plan.steps):
                 self._progress(number, len(plan.steps), step, False)
-                self.stepper.run(number, step, plan.target)
+                self.stepper.run(number, step, plan.configuration)
                 self._progress(number, len(plan.steps), step, True)
                 if isinstance(step, AttachStep):
                     self.stepper.bring_back(plan, number)
         except KeyboardInterrupt:
             self.journal.stop("interrupted")
             raise
-        except (StepFailed, SdoSilent, SdoRefused, SdoDoubled, LssFault) as fault:
+        except (StepFailed, SdoTimeout, SdoAborted, SdoMultipleResponses, LssError) as fault:
             step = plan.steps[number]
-            self.journal.stop(f"{step.words}: {fault}")
+            self.journal.stop(f"{step.description}: {fault}")
             raise DiagnosticError(
                 "flash-stopped",
-                f"step {number + 1} of {len(plan.steps)} ({step.words}) did not succeed: {fault}",
+                f"step {number + 1} of {len(plan.steps)} ({step.description}) "
+                f"did not succeed: {fault}",
                 hint="nothing was tried again; look at the device, then go on with --resume or "
                 "undo with --rollback",
             ) from None
@@ -254,7 +255,7 @@ class Flash:
 def impossible(plan: Plan) -> DiagnosticError:
     return DiagnosticError(
         "plan-impossible",
-        f"there is no safe way to {plan.target.robot}: {'; '.join(plan.problems)}",
+        f"there is no safe way to {plan.configuration.robot}: {'; '.join(plan.problems)}",
         hint="nothing was written; `thorvaldc can scan --active` shows what is on the bus",
     )
 

@@ -14,8 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from thorvaldc.commissioning.bus_configuration import (
+    ParameterValue,
+    values_from_json,
+    values_to_json,
+)
 from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
-from thorvaldc.commissioning.target_bus import Value, values_from_json, values_to_json
 from thorvaldc.diagnostics.error import DiagnosticError
 
 FORMAT, VERSION = "thorvaldc-flash", 1
@@ -36,7 +40,7 @@ class Store(Protocol):
     def close(self) -> None: ...
 
 
-class FileStore:
+class JournalFile:
     """A file, locked for this process while it is open."""
 
     def __init__(self, path: Path) -> None:
@@ -101,7 +105,7 @@ class Run:
     def done(self) -> list[int]:
         return [record["step"] for record in self.records if record["record"] == "done"]
 
-    def old(self) -> list[tuple[str, tuple[Value, ...]]]:
+    def old(self) -> list[tuple[str, tuple[ParameterValue, ...]]]:
         """By node, in order, what was there before of what was to be changed."""
         return [
             (record["node"], values_from_json(record["old"]))
@@ -138,13 +142,13 @@ class Journal:
                 "version": VERSION,
                 "mode": mode,
                 "hash": plan.hash,
-                "robot": plan.target.robot,
-                "bus": plan.target.bus,
+                "robot": plan.configuration.robot,
+                "bus": plan.configuration.bus,
                 "plan": plan_to_json(plan),
             }
         )
 
-    def begin(self, step: int, node: str, words: str, old: Sequence[Value] = ()) -> None:
+    def begin(self, step: int, node: str, words: str, old: Sequence[ParameterValue] = ()) -> None:
         """Before a step; ``old``: what is there now of what will be changed."""
         record: dict[str, Any] = {"record": "begin", "step": step, "node": node, "what": words}
         if old:

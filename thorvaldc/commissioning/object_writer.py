@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from thorvaldc.commissioning.sdo_client import SdoClient, SdoRefused
-from thorvaldc.commissioning.target_bus import Value
+from thorvaldc.commissioning.bus_configuration import ParameterValue
+from thorvaldc.commissioning.sdo_client import SdoAborted, SdoClient
 
 SAVE = 0x65766173
 STORE_PARAMETERS = 0x1010
@@ -21,21 +21,26 @@ class ParameterWriter:
     def __init__(self, sdo: SdoClient) -> None:
         self.sdo = sdo
 
-    def read(self, node: int, values: Sequence[Value]) -> dict[tuple[int, int], int | None]:
-        """What is there, ``None`` where that is refused.  Raises ``SdoSilent``, ``SdoDoubled``."""
+    def read(
+        self, node: int, values: Sequence[ParameterValue]
+    ) -> dict[tuple[int, int], int | None]:
+        """Present values, ``None`` where reading is refused.
+
+        Raises ``SdoTimeout``, ``SdoMultipleResponses``.
+        """
         found: dict[tuple[int, int], int | None] = {}
         for value in values:
             try:
                 found[value.place] = self.sdo.number(node, *value.place, value.type)
-            except SdoRefused:
+            except SdoAborted:
                 found[value.place] = None
         return found
 
-    def write(self, node: int, values: Sequence[Value], read: Read) -> None:
+    def write(self, node: int, values: Sequence[ParameterValue], read: Read) -> None:
         """Write those that differ and read each back.
 
         A PDO is switched off while its parameters change, a mapping emptied while its entries
-        do.  Raises ``SdoRefused``, ``SdoSilent``, ``SdoDoubled``.
+        do.  Raises ``SdoAborted``, ``SdoTimeout``, ``SdoMultipleResponses``.
         """
         differing = [v for v in values if read.get(v.place) != v.value]
         plain = [v for v in differing if v.index not in PDOS]
@@ -48,14 +53,14 @@ class ParameterWriter:
 
     def save(self, node: int) -> None:
         """Raises as ``write`` does, with a time-out for slow memories."""
-        timeout = self.sdo.session.timing.store
+        timeout = self.sdo.master.timing.store
         self.sdo.write(node, STORE_PARAMETERS, 1, "unsigned32", SAVE, timeout)
 
     def _write_pdo(
         self,
         node: int,
         base: int,
-        changed: Sequence[Value],
+        changed: Sequence[ParameterValue],
         read: Read,
     ) -> None:
         switch = self._whole(node, base, 1, "unsigned32", changed, read)
@@ -80,9 +85,9 @@ class ParameterWriter:
         index: int,
         subindex: int,
         type_name: str,
-        changed: Sequence[Value],
+        changed: Sequence[ParameterValue],
         read: Read,
-    ) -> Value:
+    ) -> ParameterValue:
         """The entry as it is to be: changed, or as it is."""
         for value in changed:
             if value.place == (index, subindex):
@@ -90,19 +95,19 @@ class ParameterWriter:
         now = read.get((index, subindex))
         if now is None:
             now = self.sdo.number(node, index, subindex, type_name)
-        return Value("", index, subindex, type_name, now)
+        return ParameterValue("", index, subindex, type_name, now)
 
-    def _write(self, node: int, value: Value) -> None:
+    def _write(self, node: int, value: ParameterValue) -> None:
         self.sdo.write(node, *value.place, value.type, value.value)
         back = self.sdo.number(node, *value.place, value.type)
         if back != value.value:
             raise WriteIgnored(value, back)
 
 
-class WriteIgnored(SdoRefused):
+class WriteIgnored(SdoAborted):
     """The node took the value, and has another."""
 
-    def __init__(self, value: Value, back: int) -> None:
+    def __init__(self, value: ParameterValue, back: int) -> None:
         Exception.__init__(
             self, f"{value.shown} was written as {value.value:#x} and reads {back:#x}"
         )

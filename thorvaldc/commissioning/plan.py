@@ -8,16 +8,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning.scan_result import DUPLICATE, MISSING, OK, UNEXPECTED, Found, Scan
-from thorvaldc.commissioning.target_bus import (
+from thorvaldc.commissioning.bus_configuration import (
     PARKING,
-    Target,
-    Value,
-    Wanted,
+    BusConfiguration,
+    NodeConfiguration,
+    ParameterValue,
     digest,
     to_json,
     values_from_json,
     values_to_json,
+)
+from thorvaldc.commissioning.scan_result import (
+    DUPLICATE,
+    MISSING,
+    OK,
+    UNEXPECTED,
+    FoundDevice,
+    ScanResult,
 )
 
 LSS_SERIAL, LSS_FASTSCAN, ATTACH_ONE, DOWNLOAD = (
@@ -43,7 +50,7 @@ class AddressStep:
     back_end: str = LSS_SERIAL
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         if self.before == UNCONFIGURED:
             return f"give {self.node} the id {self.after}"
         if self.after == UNCONFIGURED:
@@ -64,12 +71,12 @@ class ConfigureStep:
     node: str
     id: int
     identity: Identity | None
-    values: tuple[Value, ...]
+    values: tuple[ParameterValue, ...]
     differing: int | None
     back_end: str = DOWNLOAD
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         many = len(self.values) if self.differing is None else self.differing
         unknown = "up to " if self.differing is None else ""
         return f"write {unknown}{many} value{'s' * (many != 1)} of {self.node} (id {self.id})"
@@ -88,11 +95,11 @@ class AttachStep:
     back_end: str = ATTACH_ONE
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         return f"have the operator set the id {self.after} of {self.node} with its maker's tool"
 
 
-Step = AddressStep | ConfigureStep | AttachStep
+PlanStep = AddressStep | ConfigureStep | AttachStep
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +110,10 @@ class Plan:
     being carried out, ``notes`` do not.
     """
 
-    target: Target
+    configuration: BusConfiguration
     start: tuple[tuple[str, int], ...]
     identities: tuple[tuple[str, Identity], ...]
-    steps: tuple[Step, ...]
+    steps: tuple[PlanStep, ...]
     strangers: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -128,7 +135,7 @@ class Plan:
         return found
 
 
-def make_plan(target: Target, scan: Scan) -> Plan:
+def make_plan(target: BusConfiguration, scan: ScanResult) -> Plan:
     """The steps from what was found to what is wanted.  What stands in the way is said."""
     strangers, problems, notes = _obstacles(target, scan)
     ids = scan.ids()
@@ -151,7 +158,7 @@ def make_plan(target: Target, scan: Scan) -> Plan:
     moves, blocked = _moves(moving, ids, identities, occupied, attached)
     problems += blocked
     losing = [node for node in moving if node.id == UNCONFIGURED]
-    steps: list[Step] = [AttachStep(node.name, node.id) for node in attached]
+    steps: list[PlanStep] = [AttachStep(node.name, node.id) for node in attached]
     early = _downloads(losing, scan, ids, identities, ids)
     wanted = {node.name: node.id for node in target.nodes}
     late = [n for n in target.nodes if n.id != UNCONFIGURED and (n.name in ids or n in attached)]
@@ -168,12 +175,14 @@ def make_plan(target: Target, scan: Scan) -> Plan:
     )
 
 
-def _attached(target: Target, scan: Scan) -> list[Wanted]:
+def _attached(target: BusConfiguration, scan: ScanResult) -> list[NodeConfiguration]:
     """Nodes whose address only their maker's tool can set, and which do not have it."""
     return [n for n in target.nodes if n.by_hand and n.sdo and scan.entry(n.name).verdict != OK]
 
 
-def _obstacles(target: Target, scan: Scan) -> tuple[list[str], list[str], list[str]]:
+def _obstacles(
+    target: BusConfiguration, scan: ScanResult
+) -> tuple[list[str], list[str], list[str]]:
     """Devices of another robot, what else is in the way, and what is not."""
     strangers: list[str] = []
     problems: list[str] = []
@@ -216,11 +225,11 @@ def _obstacles(target: Target, scan: Scan) -> tuple[list[str], list[str], list[s
     return strangers, problems, notes
 
 
-def _may_be(target: Target, identity: Identity | None) -> bool:
+def _may_be(target: BusConfiguration, identity: Identity | None) -> bool:
     return any(n.by_hand and (identity is None or n.is_like(identity)) for n in target.nodes)
 
 
-def _candidates(target: Target, scan: Scan, found: Found) -> list[str]:
+def _candidates(target: BusConfiguration, scan: ScanResult, found: FoundDevice) -> list[str]:
     """The nodes that it may be, which the file names by no serial number."""
     return [
         node.name
@@ -233,7 +242,7 @@ def _candidates(target: Target, scan: Scan, found: Found) -> list[str]:
     ]
 
 
-def _suggestion(target: Target, scan: Scan, found: Found | None) -> str:
+def _suggestion(target: BusConfiguration, scan: ScanResult, found: FoundDevice | None) -> str:
     if found is None or found.identity is None or not found.identity.serial:
         return ""
     serial = f" (serial {found.identity.serial:#x})"
@@ -244,11 +253,11 @@ def _suggestion(target: Target, scan: Scan, found: Found | None) -> str:
 
 
 def _moves(
-    moving: Sequence[Wanted],
+    moving: Sequence[NodeConfiguration],
     ids: Mapping[str, int],
     identities: Mapping[str, Identity],
     occupied: Counter[int],
-    attached: Sequence[Wanted],
+    attached: Sequence[NodeConfiguration],
 ) -> tuple[list[AddressStep], list[str]]:
     """One move after the other, each to an id that is free then; a cycle by way of parking."""
     at = {node.name: ids[node.name] for node in moving}
@@ -256,7 +265,7 @@ def _moves(
     steps: list[AddressStep] = []
     reserved = {node.id for node in (*moving, *attached)}
 
-    def move(node: Wanted, after: int) -> None:
+    def move(node: NodeConfiguration, after: int) -> None:
         before = at[node.name]
         back_end = LSS_SERIAL if node.serial is not None else LSS_FASTSCAN
         steps.append(AddressStep(node.name, identities[node.name], before, after, back_end))
@@ -286,8 +295,8 @@ def _moves(
 
 
 def _downloads(
-    nodes: Sequence[Wanted],
-    scan: Scan,
+    nodes: Sequence[NodeConfiguration],
+    scan: ScanResult,
     ids: Mapping[str, int],
     identities: Mapping[str, Identity],
     where: Mapping[str, int],
@@ -313,7 +322,7 @@ def _downloads(
 # -- as JSON ------------------------------------------------------------------------------------
 
 
-def step_to_json(step: Step) -> dict[str, Any]:
+def step_to_json(step: PlanStep) -> dict[str, Any]:
     if isinstance(step, AddressStep):
         return {
             "kind": "address",
@@ -336,7 +345,7 @@ def step_to_json(step: Step) -> dict[str, Any]:
     return {"kind": "attach", "node": step.node, "after": step.after, "back_end": step.back_end}
 
 
-def step_from_json(value: Mapping[str, Any]) -> Step:
+def step_from_json(value: Mapping[str, Any]) -> PlanStep:
     if value["kind"] == "address":
         return AddressStep(
             value["node"],
@@ -359,7 +368,7 @@ def step_from_json(value: Mapping[str, Any]) -> Step:
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:
     return {
-        "target": to_json(plan.target),
+        "target": to_json(plan.configuration),
         "start": [list(pair) for pair in plan.start],
         "identities": [[name, list(identity)] for name, identity in plan.identities],
         "steps": [step_to_json(step) for step in plan.steps],
@@ -368,7 +377,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
 
 def plan_from_json(value: Mapping[str, Any]) -> Plan:
     """Raises ``KeyError``, ``TypeError`` or ``ValueError`` where it is none."""
-    from thorvaldc.commissioning.target_bus import from_json
+    from thorvaldc.commissioning.bus_configuration import from_json
 
     return Plan(
         from_json(value["target"]),

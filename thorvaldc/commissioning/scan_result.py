@@ -8,11 +8,11 @@ from typing import Any
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 
 OK, MISSING, UNEXPECTED = "ok", "missing", "unexpected"
-DUPLICATE, WRONG, BARE = "duplicate-suspected", "wrong-identity", "unconfigured"
+DUPLICATE, WRONG_IDENTITY, WITHOUT_ID = "duplicate-suspected", "wrong-identity", "unconfigured"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundDevice:
     """A device on the bus.  ``id`` 255: it has none; ``None``: it is not CANopen's."""
 
     id: int | None
@@ -22,18 +22,18 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ScanEntry:
     """The verdict on a node, or on a device that is none of the robot's (``node`` empty)."""
 
     node: str
     verdict: str
     wanted_id: int | None
-    found: Found | None
+    found: FoundDevice | None
     detail: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Scan:
+class ScanResult:
     """``active``: nodes were asked, not only listened to.  ``masters``: signs of another master.
 
     ``enabled``: drives that may move.  ``values``: by node what its objects hold (``None``:
@@ -41,14 +41,14 @@ class Scan:
     """
 
     active: bool
-    entries: tuple[Entry, ...]
+    entries: tuple[ScanEntry, ...]
     masters: tuple[str, ...] = ()
     enabled: tuple[tuple[str, str], ...] = ()
     duplicates: tuple[tuple[int, str], ...] = ()
     values: dict[str, dict[tuple[int, int], int | None]] = field(default_factory=dict)
     frames: int = 0
 
-    def entry(self, node: str) -> Entry:
+    def entry(self, node: str) -> ScanEntry:
         """Raises ``KeyError``."""
         for entry in self.entries:
             if entry.node == node:
@@ -73,7 +73,7 @@ class Scan:
         }
 
 
-def _entry_json(entry: Entry) -> dict[str, Any]:
+def _entry_json(entry: ScanEntry) -> dict[str, Any]:
     found = entry.found
     return {
         "node": entry.node or None,

@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.bus_master import SDO_REQUEST, SDO_RESPONSE, Session
+from thorvaldc.commissioning.bus_master import SDO_REQUEST, SDO_RESPONSE, BusMaster
 from thorvaldc.model.bus import OBJECT_TYPES
 
 _TEXTS = {
@@ -23,7 +23,7 @@ _TEXTS = {
 }
 
 
-class SdoRefused(Exception):
+class SdoAborted(Exception):
     """The node aborted the transfer."""
 
     def __init__(self, code: int) -> None:
@@ -31,14 +31,14 @@ class SdoRefused(Exception):
         self.code = code
 
 
-class SdoSilent(Exception):
+class SdoTimeout(Exception):
     """The node did not answer in time."""
 
     def __init__(self) -> None:
         super().__init__("no answer")
 
 
-class SdoDoubled(Exception):
+class SdoMultipleResponses(Exception):
     """More than one node answered."""
 
     def __init__(self, count: int) -> None:
@@ -54,21 +54,21 @@ class Answer:
 
 
 class SdoClient:
-    def __init__(self, session: Session) -> None:
-        self.session = session
+    def __init__(self, master: BusMaster) -> None:
+        self.master = master
 
     def every(self, node: int, index: int, subindex: int, *, timeout: float) -> list[Answer]:
         """Every answer to one request to read a number; text comes as its length."""
         request = struct.pack("<BHB4x", 0x40, index, subindex)
-        frames = self._ask(node, request, timeout, self.session.timing.settle)
+        frames = self._ask(node, request, timeout, self.master.timing.settle)
         return [_answer(frame.data) for frame in frames]
 
     def number(self, node: int, index: int, subindex: int, type_name: str) -> int:
-        """Raises ``SdoRefused``, ``SdoSilent`` or ``SdoDoubled``."""
+        """Raises ``SdoAborted``, ``SdoTimeout`` or ``SdoMultipleResponses``."""
         request = struct.pack("<BHB4x", 0x40, index, subindex)
         answer = _answer(self._one(node, request))
         if answer.abort is not None:
-            raise SdoRefused(answer.abort)
+            raise SdoAborted(answer.abort)
         bits = OBJECT_TYPES[type_name][1]
         length = max(bits // 8, 1)
         data = answer.data[:length].ljust(length, b"\0")
@@ -78,14 +78,14 @@ class SdoClient:
         """As ``number``, of a text of any length."""
         reply = self._one(node, struct.pack("<BHB4x", 0x40, index, 0))
         if reply[0] == 0x80:
-            raise SdoRefused(struct.unpack_from("<I", reply, 4)[0])
+            raise SdoAborted(struct.unpack_from("<I", reply, 4)[0])
         if reply[0] & 2:
             return _answer(reply).data.decode("latin-1").rstrip("\0")
         data, toggle = b"", 0
         while len(data) < 256:
             reply = self._one(node, bytes([0x60 | toggle << 4]) + bytes(7), segment=True)
             if reply[0] == 0x80:
-                raise SdoRefused(struct.unpack_from("<I", reply, 4)[0])
+                raise SdoAborted(struct.unpack_from("<I", reply, 4)[0])
             data += reply[1 : 8 - (reply[0] >> 1 & 7)]
             if reply[0] & 1:
                 break
@@ -107,7 +107,7 @@ class SdoClient:
         head = 0x23 | (4 - size) << 2
         reply = self._one(node, struct.pack("<BHB", head, index, subindex) + data, timeout)
         if reply[0] == 0x80:
-            raise SdoRefused(struct.unpack_from("<I", reply, 4)[0])
+            raise SdoAborted(struct.unpack_from("<I", reply, 4)[0])
 
     # -- inside -----------------------------------------------------------------------------
 
@@ -115,11 +115,11 @@ class SdoClient:
         self, node: int, request: bytes, timeout: float | None = None, segment: bool = False
     ) -> bytes:
         """The one answer.  A second that comes later is in nobody's way: it fits no request."""
-        frames = self._ask(node, request, timeout or self.session.timing.sdo, 0.0, segment)
+        frames = self._ask(node, request, timeout or self.master.timing.sdo, 0.0, segment)
         if not frames:
-            raise SdoSilent
+            raise SdoTimeout
         if len(frames) > 1:
-            raise SdoDoubled(len(frames))
+            raise SdoMultipleResponses(len(frames))
         return frames[0].data
 
     def _ask(
@@ -137,7 +137,7 @@ class SdoClient:
                 return False
             return segment or frame.data[1:4] == place
 
-        return self.session.ask(SDO_REQUEST + node, request, fits, timeout, settle)
+        return self.master.ask(SDO_REQUEST + node, request, fits, timeout, settle)
 
 
 def _answer(data: bytes) -> Answer:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from thorvaldc.commissioning.bus_master import HEARTBEAT, Session
-from thorvaldc.commissioning.scan_result import OK, Scan
+from thorvaldc.commissioning.bus_configuration import BusConfiguration
+from thorvaldc.commissioning.bus_master import HEARTBEAT, BusMaster
+from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
-from thorvaldc.commissioning.target_bus import Target
 from thorvaldc.model.bus import Bus
 
 LONGEST_LISTENING = 3.0
@@ -39,7 +39,7 @@ class Check:
 class Verification:
     """``not_seen``: periodic frames that nobody sends now; drives do once they are started."""
 
-    scan: Scan
+    scan: ScanResult
     checks: tuple[Check, ...]
     not_seen: tuple[str, ...]
     load: float
@@ -59,13 +59,13 @@ class Verification:
 
 
 def verify(
-    session: Session,
-    target: Target,
+    master: BusMaster,
+    target: BusConfiguration,
     bus: Bus,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
     """Identities, values, periods and load.  Raises ``DiagnosticError`` as scans do."""
-    scan = Scanner(session, target, progress).active(values=True, texts=False)
+    scan = Scanner(master, target, progress).active(values=True, texts=False)
     checks = [
         Check(
             entry.node,
@@ -89,26 +89,26 @@ def verify(
         if not differing and node.values:
             many = str(len(node.values))
             checks.append(Check(node.name, "values", many, many, True))
-    more, not_seen, load = _listen(session, target, bus)
+    more, not_seen, load = _listen(master, target, bus)
     return Verification(scan, (*checks, *more), not_seen, load)
 
 
 def _listen(
-    session: Session, target: Target, bus: Bus
+    master: BusMaster, target: BusConfiguration, bus: Bus
 ) -> tuple[list[Check], tuple[str, ...], float]:
     """Periods and load, from what the nodes send by themselves."""
     slowest = max((p for node in target.nodes for _, p in node.seen_by), default=0.1)
     seconds = min(max(PERIODS * slowest, 1.0), LONGEST_LISTENING)
-    session.forget()
-    session.bits = 0
-    session.listen(seconds)
-    load = session.bits / (bus.bitrate * seconds)
+    master.forget()
+    master.bits = 0
+    master.listen(seconds)
+    load = master.bits / (bus.bitrate * seconds)
     checks: list[Check] = []
     not_seen: list[str] = []
     names = {frame.cob_id: frame.name for frame in bus.frames}
     for node in target.nodes:
         for identifier, period in node.seen_by:
-            times = session.heard.get(identifier, [])
+            times = master.heard.get(identifier, [])
             name = names.get(identifier, f"{identifier:#05x}")
             heartbeat = identifier == HEARTBEAT + node.id and node.heartbeat is not None
             if not times and not heartbeat:
@@ -132,7 +132,7 @@ def _listen(
                     abs(mean - period) <= tolerance,
                 )
             )
-    unknown = sorted(i for i in session.heard if i not in names)
+    unknown = sorted(i for i in master.heard if i not in names)
     if unknown:
         shown = ", ".join(f"{i:#05x}" for i in unknown)
         checks.append(Check("", "frames of nobody in the file", "none", shown, False))

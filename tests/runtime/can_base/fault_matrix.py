@@ -20,7 +20,7 @@ from thorvaldc.model.bus import ObjectValue
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import State
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.bus.fault_injection import Faults
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 BEGIN, END = "<!-- made by tests/runtime/fault_matrix.py -->\n", "<!-- end -->\n"
@@ -155,7 +155,7 @@ def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
     wanted = {"idle": State.READY, "driving": State.ACTIVE, "stopping": State.ACTIVE}
     assert rig.state is wanted[phase], f"{rig.state} {rig.reason}"
     struck = rig.now
-    Faults(rig.simulated, BusFaults(())).strike(fault)
+    FaultInjector(rig.simulated, BusFaults(())).strike(fault)
     state, after, rest = None, None, None
     while rig.now < struck + WATCHED[phase]:
         if phase == "driving":

@@ -37,7 +37,9 @@ class Rig:
         self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base)
         if power:
             self.simulated.power_on()
-        self.ports = {bus.name: self.simulated.client(bus.name, fifo=True) for bus in robot.buses}
+        self.ports = {
+            bus.name: self.simulated.interface(bus.name, fifo=True) for bus in robot.buses
+        }
         self.base = CanBase(robot, self.ports, threaded=False)
         self.port = next(iter(self.ports.values()))
         self.runner = BaseRunner(robot, self.base, self.port)

@@ -349,7 +349,7 @@ def test_the_interface_off_the_bus_is_a_fault() -> None:
 )
 def test_another_master_is_noticed_before_anything_is_sent(frame: CanFrame) -> None:
     rig = Rig(four_wheels())
-    other = rig.simulated.client(name="other")
+    other = rig.simulated.interface(name="other")
 
     def again() -> None:
         other.send(frame)
@@ -365,7 +365,7 @@ def test_another_master_is_noticed_before_anything_is_sent(frame: CanFrame) -> N
 def test_another_master_while_it_drives_stops_it() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    rig.simulated.client(name="other").send(CanFrame(SYNC))
+    rig.simulated.interface(name="other").send(CanFrame(SYNC))
     rig.until(lambda: rig.state is State.FAULT, 1.0)
     rig.until(lambda: rig.speed() == 0.0, 2.0)
 

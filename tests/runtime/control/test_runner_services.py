@@ -37,8 +37,8 @@ def test_the_present_angle_becomes_zero_at_the_next_homing() -> None:
     assert abs(angle) > 0.1
     rig.runner.set_home_count_current_position_zero("fl_controller")
     rig.run(0.1)
-    assert drive.kept["home_count"] != 0
-    assert rig.simulated.devices["fr_controller"].kept["home_count"] == 0
+    assert drive.nonvolatile["home_count"] != 0
+    assert rig.simulated.devices["fr_controller"].nonvolatile["home_count"] == 0
     rig.runner.home_steering()
     rig.ready()
     assert drive.channels[1].position == pytest.approx(0.0, abs=0.015)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
 
 class Refused(Exception):
@@ -17,7 +17,7 @@ class Refused(Exception):
 
 
 class Master:
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: VirtualTimeInterface) -> None:
         self.client = client
 
     def wait(self, identifier: int, timeout: float = 0.1) -> bytes | None:

@@ -10,7 +10,7 @@ import pytest
 from tests.simulation.bus.master import Master, Refused
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice, NmtState, Profile
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 RATE = 500_000
@@ -27,7 +27,7 @@ class Bench:
 
     def __init__(self, *ids: int, **more: Any) -> None:
         self.wire = Wire(Timeline(), RATE)
-        self.master = Master(Client(self.wire, "master"))
+        self.master = Master(VirtualTimeInterface(self.wire, "master"))
         self.devices = [
             CanopenDevice(f"d{i}", self.wire, RATE, node, profile(0x1001 + i, **more))
             for i, node in enumerate(ids)
@@ -349,7 +349,7 @@ def test_another_bitrate_is_taken_on_together() -> None:
 
 def test_a_device_without_a_serial_number_has_no_lss() -> None:
     wire = Wire(Timeline(), RATE)
-    master = Master(Client(wire, "master"))
+    master = Master(VirtualTimeInterface(wire, "master"))
     device = CanopenDevice("d", wire, RATE, 5, profile(None))
     device.power_on()
     master.client.sleep(0.2)

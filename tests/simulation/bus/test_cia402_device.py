@@ -16,7 +16,7 @@ from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.pdo import Pdo
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 NODE = 10
@@ -41,7 +41,7 @@ class Drive:
 
     def __init__(self, position: float = 0.0, **more: Any) -> None:
         self.wire = Wire(Timeline())
-        self.master = Master(Client(self.wire, "master"))
+        self.master = Master(VirtualTimeInterface(self.wire, "master"))
         self.motor = IdealMotor(TOP, ACCELERATION, 100.0, -STOP, STOP, position=position)
         given = {"lower": -LIMIT, "upper": LIMIT, **more}
         settings = AxisSettings(42.0, 1024, COUNT, COUNT, TOP, ACCELERATION, 100.0, **given)

@@ -1,4 +1,4 @@
-"""Faults by a script: what is seen on the bus of each, when it comes and when it goes."""
+"""FaultInjector by a script: what is seen on the bus of each, when it comes and when it goes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from thorvaldc.compiler.pipeline import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults
-from thorvaldc.simulation.bus.fault_injection import Faults
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "bus_faults" / "bad_day.yaml"
@@ -29,9 +29,9 @@ class Run:
 
     def __init__(self, *faults: BusFault, robot: Robot | None = None, seed: int = 0) -> None:
         self.simulated = SimulatedRobot(robot or cia402_robot(), seed=seed)
-        self.master = Master(self.simulated.client(receive_limit=100_000))
+        self.master = Master(self.simulated.interface(receive_limit=100_000))
         self.said: list[tuple[float, str, bool]] = []
-        self.faults = Faults(
+        self.faults = FaultInjector(
             self.simulated,
             BusFaults(faults),
             lambda time, fault, begins: self.said.append((time, fault.kind, begins)),
@@ -216,7 +216,7 @@ def test_the_example_is_read() -> None:
     assert (frozen.channel, twice.id, emcy.code) == ("steering", 1, 0x3210)
     assert whole.node is None
     simulated = SimulatedRobot(example_robot("4wd4ws_wide"), seed=script.seed)
-    Faults(simulated, script)
+    FaultInjector(simulated, script)
     simulated.power_on()
     simulated.run(30.0)
 

@@ -21,7 +21,7 @@ from thorvaldc.simulation.bus import python_can_plugin as interface
 from thorvaldc.simulation.bus.bus_server import BusServer, serving
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 
@@ -73,7 +73,7 @@ def test_time_outs_are_virtual(wire: Wire) -> None:
 def test_filters_do_not_shorten_or_lengthen_a_time_out(wire: Wire) -> None:
     filters = [{"can_id": 0x200, "can_mask": 0x7FF}]
     with interface.SimulatedBus(wire, can_filters=filters) as bus:
-        other = Client(wire, "other")
+        other = VirtualTimeInterface(wire, "other")
         for k in range(20):
             wire.timeline.after((k + 1) * 10_000_000, lambda: other.send(interface.CanFrame(0x100)))
         assert bus.recv(0.1) is None
@@ -102,7 +102,7 @@ def test_a_full_queue_and_bus_off_are_errors_of_python_can(wire: Wire) -> None:
     with interface.SimulatedBus(wire) as bus:  # alone: nobody acknowledges
         for _ in range(32):
             bus.send(message(0x100))
-        assert isinstance(bus.port, Client)
+        assert isinstance(bus.port, VirtualTimeInterface)
         with pytest.raises(can.CanOperationError, match="full"):
             bus.send(message(0x100), timeout=0.0)
         assert bus.port.now == 0.0
@@ -143,7 +143,7 @@ def test_cyclic_sending_is_virtual(wire: Wire) -> None:
 def robot(channel: str) -> Iterator[tuple[SimulatedRobot, str]]:
     simulated = SimulatedRobot(
         cia402_robot(),
-        kept={"fr_controller": {"node_id": 255}, "rl_controller": {"node_id": 255}},
+        nonvolatile={"fr_controller": {"node_id": 255}, "rl_controller": {"node_id": 255}},
     )
     simulated.power_on()
     simulated.run(0.3)
@@ -213,7 +213,9 @@ def test_lss_master_of_canopen(robot: tuple[SimulatedRobot, str]) -> None:
             master.send_switch_state_global(master.WAITING_STATE)
             time.sleep(0.1)
         assert not master.fast_scan()[0]
-    ids = [d.kept["node_id"] for n, d in simulated.devices.items() if n.endswith("_controller")]
+    ids = [
+        d.nonvolatile["node_id"] for n, d in simulated.devices.items() if n.endswith("_controller")
+    ]
     assert ids == [1, 12, 13, 14]
 
 

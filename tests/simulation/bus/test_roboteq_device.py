@@ -12,7 +12,7 @@ from thorvaldc.simulation.bus.roboteq_channel import ChannelSettings
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 N = 3
@@ -27,7 +27,7 @@ class Controller:
 
     def __init__(self, angle: float = 0.0, operational: bool = True, **more: object) -> None:
         self.wire = Wire(Timeline())
-        self.master = Master(Client(self.wire, "master"))
+        self.master = Master(VirtualTimeInterface(self.wire, "master"))
         self.propulsion = IdealMotor(TOP, 7.5, 113.0)
         self.steering = IdealMotor(4.0, 20.0, 50.0, -math.pi, math.pi, position=angle)
         self.device = RoboteqController(
@@ -182,7 +182,7 @@ def test_settings_1_to_3_are_kept_and_the_others_are_not() -> None:
     c.master.nmt(1)
     c.drive(3.0, 1000)
     assert c.propulsion.read(c.wire.timeline.seconds).velocity == pytest.approx(-TOP)
-    assert c.device.kept["home_speed"] == 700
+    assert c.device.nonvolatile["home_speed"] == 700
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,9 @@ def test_homing_finds_the_switch_and_then_counts_from_straight(angle: float) -> 
 
 def test_the_home_count_is_what_is_counted_at_the_switch() -> None:
     per_radian = 4 * STEERING_PPR * STEERING_GEAR / math.tau
-    c = Controller(angle=-1.0, home_angle=0.25, kept={"home_count": round(0.25 * per_radian)})
+    c = Controller(
+        angle=-1.0, home_angle=0.25, nonvolatile={"home_count": round(0.25 * per_radian)}
+    )
     c.master.send(0x400 + N, struct.pack("<ii", DRIVE, HOME))
     c.drive(8.0)
     assert c.angle() == pytest.approx(0.0, abs=1e-2)
@@ -281,7 +283,7 @@ def test_it_has_neither_lss_nor_a_serial_number() -> None:
 
 def test_the_makers_tool_sets_its_id() -> None:
     c = Controller()
-    c.device.become(7)
+    c.device.change_node_id(7)
     c.master.client.sleep(0.2)
     assert c.master.number(7, 0x1018, 1) == 0x469
     c.device.power_off()
@@ -292,7 +294,7 @@ def test_the_makers_tool_sets_its_id() -> None:
 
 def test_two_propulsion_motors_on_one_controller() -> None:
     wire = Wire(Timeline())
-    master = Master(Client(wire, "master"))
+    master = Master(VirtualTimeInterface(wire, "master"))
     left, right = (IdealMotor(TOP, 7.5) for _ in range(2))
     settings = ChannelSettings(GEAR, PPR, MAX_RPM)
     device = RoboteqController("c", wire, 500_000, N, ((settings, left), (settings, right)))

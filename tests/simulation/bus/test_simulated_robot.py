@@ -33,7 +33,7 @@ class Bus:
     def __init__(self, robot: Robot, **options: Any) -> None:
         self.robot = robot
         self.simulated = SimulatedRobot(robot, **options)
-        self.master = Master(self.simulated.client(receive_limit=100_000))
+        self.master = Master(self.simulated.interface(receive_limit=100_000))
         self.seen: dict[int, list[tuple[float, bytes]]] = {}
         self.simulated.wire().observers.append(
             lambda time, frame, _: self.seen.setdefault(frame.id, []).append(
@@ -172,8 +172,8 @@ def test_cantools_and_the_drives_after_cia402() -> None:
 def test_the_objects_of_the_map_can_be_written_and_read_back(robot: str) -> None:
     """A device as delivered takes every value that the map has for it."""
     given = cia402_robot() if robot == "cia402" else example_robot(robot)
-    kept = {"fl_controller": {"node_id": 1}} if robot == "cia402" else {}
-    bus = Bus(given, delivered=True, kept=kept)
+    nonvolatile = {"fl_controller": {"node_id": 1}} if robot == "cia402" else {}
+    bus = Bus(given, delivered=True, nonvolatile=nonvolatile)
     for node in given.buses[0].nodes[:1]:
         assert not node.lss or bus.master.number(node.id, 0x1018, 4)
         pdos = sorted({o.index for o in node.objects if 0x1400 <= o.index < 0x1C00})

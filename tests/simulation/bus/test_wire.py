@@ -6,10 +6,10 @@ import pytest
 
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame, frame_bits
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.bus.wire_controller import Controller
 
 RATE = 500_000
 BIT = 2000  # ns
@@ -22,13 +22,13 @@ class Log:
         self.entries: list[tuple[int, str, list[str]]] = []
         wire.observers.append(self)
 
-    def __call__(self, time: int, frame: CanFrame, senders: list[Controller]) -> None:
+    def __call__(self, time: int, frame: CanFrame, senders: list[CanController]) -> None:
         self.entries.append((time, str(frame), [s.name for s in senders]))
 
 
-def make(*names: str, seed: int = 0) -> tuple[Wire, list[Client], Log]:
+def make(*names: str, seed: int = 0) -> tuple[Wire, list[VirtualTimeInterface], Log]:
     wire = Wire(Timeline(), RATE, seed=seed)
-    clients = [Client(wire, name) for name in names]
+    clients = [VirtualTimeInterface(wire, name) for name in names]
     log = Log(wire)
     clients[0].sleep(0.001)
     return wire, clients, log
@@ -85,7 +85,7 @@ def test_a_frame_under_way_is_not_interrupted() -> None:
 
 def test_a_fifo_sends_in_the_order_of_asking() -> None:
     wire, _, log = make("a")
-    fifo = Client(wire, "fifo", fifo=True)
+    fifo = VirtualTimeInterface(wire, "fifo", fifo=True)
     fifo.sleep(0.001)
     for identifier in (0x300, 0x100, 0x200):
         fifo.send(CanFrame(identifier))
@@ -137,14 +137,14 @@ def test_alone_on_the_bus_nobody_acknowledges() -> None:
     assert a.controller.transmit_errors == 128
     assert a.state is ErrorState.PASSIVE
     assert wire.errors > 1000
-    other = Client(wire, "b")
+    other = VirtualTimeInterface(wire, "b")
     a.sleep(0.01)
     assert [str(r.frame) for r in other.received] == ["100#01"]
 
 
 def test_who_only_listens_does_not_acknowledge() -> None:
     wire, (a,), _ = make("a")
-    monitor = Client(wire, "monitor", listen_only=True)
+    monitor = VirtualTimeInterface(wire, "monitor", listen_only=True)
     a.send(CanFrame(0x100))
     a.sleep(0.01)
     assert len(monitor.received) == 0
@@ -153,7 +153,7 @@ def test_who_only_listens_does_not_acknowledge() -> None:
 
 def test_a_wrong_bitrate_destroys_frames_until_it_is_error_passive() -> None:
     wire, (a, b), log = make("a", "b")
-    wrong = Client(wire, "wrong", 250_000)
+    wrong = VirtualTimeInterface(wire, "wrong", 250_000)
     a.sleep(0.001)
     a.send(CanFrame(0x100, b"\1"))
     a.sleep(0.1)
@@ -167,7 +167,7 @@ def test_a_wrong_bitrate_destroys_frames_until_it_is_error_passive() -> None:
 
 def test_a_sender_of_the_wrong_bitrate_goes_off_the_bus() -> None:
     wire, (a, b), log = make("a", "b")
-    wrong = Client(wire, "wrong", 250_000)
+    wrong = VirtualTimeInterface(wire, "wrong", 250_000)
     a.sleep(0.001)
     for _ in range(4):
         wrong.send(CanFrame(0x700, b"\1"))
@@ -184,7 +184,7 @@ def test_a_sender_of_the_wrong_bitrate_goes_off_the_bus() -> None:
 
 def test_the_way_back_from_bus_off() -> None:
     wire, (a, b), _ = make("a", "b")
-    automatic = Controller(wire, "automatic", RATE)
+    automatic = CanController(wire, "automatic", RATE)
     wire.attach(automatic)
     automatic.switch_on()
     states: list[ErrorState] = []
@@ -201,7 +201,7 @@ def test_the_way_back_from_bus_off() -> None:
 
 def test_a_full_queue_refuses_the_newest() -> None:
     wire, (_,), log = make("a")
-    small = Client(wire, "small", send_limit=3)
+    small = VirtualTimeInterface(wire, "small", send_limit=3)
     small.sleep(0.001)
     taken = [small.send(CanFrame(0x100 + i)) for i in range(5)]
     assert taken == [True, True, True, False, False]
@@ -213,7 +213,7 @@ def test_a_full_queue_refuses_the_newest() -> None:
 
 def test_a_full_receive_queue_loses_the_newest() -> None:
     wire, (a,), _ = make("a")
-    slow = Client(wire, "slow", receive_limit=3)
+    slow = VirtualTimeInterface(wire, "slow", receive_limit=3)
     for i in range(5):
         a.send(CanFrame(0x100 + i))
     a.sleep(0.01)
@@ -237,7 +237,7 @@ def test_power_lost_in_a_frame_destroys_it() -> None:
 
 def test_who_joins_in_a_frame_does_not_hear_it() -> None:
     wire, (a, b), _ = make("a", "b")
-    late = Client(wire, "late")
+    late = VirtualTimeInterface(wire, "late")
     late.controller.switch_off()
     wire.at_frame(1, late.controller.switch_on)
     a.send(CanFrame(0x100, bytes(8)))

@@ -14,7 +14,7 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.tools.monitor.bus_monitor import MOST_UNKNOWN, BusMonitor, watch
 from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
 
@@ -27,8 +27,8 @@ class Watched:
     def __init__(self, robot: Robot = ROBOT) -> None:
         self.rig = Rig(robot)
         simulated = self.rig.simulated
-        self.port = simulated.client(name="monitor", listen_only=True, receive_limit=1_000_000)
-        self.other = simulated.client(name="other")
+        self.port = simulated.interface(name="monitor", listen_only=True, receive_limit=1_000_000)
+        self.other = simulated.interface(name="other")
         self.monitor = BusMonitor(robot, robot.buses[0])
 
     def summary(self) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def test_drives_after_cia_402_have_their_states() -> None:
 # -- listening --------------------------------------------------------------------------------
 
 
-class Silent(Client):
+class Silent(VirtualTimeInterface):
     """A port over which nothing may be sent."""
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
@@ -164,7 +164,7 @@ def test_it_listens_in_intervals_and_sends_nothing() -> None:
     simulated = SimulatedRobot(ROBOT)
     simulated.power_on()
     port = Silent(simulated.wire(), listen_only=True)
-    simulated.client()  # somebody who acknowledges
+    simulated.interface()  # somebody who acknowledges
     told: list[Mapping[str, Any]] = []
     watch(port, BusMonitor(ROBOT, ROBOT.buses[0]), 0.5, told.append, until=3.0)
     assert [found["time"] for found in told] == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
@@ -179,7 +179,7 @@ def test_it_listens_in_intervals_and_sends_nothing() -> None:
 
 def test_it_ends_when_it_is_told_to() -> None:
     simulated = SimulatedRobot(ROBOT)
-    port = simulated.client(listen_only=True)
+    port = simulated.interface(listen_only=True)
     told: list[Mapping[str, Any]] = []
     watch(port, BusMonitor(ROBOT, ROBOT.buses[0]), 0.5, told.append, ended=lambda: port.now > 1.2)
     assert len(told) == 2

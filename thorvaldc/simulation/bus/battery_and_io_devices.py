@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.simulation.bus.simulated_device import Device
+from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
 
 BATTERY_FRAMES = (0x3C0, 0x3D0, 0x3E0)
 _SECONDS_PER_HOUR = 3600.0
 
 
-class KcBattery(Device):
+class KcBattery(SimulatedDevice):
     """The battery by KC: three frames, again and again.
 
     ``current`` (A, positive: discharging) may be set, or given as a function of time;
@@ -32,10 +32,10 @@ class KcBattery(Device):
         capacity: float = 70.0,
         period: float = 0.1,
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
         """``voltage`` V, ``capacity`` Ah, ``period`` s."""
-        super().__init__(name, wire, bitrate, seed=seed, kept=kept)
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = battery_id
         self.period = period
         self.voltage = voltage
@@ -51,7 +51,7 @@ class KcBattery(Device):
     def start(self) -> None:
         self.every(lambda: self.period, self._report, first=self.random.uniform(0.0, self.period))
 
-    def become(self, node_id: int) -> None:
+    def change_node_id(self, node_id: int) -> None:
         self.id = node_id
 
     def _report(self) -> None:
@@ -68,7 +68,7 @@ class KcBattery(Device):
         self.send(charge, struct.pack("<BBHxxxx", *percent, self.cycles))
 
 
-class IoBoard(Device):
+class IoBoard(SimulatedDevice):
     """Outputs switched by 0x200 + id, reported with the inputs as 0x180 + id.
 
     ``outputs``: bit 0 and 1 the relays, 2 to 4 the beacon (red, yellow, green).
@@ -84,9 +84,9 @@ class IoBoard(Device):
         at_start: int = 0,
         period: float = 0.1,
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(name, wire, bitrate, seed=seed, kept=kept)
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = node_id
         self.period = period
         self.at_start = at_start
@@ -101,7 +101,7 @@ class IoBoard(Device):
     def stop(self) -> None:
         self.outputs = 0
 
-    def become(self, node_id: int) -> None:
+    def change_node_id(self, node_id: int) -> None:
         handler = self.handlers.pop(0x200 + self.id, None)
         self.id = node_id
         if handler is not None:
@@ -127,7 +127,7 @@ class ForeignFrame(NamedTuple):
     data: bytes | None = None
 
 
-class ForeignDevice(Device):
+class ForeignDevice(SimulatedDevice):
     """A device of somebody else's: reports by time, and answers what it is told.
 
     ``heard`` holds the frames that were for it, the newest last.
@@ -142,9 +142,9 @@ class ForeignDevice(Device):
         sends: Sequence[ForeignFrame],
         *,
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(name, wire, bitrate, seed=seed, kept=kept)
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self._listens = tuple(listens)
         self._sends = tuple(sends)
         self._count = 0

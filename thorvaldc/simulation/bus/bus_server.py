@@ -16,9 +16,9 @@ from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import SEND_LIMIT, CanFrame
 from thorvaldc.can.nanoseconds import NEVER
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.bus.wire_controller import Controller
 
 LONGEST_WAIT = 0.5
 LONGEST_WORK = 20_000_000
@@ -36,7 +36,7 @@ class _Connection:
         self.wire = wire
         self.unpacker = protocol.Unpacker()
         self.out = bytearray()
-        self.controller: Controller | None = None
+        self.controller: CanController | None = None
         self.lockstep = False
         self.waits_until: int | None = None
         self.heard = False
@@ -234,7 +234,7 @@ class BusServer:
         if not isinstance(bitrate, int) or not 0 < bitrate <= _MAXIMUM_RATE:
             raise ValueError(f"bitrate {bitrate!r}")
         connection.lockstep = bool(hello["lockstep"])
-        controller = Controller(
+        controller = CanController(
             wire,
             str(hello["name"]),
             bitrate,

@@ -22,7 +22,7 @@ from thorvaldc.simulation.bus.object_dictionary import (
 )
 from thorvaldc.simulation.bus.pdo import PdoSet
 from thorvaldc.simulation.bus.sdo_server import SdoServer
-from thorvaldc.simulation.bus.simulated_device import BITRATE, Device
+from thorvaldc.simulation.bus.simulated_device import BITRATE, SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
 
 BOOT_TIME = 0.1
@@ -63,13 +63,13 @@ class Profile:
     operational_at_start: bool = False
 
 
-class CanopenDevice(Device):
+class CanopenDevice(SimulatedDevice):
     """A device with a node id.  Subclasses add objects, PDOs and what they are for.
 
-    ``kept`` holds ``node_id`` (255: none yet) and the stored ``parameters``.  An id or a
+    ``nonvolatile`` holds ``node_id`` (255: none yet) and the stored ``parameters``.  An id or a
     bitrate set by LSS is pending: the id is taken on by an NMT reset of the
-    communication, kept by LSS's store.  Power on and an NMT reset of the node start from what
-    is kept.
+    communication, stored by LSS's store.  Power on and an NMT reset of the node start from
+    what is stored.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class CanopenDevice(Device):
         profile: Profile,
         *,
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        start = {NODE_ID: node_id, PARAMETERS: {}, **(kept or {})}
-        super().__init__(name, wire, bitrate, seed=seed, kept=start)
+        start = {NODE_ID: node_id, PARAMETERS: {}, **(nonvolatile or {})}
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=start)
         self.profile = profile
         self.node_id = lss_layer.UNCONFIGURED
         self.state = NmtState.INITIALISING
@@ -129,8 +129,8 @@ class CanopenDevice(Device):
 
     def start(self) -> None:
         self.node_id = lss_layer.UNCONFIGURED
-        self._pending_id = self.kept.get(NODE_ID, lss_layer.UNCONFIGURED)
-        self._pending_rate = self.kept.get(BITRATE, self.controller.bitrate)
+        self._pending_id = self.nonvolatile.get(NODE_ID, lss_layer.UNCONFIGURED)
+        self._pending_rate = self.nonvolatile.get(BITRATE, self.controller.bitrate)
         self.state = NmtState.INITIALISING
         self._error_register = 0
         self._history = []
@@ -143,9 +143,9 @@ class CanopenDevice(Device):
         self.pdos = None
         self.lss = None
 
-    def become(self, node_id: int) -> None:
-        """As if somebody had set it: kept, and taken on with a reset."""
-        self.kept[NODE_ID] = node_id
+    def change_node_id(self, node_id: int) -> None:
+        """As if somebody had set it: nonvolatile, and taken on with a reset."""
+        self.nonvolatile[NODE_ID] = node_id
         if self.powered:
             self.reset_node()
 
@@ -190,7 +190,7 @@ class CanopenDevice(Device):
         self._add_standard(objects)
         self.build(objects)
         self.pdos = self.make_pdos(objects)
-        objects.restore(self.kept.get(PARAMETERS, {}))
+        objects.restore(self.nonvolatile.get(PARAMETERS, {}))
         self._sdo = SdoServer(objects, self._respond)
         self.handlers[0x000] = self._nmt
         self.handlers[0x080] = self._sync

@@ -42,9 +42,9 @@ class Cia402Drive(CanopenDevice):
         received: Sequence[Pdo] = (),
         sent: Sequence[Pdo] = (),
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(name, wire, bitrate, node_id, profile, seed=seed, kept=kept)
+        super().__init__(name, wire, bitrate, node_id, profile, seed=seed, nonvolatile=nonvolatile)
         self.axes = [Axis(settings, motor, self._told) for settings, motor in axes]
         self._received = tuple(received)
         self._sent = tuple(sent)

@@ -24,7 +24,7 @@ from thorvaldc.simulation.bus.cia402_device import DEVICE_TYPE, Cia402Drive
 from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo
 from thorvaldc.simulation.bus.roboteq_channel import ChannelSettings
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
-from thorvaldc.simulation.bus.simulated_device import Device
+from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor, MotorModel
 from thorvaldc.simulation.bus.wire import Wire
 
@@ -38,7 +38,7 @@ class Build:
 
     ``motor`` gives the model of an actuator's motor.  ``delivered``: as it comes from its
     maker, with neither id nor parameters where these can be written over the bus.
-    ``kept`` overrides what it keeps without power (``node_id``, ``bitrate``...).
+    ``nonvolatile`` overrides what it keeps without power (``node_id``, ``bitrate``...).
     """
 
     robot: Robot
@@ -49,7 +49,7 @@ class Build:
     name: str = ""
     seed: int = 0
     delivered: bool = False
-    kept: Mapping[str, Any] = field(default_factory=dict)
+    nonvolatile: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def sent(self) -> list[FrameDefinition]:
@@ -82,10 +82,10 @@ class Build:
         return IdealMotor(1.0, 1.0) if actuator is None else self.motor(actuator)
 
     def common(self) -> dict[str, Any]:
-        return {"seed": self.seed, "kept": self.kept}
+        return {"seed": self.seed, "nonvolatile": self.nonvolatile}
 
 
-def build(given: Build) -> Device:
+def build(given: Build) -> SimulatedDevice:
     """The device of a node; of an unknown protocol, one that sends what the node sends."""
     return BUILDERS.get(given.node.protocol, _foreign)(given)
 
@@ -115,7 +115,7 @@ def _serial(text: str | None) -> int | None:
         return None
 
 
-def _cia402(given: Build) -> Device:
+def _cia402(given: Build) -> SimulatedDevice:
     node = given.node
     axes: list[tuple[AxisSettings, MotorModel]] = []
     for channel in node.channels:
@@ -151,10 +151,10 @@ def _cia402(given: Build) -> Device:
         if entry.access == "rw" and entry.value is not None
     }
     fresh = given.delivered and node.lss
-    kept = {
+    nonvolatile = {
         NODE_ID: lss_layer.UNCONFIGURED if fresh else node.id,
         PARAMETERS: {} if given.delivered else parameters,
-        **given.kept,
+        **given.nonvolatile,
     }
     return Cia402Drive(
         given.name,
@@ -166,7 +166,7 @@ def _cia402(given: Build) -> Device:
         received=[_pdo(frame, node) for frame in given.received if frame.pdo is not None],
         sent=[_pdo(frame, node) for frame in given.sent if frame.pdo is not None],
         seed=given.seed,
-        kept=kept,
+        nonvolatile=nonvolatile,
     )
 
 
@@ -175,7 +175,7 @@ def _pdo(frame: FrameDefinition, node: Node) -> Pdo:
     return Pdo(frame.pdo or 1, frame.cob_id - node.id, EVENT_DRIVEN, mapping)
 
 
-def _roboteq(given: Build) -> Device:
+def _roboteq(given: Build) -> SimulatedDevice:
     node = given.node
     channels = []
     home_angle = 0.0
@@ -223,7 +223,7 @@ def _version(text: Any) -> tuple[int, int, int]:
     return 1, 0, 0
 
 
-def _battery(given: Build) -> Device:
+def _battery(given: Build) -> SimulatedDevice:
     node = given.node
     battery = next((b for b in given.robot.batteries if b.node == node.name), None)
     properties = dict(battery.properties) if battery is not None else {}
@@ -241,7 +241,7 @@ def _battery(given: Build) -> Device:
     )
 
 
-def _io_board(given: Build) -> Device:
+def _io_board(given: Build) -> SimulatedDevice:
     relays = [bool(given.property(f"relay_{i}_at_start")) for i in range(2)]
     return IoBoard(
         given.name,
@@ -254,7 +254,7 @@ def _io_board(given: Build) -> Device:
     )
 
 
-def _foreign(given: Build) -> Device:
+def _foreign(given: Build) -> SimulatedDevice:
     sends = [
         ForeignFrame(
             frame.cob_id,
@@ -275,7 +275,7 @@ def _foreign(given: Build) -> Device:
     )
 
 
-BUILDERS: dict[str, Callable[[Build], Device]] = {
+BUILDERS: dict[str, Callable[[Build], SimulatedDevice]] = {
     "cia402": _cia402,
     "thorvald_roboteq": _roboteq,
     "thorvald_roboteq_propulsion": _roboteq,

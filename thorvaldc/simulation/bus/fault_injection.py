@@ -1,4 +1,4 @@
-"""Faults of a simulated bus: struck when a script says so, or at once."""
+"""FaultInjector of a simulated bus: struck when a script says so, or at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
-from thorvaldc.simulation.bus.simulated_device import Device
+from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
@@ -20,7 +20,7 @@ Tell = Callable[[float, BusFault, bool], None]
 """Told of each fault at its time (s): that it begins (``True``) or ends."""
 
 
-class Faults:
+class FaultInjector:
     """Plans a script's faults on a robot's buses.
 
     ``active`` are those under way, in the order in which they began.
@@ -78,7 +78,7 @@ class Faults:
             cut = [device for device in devices if device.powered]
             for device in cut:
                 device.power_off()
-            return lambda: _all(cut, Device.power_on)
+            return lambda: _all(cut, SimulatedDevice.power_on)
         if fault.kind == "noise":
             wire.noise = fault.share
 
@@ -90,7 +90,7 @@ class Faults:
             return self._lose(fault, devices)
         return self._begin_of(fault, devices[0])
 
-    def _begin_of(self, fault: BusFault, device: Device) -> Action:
+    def _begin_of(self, fault: BusFault, device: SimulatedDevice) -> Action:
         """A fault of one device."""
         if fault.kind == "mute":
             return _switched(device, "muted")
@@ -99,7 +99,7 @@ class Faults:
         if fault.kind == "emcy" and isinstance(device, CanopenDevice):
             device.emergency(fault.code, fault.register)
         elif fault.kind == "duplicate_id":
-            device.become(fault.id)
+            device.change_node_id(fault.id)
         elif fault.kind == "bus_off":
             device.controller.go_bus_off()
         elif fault.kind == "wrong_bitrate":
@@ -116,13 +116,15 @@ class Faults:
             return self._babble(fault, device)
         return _nothing
 
-    def _devices(self, fault: BusFault) -> list[Device]:
+    def _devices(self, fault: BusFault) -> list[SimulatedDevice]:
         if fault.node is not None:
             return [self.simulated.devices[fault.node]]
         wire = self.simulated.wires[fault.bus]
         return [d for d in self.simulated.devices.values() if d.wire is wire]
 
-    def _motor(self, device: Device, channel: str) -> tuple[Encoder | None, MotorModel | None]:
+    def _motor(
+        self, device: SimulatedDevice, channel: str
+    ) -> tuple[Encoder | None, MotorModel | None]:
         place = self._channel(device.name, channel)
         if isinstance(device, RoboteqController) and place < 2:
             found = device.channels[place]
@@ -139,7 +141,7 @@ class Faults:
                     return [c.name for c in found.channels].index(channel)
         raise KeyError(node)
 
-    def _lose(self, fault: BusFault, devices: list[Device]) -> Action:
+    def _lose(self, fault: BusFault, devices: list[SimulatedDevice]) -> Action:
         def accepts(frame: CanFrame) -> bool:
             hit = fault.cob_id is None or frame.id == fault.cob_id
             return not (hit and self._random.random() < fault.share)
@@ -153,7 +155,7 @@ class Faults:
 
         return mend
 
-    def _babble(self, fault: BusFault, device: Device) -> Action:
+    def _babble(self, fault: BusFault, device: SimulatedDevice) -> Action:
         frame = CanFrame(fault.cob_id or 0, bytes(8))
         going = True
 
@@ -175,7 +177,7 @@ def _switched(thing: object, name: str) -> Action:
     return lambda: setattr(thing, name, False)
 
 
-def _all(devices: list[Device], what: Callable[[Device], None]) -> None:
+def _all(devices: list[SimulatedDevice], what: Callable[[SimulatedDevice], None]) -> None:
     for device in devices:
         what(device)
 

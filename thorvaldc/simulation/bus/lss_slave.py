@@ -18,7 +18,7 @@ class LssSlave:
     - ``set_id(id)``: the pending node id, 1..127 or 255;
     - ``set_bitrate(bit/s)``: the pending bitrate; ``False`` where it cannot do it;
     - ``activate(delay)``: change to the pending bitrate after ``delay`` s;
-    - ``store(done)``: keep the pending values, then call ``done(code)`` (0: kept);
+    - ``store(done)``: keep the pending values, then call ``done(code)`` (0: nonvolatile);
     - ``left()``: the configuration state was left, a first id may take effect.
     """
 

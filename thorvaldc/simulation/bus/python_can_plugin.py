@@ -22,7 +22,7 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.can.simulated_bus_client import RemoteClient
 from thorvaldc.simulation.bus.timeline import Event
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 NAME = "thorvaldc_sim"
@@ -78,10 +78,10 @@ class SimulatedBus(can.BusABC):
             "listen_only": listen_only,
             "fifo": fifo,
         }
-        self.port: Client | RemoteClient
+        self.port: VirtualTimeInterface | RemoteClient
         try:
             if isinstance(channel, Wire):
-                self.port = Client(channel, name, bitrate, **options)
+                self.port = VirtualTimeInterface(channel, name, bitrate, **options)
             else:
                 self.port = RemoteClient(str(channel), name, bitrate, lockstep=lockstep, **options)
         except OSError as fault:
@@ -189,7 +189,7 @@ class VirtualCyclicTask(
     def __init__(
         self,
         bus: SimulatedBus,
-        port: Client,
+        port: VirtualTimeInterface,
         messages: Sequence[can.Message] | can.Message,
         period: float,
         duration: float | None,

@@ -34,7 +34,7 @@ HOMED, HOMING = 0x01, 0x02
 """Bits of the configuration in TPDO4."""
 
 SETTINGS = {1: "direction", 2: "home_count", 3: "home_speed"}
-"""Setup ids that are kept without power."""
+"""Setup ids that are nonvolatile without power."""
 SEARCH = 2.2 * math.pi
 """rad of the steering: how far it turns to find the home switch."""
 EMCY_STALL, EMCY_ENCODER = 0x7121, 0x7305
@@ -70,9 +70,9 @@ class RoboteqController(CanopenDevice):
         version: tuple[int, int, int] = (1, 0, 0),
         controller_type: int = 0,
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        start = {"direction": 0, "home_count": 0, "home_speed": 500, **(kept or {})}
+        start = {"direction": 0, "home_count": 0, "home_speed": 500, **(nonvolatile or {})}
         super().__init__(
             name,
             wire,
@@ -80,7 +80,7 @@ class RoboteqController(CanopenDevice):
             node_id,
             profile or Profile(vendor=VENDOR, product=0x2360, revision=0x20, name="FBL2360"),
             seed=seed,
-            kept=start,
+            nonvolatile=start,
         )
         self.channels = (Channel(*channels[0]), Channel(*channels[1]))
         self.home_angle = home_angle
@@ -258,7 +258,7 @@ class RoboteqController(CanopenDevice):
                 self._steer(channel, now)
             else:
                 share = 0 if timed_out else self._speeds[place] / 1000.0
-                forward = -1.0 if place == 0 and self.kept["direction"] == 1 else 1.0
+                forward = -1.0 if place == 0 and self.nonvolatile["direction"] == 1 else 1.0
                 channel.turn(forward * share * channel.settings.max_rpm, now, LOOP_PERIOD)
         self._watch(now)
 
@@ -284,12 +284,12 @@ class RoboteqController(CanopenDevice):
     def _home(self, channel: Channel, now: float) -> None:
         """Turn until the home switch changes, and count from there on."""
         side = self.home_switch_works and channel.state.position > self.home_angle
-        speed = float(self.kept["home_speed"])
+        speed = float(self.nonvolatile["home_speed"])
         if self._home_side is None:
             self._home_side = side
         elif side != self._home_side:
             at = self.home_angle
-            counts = float(self.kept["home_count"])
+            counts = float(self.nonvolatile["home_count"])
             channel.encoder.set_zero(MotorState(at, 0.0, 0.0), counts)
             channel.measure(now)
             self.homed = True

@@ -8,9 +8,9 @@ from typing import Any
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import NANOSECONDS, to_ns
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Action, Event
 from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.bus.wire_controller import Controller
 
 LATENCY = 100e-6
 """Least time (s) from the end of a frame to a device's reaction; half of it more at random."""
@@ -19,11 +19,11 @@ WRITE_TIME = 20e-3
 BITRATE = "bitrate"
 
 
-class Device:
+class SimulatedDevice:
     """What hangs on a wire: subclasses say what it does in ``start`` and with frames.
 
     Nothing happens before ``power_on``.  Timers, queues and volatile state end with
-    the power; ``kept`` does not.  Reactions come a little after their frame, in the
+    the power; ``nonvolatile`` does not.  Reactions come a little after their frame, in the
     order of the frames; the times are drawn from ``seed`` and the name.
 
     ``handlers`` takes each frame that concerns the device by its identifier (11 bit).
@@ -37,21 +37,21 @@ class Device:
         bitrate: int,
         *,
         seed: int = 0,
-        kept: Mapping[str, Any] | None = None,
+        nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """``bitrate`` (bit/s) is what it leaves the factory with; ``kept`` may hold another."""
+        """``bitrate`` (bit/s) at delivery; ``nonvolatile`` may hold another."""
         self.name = name
         self.wire = wire
         self.timeline = wire.timeline
         self.random = random.Random(f"{seed}:{name}")
         self.factory_bitrate = bitrate
-        self.kept: dict[str, Any] = {BITRATE: bitrate, **(kept or {})}
+        self.nonvolatile: dict[str, Any] = {BITRATE: bitrate, **(nonvolatile or {})}
         self.write_time = WRITE_TIME
         self.torn_writes = False
         self.muted = False
         self.powered = False
         self.handlers: dict[int, Callable[[CanFrame], None]] = {}
-        self.controller = Controller(wire, name, bitrate)
+        self.controller = CanController(wire, name, bitrate)
         self.controller.on_frame = self._arrived
         wire.attach(self.controller)
         self._life = 0
@@ -65,7 +65,7 @@ class Device:
             return
         self.powered = True
         # A write that was torn may have lost it.
-        self.controller.bitrate = self.kept.get(BITRATE, self.factory_bitrate)
+        self.controller.bitrate = self.nonvolatile.get(BITRATE, self.factory_bitrate)
         self.controller.switch_on()
         self.start()
 
@@ -77,7 +77,7 @@ class Device:
         self._life += 1
         if self.torn_writes:
             for key in self._writing:
-                self.kept.pop(key, None)
+                self.nonvolatile.pop(key, None)
         self._writing = {}
         self.handlers = {}
         self.controller.switch_off()
@@ -86,7 +86,7 @@ class Device:
     def start(self) -> None:
         """What it does when the power comes."""
 
-    def become(self, node_id: int) -> None:
+    def change_node_id(self, node_id: int) -> None:
         """Have another id all of a sudden.  Raises ``ValueError`` where it has none."""
         raise ValueError(f"{self.name} has no id")
 
@@ -152,12 +152,12 @@ class Device:
     # -- what it keeps ------------------------------------------------------------------------
 
     def keep(self, changes: Mapping[str, Any], done: Action | None = None) -> None:
-        """Write to what is kept without power; it is there, and ``done``, after the write time."""
+        """Writes to non-volatile memory; calls ``done`` after the write time."""
         self._writing = {**self._writing, **changes}
         wanted = dict(changes)
 
         def written() -> None:
-            self.kept.update(wanted)
+            self.nonvolatile.update(wanted)
             for key in wanted:
                 self._writing.pop(key, None)
             if done is not None:

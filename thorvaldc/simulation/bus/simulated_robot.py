@@ -11,10 +11,10 @@ from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.buses import require_bus
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_builders import Build, build
-from thorvaldc.simulation.bus.simulated_device import Device
+from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import BaseMotors, MotorModel, ideal_motor
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_client import Client
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 
@@ -32,11 +32,11 @@ class SimulatedRobot:
         seed: int = 0,
         base: BaseHandle | None = None,
         delivered: bool = False,
-        kept: Mapping[str, Mapping[str, Any]] | None = None,
+        nonvolatile: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         """``base``: whose joints the motors move (a ``MujocoBase``, say); ideal ones without.
 
-        ``delivered``: devices come as their makers send them.  ``kept`` says, by node, what
+        ``delivered``: devices come as their makers send them.  ``nonvolatile`` says, by node, what
         a device keeps without power, over what the robot says: ``{"fl_drive": {"node_id": 2}}``.
 
         Raises ``DiagnosticError`` (``bus-missing``) for a robot without a bus.
@@ -46,14 +46,14 @@ class SimulatedRobot:
         self.seed = seed
         self.timeline = Timeline()
         self.wires: dict[str, Wire] = {}
-        self.devices: dict[str, Device] = {}
+        self.devices: dict[str, SimulatedDevice] = {}
         self.motors: dict[str, MotorModel] = {}
         self._base_motors = None if base is None else BaseMotors(robot, base)
         self._delivered = delivered
         for bus in robot.buses:
             self.wires[bus.name] = Wire(self.timeline, bus.bitrate, seed=seed)
             for node in bus.nodes:
-                self._add(bus, node, node.name, (kept or {}).get(node.name, {}))
+                self._add(bus, node, node.name, (nonvolatile or {}).get(node.name, {}))
 
     def power_on(self) -> None:
         """All of them at once."""
@@ -64,24 +64,26 @@ class SimulatedRobot:
         for device in self.devices.values():
             device.power_off()
 
-    def client(self, bus: str | None = None, name: str = "master", **options: Any) -> Client:
+    def interface(
+        self, bus: str | None = None, name: str = "master", **options: Any
+    ) -> VirtualTimeInterface:
         """A place on a bus, by default the first, for a program in virtual time."""
-        return Client(self.wire(bus), name, **options)
+        return VirtualTimeInterface(self.wire(bus), name, **options)
 
     def wire(self, bus: str | None = None) -> Wire:
         """Of the bus of that name, by default of the first.  Raises ``KeyError``."""
         return self.wires[bus if bus is not None else self.robot.buses[0].name]
 
-    def clone(self, node: str, name: str, **kept: Any) -> Device:
+    def clone(self, node: str, name: str, **nonvolatile: Any) -> SimulatedDevice:
         """One more device like that of ``node``, with ideal motors and without power.
 
-        It is the same product with the same id, but for what ``kept`` says, and has a
+        It is the same product with the same id, but for what ``nonvolatile`` says, and has a
         serial number of its own where it has one.  Raises ``KeyError``.
         """
         for bus in self.robot.buses:
             for found in bus.nodes:
                 if found.name == node:
-                    return self._add(bus, found, name, kept, own_motors=True)
+                    return self._add(bus, found, name, nonvolatile, own_motors=True)
         raise KeyError(node)
 
     def run(self, seconds: float) -> None:
@@ -93,9 +95,9 @@ class SimulatedRobot:
         bus: Bus,
         node: Node,
         name: str,
-        kept: Mapping[str, Any],
+        nonvolatile: Mapping[str, Any],
         own_motors: bool = False,
-    ) -> Device:
+    ) -> SimulatedDevice:
         def motor(actuator: Actuator) -> MotorModel:
             found = None
             if self._base_motors is not None and not own_motors:
@@ -116,7 +118,7 @@ class SimulatedRobot:
                 name,
                 self.seed,
                 self._delivered,
-                kept,
+                nonvolatile,
             )
         )
         self.devices[name] = device

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import INTERFRAME_BITS, CanFrame, first_difference, frame_bits
 from thorvaldc.can.nanoseconds import NANOSECONDS
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Event, Timeline
-from thorvaldc.simulation.bus.wire_controller import Controller
 
 FLAG_BITS = 6
 DELIMITER_BITS = 8
@@ -30,9 +30,9 @@ class _Transmission:
     def __init__(
         self,
         frame: CanFrame,
-        senders: list[Controller],
+        senders: list[CanController],
         entries: list[tuple[int, int, CanFrame]],
-        listeners: list[Controller],
+        listeners: list[CanController],
         start: int,
     ) -> None:
         self.frame = frame
@@ -44,7 +44,7 @@ class _Transmission:
         self.event: Event | None = None
 
 
-Observer = Callable[[int, CanFrame, Sequence[Controller]], None]
+Observer = Callable[[int, CanFrame, Sequence[CanController]], None]
 
 
 class Wire:
@@ -60,7 +60,7 @@ class Wire:
     def __init__(self, timeline: Timeline, bitrate: int = 500_000, *, seed: int = 0) -> None:
         self.timeline = timeline
         self.bitrate = bitrate
-        self.controllers: list[Controller] = []
+        self.controllers: list[CanController] = []
         self.observers: list[Observer] = []
         self.noise = 0.0
         self.frames = 0
@@ -72,10 +72,10 @@ class Wire:
         self._wake: Event | None = None
         self._at_frame: dict[int, list[Callable[[], None]]] = {}
 
-    def attach(self, controller: Controller) -> None:
+    def attach(self, controller: CanController) -> None:
         self.controllers.append(controller)
 
-    def detach(self, controller: Controller) -> None:
+    def detach(self, controller: CanController) -> None:
         controller.switch_off()
         self.controllers.remove(controller)
 
@@ -99,7 +99,7 @@ class Wire:
     def _arbitrate(self) -> None:
         self._wake = None
         now = self.timeline.now
-        ready: list[tuple[int, Controller, tuple[int, int, CanFrame]]] = []
+        ready: list[tuple[int, CanController, tuple[int, int, CanFrame]]] = []
         later = 0
         for controller in self.controllers:
             entry = controller.head()
@@ -137,7 +137,7 @@ class Wire:
                 now + senders[0].time_of(at), lambda: self._fail(first)
             )
 
-    def _break(self, current: _Transmission) -> tuple[int, list[Controller]] | None:
+    def _break(self, current: _Transmission) -> tuple[int, list[CanController]] | None:
         """Where (bits) an error flag destroys the frame and who sees the error first."""
         senders, frame = current.senders, current.frame
         rate = senders[0].bitrate
@@ -199,7 +199,7 @@ class Wire:
         for sender in current.senders:
             sender.suspend()
 
-    def _fail(self, first: Iterable[Controller]) -> None:
+    def _fail(self, first: Iterable[CanController]) -> None:
         """An error flag: everybody drops the frame, its senders will try again."""
         current = self._current
         if current is None:
@@ -216,7 +216,7 @@ class Wire:
                 # Who flags first sees the others' flags after its own: 8 more.
                 listener.count(receive=9 if listener in seen else 1)
 
-    def dropped(self, controller: Controller) -> None:
+    def dropped(self, controller: CanController) -> None:
         """A controller is gone, perhaps in the middle of its frame."""
         current = self._current
         if current is None or controller not in current.senders:

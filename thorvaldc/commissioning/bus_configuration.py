@@ -19,7 +19,7 @@ STATUSWORDS = (0x6041, 0x6841)
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
+class ParameterValue:
     """An entry of a node's object dictionary that is to have a value."""
 
     name: str
@@ -38,7 +38,7 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class NodeConfiguration:
     """A node as it is to be.
 
     ``id`` 255: without one, as only a way back can want it.  ``sdo``: its object dictionary can be
@@ -62,7 +62,7 @@ class Wanted:
     heartbeat: float | None
     seen_by: tuple[tuple[int, float], ...]
     statuswords: tuple[int, ...]
-    values: tuple[Value, ...]
+    values: tuple[ParameterValue, ...]
 
     @property
     def identity(self) -> Identity | None:
@@ -84,19 +84,19 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class BusConfiguration:
     """All nodes of a bus.  ``robot`` and ``bus`` are names; ``bitrate`` in bit/s."""
 
     robot: str
     bus: str
     bitrate: int
-    nodes: tuple[Wanted, ...]
+    nodes: tuple[NodeConfiguration, ...]
 
     @property
     def hash(self) -> str:
         return digest(to_json(self))
 
-    def node(self, name: str) -> Wanted:
+    def node(self, name: str) -> NodeConfiguration:
         """Raises ``KeyError``."""
         for node in self.nodes:
             if node.name == name:
@@ -104,17 +104,17 @@ class Target:
         raise KeyError(name)
 
 
-def target_of(robot: Robot, bus: Bus) -> Target:
+def configuration_of(robot: Robot, bus: Bus) -> BusConfiguration:
     """What the robot's file wants of one of its buses."""
-    return Target(
+    return BusConfiguration(
         robot.name, bus.name, bus.bitrate, tuple(_wanted(bus, node) for node in bus.nodes)
     )
 
 
-def _wanted(bus: Bus, node: Node) -> Wanted:
+def _wanted(bus: Bus, node: Node) -> NodeConfiguration:
     sent = [frame for frame in bus.frames if frame.producer == node.name]
     heartbeat = next((f.period for f in sent if f.kind == "heartbeat"), None)
-    return Wanted(
+    return NodeConfiguration(
         name=node.name,
         module=node.module,
         protocol=node.protocol,
@@ -132,7 +132,7 @@ def _wanted(bus: Bus, node: Node) -> Wanted:
         seen_by=tuple((f.cob_id, f.period) for f in sent if f.period is not None),
         statuswords=tuple(o.index for o in node.objects if o.index in STATUSWORDS),
         values=tuple(
-            Value(o.name, o.index, o.subindex, o.type, o.value)
+            ParameterValue(o.name, o.index, o.subindex, o.type, o.value)
             for o in node.objects
             if o.access == "rw" and o.value is not None
         ),
@@ -155,11 +155,11 @@ def digest(value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def to_json(target: Target) -> dict[str, Any]:
+def to_json(target: BusConfiguration) -> dict[str, Any]:
     nodes = []
     for node in target.nodes:
         entry: dict[str, Any] = {
-            name: getattr(node, name) for name in Wanted.__slots__ if name != "values"
+            name: getattr(node, name) for name in NodeConfiguration.__slots__ if name != "values"
         }
         entry["seen_by"] = [list(pair) for pair in node.seen_by]
         entry["statuswords"] = list(node.statuswords)
@@ -173,7 +173,7 @@ def to_json(target: Target) -> dict[str, Any]:
     }
 
 
-def from_json(value: Mapping[str, Any]) -> Target:
+def from_json(value: Mapping[str, Any]) -> BusConfiguration:
     """Raises ``KeyError``, ``TypeError`` or ``ValueError`` where it is none."""
     nodes = []
     for entry in value["nodes"]:
@@ -181,28 +181,28 @@ def from_json(value: Mapping[str, Any]) -> Target:
         given["seen_by"] = tuple((int(a), float(b)) for a, b in entry["seen_by"])
         given["statuswords"] = tuple(entry["statuswords"])
         given["values"] = values_from_json(entry["values"])
-        nodes.append(Wanted(**given))
-    return Target(value["robot"], value["bus"], value["bitrate"], tuple(nodes))
+        nodes.append(NodeConfiguration(**given))
+    return BusConfiguration(value["robot"], value["bus"], value["bitrate"], tuple(nodes))
 
 
-def values_to_json(values: Sequence[Value]) -> list[list[Any]]:
+def values_to_json(values: Sequence[ParameterValue]) -> list[list[Any]]:
     return [[v.name, v.index, v.subindex, v.type, v.value] for v in values]
 
 
-def values_from_json(value: Sequence[Sequence[Any]]) -> tuple[Value, ...]:
-    return tuple(Value(*entry) for entry in value)
+def values_from_json(value: Sequence[Sequence[Any]]) -> tuple[ParameterValue, ...]:
+    return tuple(ParameterValue(*entry) for entry in value)
 
 
 __all__ = [
     "PARKING",
     "UNCONFIGURED",
+    "BusConfiguration",
     "Identity",
-    "Target",
-    "Value",
-    "Wanted",
+    "NodeConfiguration",
+    "ParameterValue",
+    "configuration_of",
     "digest",
     "from_json",
-    "target_of",
     "to_json",
     "values_from_json",
     "values_to_json",

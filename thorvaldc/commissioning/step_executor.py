@@ -7,15 +7,15 @@ from collections import Counter
 from typing import Protocol
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning.bus_master import Session
+from thorvaldc.commissioning.bus_configuration import BusConfiguration
+from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.lss_master import LssMaster
 from thorvaldc.commissioning.object_writer import ParameterWriter
-from thorvaldc.commissioning.plan import AddressStep, AttachStep, ConfigureStep, Plan, Step
+from thorvaldc.commissioning.plan import AddressStep, AttachStep, ConfigureStep, Plan, PlanStep
 from thorvaldc.commissioning.scan_result import DUPLICATE, MISSING, OK, identity_text
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.sdo_client import SdoClient
-from thorvaldc.commissioning.target_bus import Target
 
 RESET_NODE = 129
 
@@ -26,7 +26,7 @@ class Operator(Protocol):
     def attach(self, step: AttachStep, words: str) -> bool:
         """Ask for the step to be done, and wait for it; ``False``: not now."""
 
-    def all_on(self, words: str) -> bool:
+    def power_all(self, words: str) -> bool:
         """Ask for all modules to be powered again."""
 
 
@@ -34,23 +34,23 @@ class StepFailed(Exception):
     """A step did not have its effect; the message says what was seen."""
 
 
-class Stepper:
+class StepExecutor:
     """Carries steps out and has them in the journal.  ``at``: how many nodes have which id."""
 
-    def __init__(self, session: Session, journal: Journal, operator: Operator | None) -> None:
-        self.session = session
+    def __init__(self, master: BusMaster, journal: Journal, operator: Operator | None) -> None:
+        self.master = master
         self.journal = journal
         self.operator = operator
-        self.sdo = SdoClient(session)
-        self.lss = LssMaster(session)
+        self.sdo = SdoClient(master)
+        self.lss = LssMaster(master)
         self.writer = ParameterWriter(self.sdo)
         self.at: Counter[int] = Counter()
 
-    def run(self, number: int, step: Step, target: Target) -> None:
-        """Raises ``StepFailed``, ``LssFault``, ``SdoRefused``, ``SdoSilent`` or ``SdoDoubled``."""
+    def run(self, number: int, step: PlanStep, target: BusConfiguration) -> None:
+        """Raises ``StepFailed``, ``LssError`` or an error of the SDO client."""
         if isinstance(step, AddressStep):
             self._check_alone(step)
-            self.journal.begin(number, step.node, step.words)
+            self.journal.begin(number, step.node, step.description)
             self._move(step)
             self.journal.done(number, step.node, {"id": step.after})
         elif isinstance(step, ConfigureStep):
@@ -59,14 +59,14 @@ class Stepper:
             read = writer.read(step.id, step.values)
             old = [v for v in step.values if (now := read.get(v.place)) is None or now != v.value]
             if not old:
-                self.journal.begin(number, step.node, step.words)
+                self.journal.begin(number, step.node, step.description)
                 self.journal.done(number, step.node, {"written": 0})
                 return
             unreadable = [v.shown for v in old if read.get(v.place) is None]
             if unreadable:
                 raise StepFailed(f"it has no object {', '.join(unreadable)}")
             before = [dataclasses.replace(v, value=read[v.place] or 0) for v in old]
-            self.journal.begin(number, step.node, step.words, before)
+            self.journal.begin(number, step.node, step.description, before)
             writer.write(step.id, step.values, read)
             writer.save(step.id)
             self._restart(step.id, step.id)
@@ -78,14 +78,14 @@ class Stepper:
             self.journal.done(number, step.node, {"written": len(old)})
         else:
             self._attach(number, step, target)
-        for where in sorted(self.session.surplus):
+        for where in sorted(self.master.surplus):
             raise StepFailed(f"more answers than requests came from id {where}")
 
     def _check_alone(self, step: AddressStep) -> None:
         """The precondition: nobody has the new id."""
         if step.after == UNCONFIGURED:
             return
-        answers = self.sdo.every(step.after, 0x1000, 0, timeout=self.session.timing.absent)
+        answers = self.sdo.every(step.after, 0x1000, 0, timeout=self.master.timing.absent)
         if answers:
             raise StepFailed(f"somebody has the id {step.after} already")
 
@@ -101,7 +101,7 @@ class Stepper:
             raise StepFailed(f"it has the id {where}, not {step.before}")
         lss.configure_id(step.after)
         lss.store()
-        self.session.boots.clear()
+        self.master.boots.clear()
         lss.waiting()
         if step.before == UNCONFIGURED:
             # It takes a first id on at once; what it has stored shows after a reset.
@@ -117,8 +117,8 @@ class Stepper:
             self._check_identity(step.after, step.identity)
 
     def _restart(self, node: int, after: int) -> None:
-        self.session.boots.clear()
-        self.session.nmt(RESET_NODE, node)
+        self.master.boots.clear()
+        self.master.nmt(RESET_NODE, node)
         if after != UNCONFIGURED:
             # Others of the same id, which are still to get their own, start again with it.
             others = [node] * (self.at[node] - 1) if node != after else []
@@ -126,15 +126,15 @@ class Stepper:
 
     def reset(self, ids: list[int], count: int) -> None:
         """What these ``count`` nodes have stored is what they show afterwards."""
-        self.session.boots.clear()
+        self.master.boots.clear()
         for node in ids:
-            self.session.nmt(RESET_NODE, node)
+            self.master.nmt(RESET_NODE, node)
         # One that has lost its id does not say when it has started.
-        self.session.wait_for_count(count, self.session.timing.boot)
-        self.session.listen(self.session.timing.absent / 4)
+        self.master.wait_for_count(count, self.master.timing.boot)
+        self.master.listen(self.master.timing.absent / 4)
 
     def _await(self, ids: list[int]) -> None:
-        missing = self.session.wait_for_boots(ids, self.session.timing.boot)
+        missing = self.master.wait_for_boots(ids, self.master.timing.boot)
         if missing:
             raise StepFailed(f"no node has started with the id {missing[0]}")
 
@@ -142,7 +142,7 @@ class Stepper:
         """Exactly one answers there, and it is the one."""
         for subindex in (1, 2, 3, 4):
             wanted = None if identity is None else identity[subindex - 1]
-            answers = self.sdo.every(node, 0x1018, subindex, timeout=self.session.timing.sdo)
+            answers = self.sdo.every(node, 0x1018, subindex, timeout=self.master.timing.sdo)
             if not answers:
                 raise StepFailed(f"nobody answers at id {node}")
             if len(answers) > 1:
@@ -159,12 +159,12 @@ class Stepper:
 
     def _check_bare(self, identity: Identity) -> None:
         """It has no id any more.  Who has none does not say when it has started: it is asked."""
-        limit = self.session.now + self.session.timing.boot
+        limit = self.master.now + self.master.timing.boot
         while True:
             self.lss.waiting()
             if self.lss.select(identity) == 1:
                 break
-            if self.session.now >= limit:
+            if self.master.now >= limit:
                 raise StepFailed(f"nobody answers as {identity_text(identity)}")
         where = self.lss.node_id()
         self.lss.waiting()
@@ -173,7 +173,7 @@ class Stepper:
 
     # -- what is done by hand ------------------------------------------------------------------
 
-    def _attach(self, number: int, step: AttachStep, target: Target) -> None:
+    def _attach(self, number: int, step: AttachStep, target: BusConfiguration) -> None:
         node = target.node(step.node)
         if self.operator is None:
             raise StepFailed("there is nobody to do it")
@@ -181,11 +181,11 @@ class Stepper:
             f"Switch the power of all modules off, then power {node.module} alone. Set its node "
             f"id to {step.after} with its maker's tool, save it, and switch it off and on."
         )
-        self.journal.begin(number, step.node, step.words)
+        self.journal.begin(number, step.node, step.description)
         if not self.operator.attach(step, words):
             raise StepFailed("it was put off by the operator")
         one = dataclasses.replace(target, nodes=(node,))
-        scan = Scanner(self.session, one).active(values=False)
+        scan = Scanner(self.master, one).active(values=False)
         answering = [e for e in scan.entries if e.found is not None]
         if len(answering) != 1 or scan.duplicates:
             many = "nobody answers" if not answering else "more than one device answers"
@@ -202,9 +202,9 @@ class Stepper:
         """After the last module that was powered alone: all of them, each at its own id."""
         if any(isinstance(step, AttachStep) for step in plan.steps[number + 1 :]):
             return
-        if self.operator is None or not self.operator.all_on("Power all modules again."):
+        if self.operator is None or not self.operator.power_all("Power all modules again."):
             raise StepFailed("the modules were not powered again")
-        scan = Scanner(self.session, plan.target).active(values=False, texts=False)
+        scan = Scanner(self.master, plan.configuration).active(values=False, texts=False)
         for step in plan.steps[: number + 1]:
             entry = scan.entry(step.node)
             if isinstance(step, AttachStep) and entry.verdict != OK:

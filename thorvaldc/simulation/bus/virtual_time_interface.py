@@ -7,11 +7,11 @@ from collections import deque
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import NEVER, to_ns
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.bus.wire_controller import Controller
 
 
-class Client:
+class VirtualTimeInterface:
     """A controller whose device is a program: it sends, and waits by letting time run.
 
     What is received waits in a queue of ``receive_limit`` frames; a full one loses the
@@ -40,7 +40,7 @@ class Client:
         self.receive_limit = receive_limit
         self.overruns = 0
         self.received: deque[ReceivedFrame] = deque()
-        self.controller = Controller(
+        self.controller = CanController(
             wire,
             name,
             bitrate or wire.bitrate,

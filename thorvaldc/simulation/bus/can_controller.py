@@ -23,7 +23,7 @@ RECOVERY_BITS = 128 * 11
 QUEUE_LIMIT = 32
 
 
-class Controller:
+class CanController:
     """A CAN controller on a wire: its send queue, error counters and state.
 
     ``on_frame`` is called with each frame received, ``on_sent`` with each of its own
