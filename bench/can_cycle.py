@@ -16,7 +16,7 @@ from itertools import pairwise
 
 from bench.figure import ROOT, Figure
 from bench.robots import example
-from thorvaldc.can.interface import open_interfaces
+from thorvaldc.can.open_interface import open_interfaces
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import State

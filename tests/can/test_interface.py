@@ -23,8 +23,9 @@ from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.interface import PythonCanInterface, open_interface, open_interfaces
-from thorvaldc.can.simulated_bus_client import RemoteClient
+from thorvaldc.can.open_interface import open_interface, open_interfaces
+from thorvaldc.can.python_can_interface import PythonCanInterface
+from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
@@ -313,7 +314,7 @@ def test_a_serial_port_that_is_not_there(bus: Bus) -> None:
 
 def test_a_file_is_no_serial_port(tmp_path: Path, bus: Bus) -> None:
     (tmp_path / "port").write_text("")
-    assert "is no serial port" in refused(f"slcan:{tmp_path / 'port'}", bus)[0]
+    assert "is not a serial port" in refused(f"slcan:{tmp_path / 'port'}", bus)[0]
     assert "cannot use the bus" in refused("slcan:/dev/null", bus)[0]
 
 
@@ -342,12 +343,12 @@ def test_a_missing_package_is_named(bus: Bus, monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("channel", ["can77", "lo", "../net/lo"])
 def test_a_network_interface_that_is_none_of_can(channel: str, bus: Bus) -> None:
     message, _ = refused(f"socketcan:{channel}", bus)
-    assert "no network interface" in message or "is no CAN interface" in message
+    assert "no network interface" in message or "is not a CAN interface" in message
 
 
 def test_a_simulated_bus_that_nobody_runs(bus: Bus) -> None:
     message, hint = refused("sim:nobody", bus)
-    assert "no bus is run at" in message
+    assert "no bus runs at" in message
     assert "thorvaldc bus FILE --channel nobody" in hint
 
 
@@ -388,7 +389,7 @@ def test_a_master_on_a_simulated_bus_sends_in_its_own_order(bus: Bus, tmp_path: 
     with (
         serving(wire.timeline, {channel: wire}),
         closing(open_interface(f"sim:{channel}", bus)) as master,
-        closing(RemoteClient(channel)) as other,
+        closing(SimulatedBusClient(channel)) as other,
     ):
         sent = [CanFrame(k, bytes(8)) for k in (0x201, 0x202, 0x303, 0x304, 0x080)]
         for frame in sent:

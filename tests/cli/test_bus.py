@@ -18,7 +18,7 @@ import pytest
 
 from tests.cli.conftest import GOOD, Command
 from tests.simulation.bus.robots import CIA402
-from thorvaldc.can.simulated_bus_client import RemoteClient
+from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.simulation.bus import python_can_plugin as interface
 
 ROOT = Path(__file__).parents[2]
@@ -84,7 +84,7 @@ def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
         assert list((tmp_path / "thorvaldc").iterdir()) == []
     assert json.loads(store.read_text(encoding="utf-8"))["rl_controller"]["node_id"] == 9
     with running(tmp_path, "robot.yaml", "--store", "store.json") as (process, said):
-        client = RemoteClient(str(said["channel"]))
+        client = SimulatedBusClient(str(said["channel"]))
         ids = set()
         while 0x709 not in ids:
             got = client.receive(5.0)

@@ -104,7 +104,7 @@ def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (("--bus", "sim:nobody"), 3, "no bus is run at"),
+        (("--bus", "sim:nobody"), 3, "no bus runs at"),
         (("--bus", "virtual"), 2, "a virtual bus is the own process's alone"),
         (("--bus", "left=sim:x"), 3, "`left=sim:x`"),
         (("--bus", "sim:x", "--duration", "soon"), 2, "'--duration'"),

@@ -118,7 +118,7 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         except DiagnosticError as fault:
             done.report.put(fault.diagnostic)
     if how == "port" and isinstance(done.model, Robot):
-        from thorvaldc.can.interface import open_interface
+        from thorvaldc.can.open_interface import open_interface
         from thorvaldc.diagnostics.error import DiagnosticError
 
         try:

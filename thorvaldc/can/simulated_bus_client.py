@@ -1,4 +1,4 @@
-"""A program on a simulated wire that another process runs."""
+"""Access to a simulated bus that another process runs (``sim:NAME``)."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from typing import Any
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
+from thorvaldc.can.local_socket import Unpacker, pack, pack_json, socket_path
 from thorvaldc.can.nanoseconds import NANOSECONDS, NEVER, to_ns
 
 ANSWER_TIME = 5.0
-"""s to wait for the server's welcome."""
+"""s to wait for the server's WELCOME."""
 LOCKSTEP_POLL = 0.0001
-"""s of the simulation after which a client in lockstep looks whether there is room to send."""
+"""s of simulated time between two checks for room in the send queue, in lockstep."""
 
 
-class RemoteClient:
-    """As ``Client``, over a local socket: time goes by the clock, or with ``lockstep`` by waits.
+class SimulatedBusClient:
+    """A ``CanInterface`` to a simulated bus, over a local socket.  Any thread may use it.
 
-    In lockstep time stands still while any client that asked for it is not waiting: a
-    program has all the time it wants between two waits.  Safe to use from several threads.
+    Without ``lockstep`` the bus runs in real time.  With it simulated time passes only while every
+    lockstep client waits (in ``receive``, ``sleep`` or ``send``): a program can compute as long as
+    it needs between two waits.
     """
 
     def __init__(
@@ -41,7 +43,12 @@ class RemoteClient:
         fifo: bool = False,
         lockstep: bool = False,
     ) -> None:
-        """Raises ``OSError`` where no such bus is run, or it does not want this client."""
+        """Connects to the bus.  ``bitrate`` ``None``: that of the bus.
+
+        ``fifo``: the controller sends in the order of ``send``, instead of by priority.
+
+        Raises ``OSError`` where no such bus runs, or its server refuses this client.
+        """
         self.channel = channel
         self.name = name
         self.lockstep = lockstep
@@ -51,17 +58,17 @@ class RemoteClient:
         self._received: deque[ReceivedFrame] = deque()
         self._changed = threading.Condition()
         self._writing = threading.Lock()
-        self._outstanding = 0
+        self._unsent = 0
         self._state = ErrorState.ACTIVE
         self._closed = ""
         self._waited_until: int | None = None
-        path = protocol.channel_path(channel)
+        path = socket_path(channel)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.connect(str(path))
-        except OSError as fault:
+        except OSError as error:
             self._socket.close()
-            raise OSError(f"no bus is run at {path} ({fault.strerror or fault})") from None
+            raise OSError(f"no bus runs at {path} ({error.strerror or error})") from None
         hello = {
             "version": protocol.VERSION,
             "name": name,
@@ -72,17 +79,17 @@ class RemoteClient:
             "fifo": fifo,
             "lockstep": lockstep,
         }
-        self._unpacker = protocol.Unpacker()
+        self._unpacker = Unpacker()
         try:
-            self._socket.sendall(protocol.pack_json(protocol.HELLO, hello))
-            welcome = self._welcome()
+            self._socket.sendall(pack_json(protocol.HELLO, hello))
+            welcome = self._receive_welcome()
         except OSError:
             self._socket.close()
             raise
         self.bitrate: int = welcome["bitrate"]
         self.epoch: float = welcome["epoch"]
         self._now: int = welcome["now"]
-        self._clock = time.monotonic_ns() - self._now
+        self._clock_offset = time.monotonic_ns() - self._now
         self._reader = threading.Thread(target=self._read, name=f"bus {channel}", daemon=True)
         self._reader.start()
 
@@ -92,26 +99,26 @@ class RemoteClient:
 
     @property
     def now(self) -> float:
-        """s; of the simulation in lockstep, else of the clock since the bus was started."""
-        now = self._now if self.lockstep else time.monotonic_ns() - self._clock
+        """Time (s) since the bus was started: simulated time in lockstep, real time otherwise."""
+        now = self._now if self.lockstep else time.monotonic_ns() - self._clock_offset
         return now / NANOSECONDS
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Queue a frame.  Where the queue is full, wait at most ``timeout`` s for room."""
+        """Queues a frame; waits at most ``timeout`` s for room where the queue is full."""
         with self._changed:
-            if self._outstanding >= self.send_limit and timeout > 0.0:
+            if self._unsent >= self.send_limit and timeout > 0.0:
                 self._wait_for_room(timeout)
-            if self._outstanding >= self.send_limit or self._state is ErrorState.BUS_OFF:
+            if self._unsent >= self.send_limit or self._state is ErrorState.BUS_OFF:
                 return False
-            self._outstanding += 1
+            self._unsent += 1
         self._write(protocol.pack_frame(protocol.SEND, frame))
         return True
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """The oldest frame received; where there is none, wait for one.
+        """Returns the oldest received frame; waits for one where there is none.
 
-        ``None`` after ``timeout`` s without one.  Raises ``ConnectionError`` where the bus
-        is not run any more.
+        Returns ``None`` after ``timeout`` s without a frame.  Raises ``ConnectionError`` where the
+        bus has stopped.
         """
         with self._changed:
             if not self._received and timeout != 0.0:
@@ -123,7 +130,7 @@ class RemoteClient:
             return None
 
     def sleep(self, seconds: float) -> None:
-        """Let time run; what comes meanwhile waits in the queue."""
+        """Lets time pass; frames that come meanwhile wait in the receive queue."""
         with self._changed:
             self._wait(seconds, stop_at_frame=False)
 
@@ -131,13 +138,13 @@ class RemoteClient:
         self.sleep(time - self.now)
 
     def restart(self) -> None:
-        """Come back from bus-off."""
-        self._write(protocol.pack(protocol.RESTART))
+        """Recovers from bus-off."""
+        self._write(pack(protocol.RESTART))
 
     def close(self) -> None:
         with self._changed:
             self._closed = self._closed or "closed"
-        with contextlib.suppress(OSError):  # the server may have been first
+        with contextlib.suppress(OSError):  # the server may have closed the connection before
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
         if threading.current_thread() is not self._reader:
@@ -146,14 +153,14 @@ class RemoteClient:
     # -- inside --------------------------------------------------------------------------------
 
     def _has_room(self) -> bool:
-        return self._outstanding < self.send_limit or bool(self._closed)
+        return self._unsent < self.send_limit or bool(self._closed)
 
     def _wait_for_room(self, timeout: float) -> None:
         if not self.lockstep:
             self._changed.wait_for(self._has_room, timeout)
             return
-        until = self._now + to_ns(timeout)
-        while not self._has_room() and self._now < until:
+        deadline = self._now + to_ns(timeout)
+        while not self._has_room() and self._now < deadline:
             self._wait(LOCKSTEP_POLL, stop_at_frame=False)
 
     def _wait(self, timeout: float | None, stop_at_frame: bool) -> None:
@@ -163,10 +170,10 @@ class RemoteClient:
         if not self.lockstep:
             self._changed.wait_for(over, timeout)
             return
-        until = NEVER - 1 if timeout is None else self._now + to_ns(timeout)
-        while not over() and self._now < until:
+        deadline = NEVER - 1 if timeout is None else self._now + to_ns(timeout)
+        while not over() and self._now < deadline:
             self._waited_until = None
-            self._write(protocol.pack_time(protocol.WAIT, until))
+            self._write(protocol.pack_time(protocol.WAIT, deadline))
             self._changed.wait_for(lambda: self._waited_until is not None or bool(self._closed))
 
     def _write(self, message: bytes) -> None:
@@ -174,9 +181,9 @@ class RemoteClient:
             with self._writing:
                 self._socket.sendall(message)
         except OSError:
-            raise ConnectionError(self._closed or "the bus is not run any more") from None
+            raise ConnectionError(self._closed or "the bus has stopped") from None
 
-    def _welcome(self) -> dict[str, Any]:
+    def _receive_welcome(self) -> dict[str, Any]:
         self._socket.settimeout(ANSWER_TIME)
         try:
             while True:
@@ -189,8 +196,8 @@ class RemoteClient:
                         raise ConnectionError(json.loads(body)["reason"])
                     if kind == protocol.WELCOME:
                         welcome = json.loads(body)
-                    else:  # on a busy bus frames come in the same breath
-                        self._take(kind, body)
+                    else:  # on a busy bus the same packet may contain the first frames
+                        self._process(kind, body)
                 if welcome is not None:
                     return welcome
         except TimeoutError:
@@ -199,8 +206,8 @@ class RemoteClient:
             self._socket.settimeout(None)
 
     def _read(self) -> None:
-        """The thread that takes what the server sends."""
-        reason = "the bus is not run any more"
+        """Processes the server's messages, in a thread of its own."""
+        reason = "the bus has stopped"
         try:
             while data := self._socket.recv(65536):
                 with self._changed:
@@ -208,26 +215,27 @@ class RemoteClient:
                         if kind == protocol.CLOSED:
                             reason = json.loads(body)["reason"]
                         else:
-                            self._take(kind, body)
+                            self._process(kind, body)
                     self._changed.notify_all()
         except OSError:
-            pass  # closed, here or there
+            pass  # this client or the server has closed the connection
         with self._changed:
             self._closed = self._closed or reason
             self._changed.notify_all()
 
-    def _take(self, kind: bytes, body: bytes) -> None:
+    def _process(self, kind: bytes, body: bytes) -> None:
         if kind == protocol.FRAME:
-            moment, frame, own = protocol.unpack_frame(body)
+            time, frame, own = protocol.unpack_frame(body)
             if len(self._received) >= self.receive_limit:
                 self.overruns += 1
             else:
-                self._received.append(ReceivedFrame(moment, frame, own))
+                self._received.append(ReceivedFrame(time, frame, own))
         elif kind in (protocol.SENT, protocol.REFUSED):
-            self._outstanding = max(self._outstanding - 1, 0)
+            self._unsent = max(self._unsent - 1, 0)
         elif kind == protocol.STATE:
-            found = json.loads(body)
-            self._state = ErrorState(found["state"])
-            self._outstanding = max(self._outstanding - found["dropped"], 0)
+            state = json.loads(body)
+            self._state = ErrorState(state["state"])
+            # Frames in the send queue are lost in bus-off and when the controller restarts.
+            self._unsent = max(self._unsent - state["dropped"], 0)
         elif kind == protocol.TIME:
             self._now = self._waited_until = protocol.unpack_time(body)

@@ -302,7 +302,7 @@ def _open(robot: Robot, spec: str, store: str) -> Iterator[Place]:
         return
     if store:
         raise typer.BadParameter("is for a simulated robot, --bus virtual", param_hint="'--store'")
-    from thorvaldc.can.interface import open_interface
+    from thorvaldc.can.open_interface import open_interface
     from thorvaldc.commissioning.bus_lock import BusLock
 
     if name not in SIMULATED:

@@ -156,7 +156,7 @@ def _print_json(found: Mapping[str, Any]) -> None:
 
 
 def _open(spec: str, bus: Bus) -> CanInterface:
-    from thorvaldc.can.interface import open_interface
+    from thorvaldc.can.open_interface import open_interface
 
     if spec == "virtual":
         raise typer.BadParameter(

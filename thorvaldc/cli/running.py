@@ -382,7 +382,7 @@ def ports_of(
     Raises ``DiagnosticError``.
     """
     if bus != VIRTUAL:
-        from thorvaldc.can.interface import open_interfaces
+        from thorvaldc.can.open_interface import open_interfaces
 
         return None, open_interfaces(bus, robot)
     from thorvaldc.compiler.pipeline import read_faults

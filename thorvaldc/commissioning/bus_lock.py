@@ -7,7 +7,7 @@ import os
 import re
 from types import TracebackType
 
-from thorvaldc.can.simulated_bus_protocol import channel_path
+from thorvaldc.can.local_socket import runtime_directory
 from thorvaldc.diagnostics.error import DiagnosticError
 
 
@@ -22,7 +22,7 @@ class BusLock:
     def __enter__(self) -> BusLock:
         """Raises ``DiagnosticError`` (``bus-locked``), ``OSError`` where no lock can be made."""
         name = re.sub(r"[^A-Za-z0-9.]+", "_", self.spec)[-40:]
-        path = channel_path("m").with_name(f"master-{name}.lock")
+        path = runtime_directory() / f"master-{name}.lock"
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -10,7 +10,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.can.simulated_bus_protocol import channel_path, free_path
+from thorvaldc.can.local_socket import remove_stale_socket, socket_path
 from thorvaldc.runtime.control.service_table import ServiceError, Services
 
 LONGEST_LINE = 65536
@@ -24,7 +24,7 @@ BACKLOG = 1 << 20
 
 def control_path(name: str) -> Path:
     """The socket of a driver by its name (or a path with a slash).  Raises ``OSError``."""
-    return channel_path(name if "/" in name else f"{name}-control")
+    return socket_path(name if "/" in name else f"{name}-control")
 
 
 class _Client:
@@ -49,7 +49,7 @@ class ControlServer:
         self.path = control_path(name)
         self.services = services
         self._clients: list[_Client] = []
-        free_path(self.path, "a driver")
+        remove_stale_socket(self.path, "a driver")
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         mask = os.umask(0o177)
         try:

@@ -15,6 +15,7 @@ from typing import Any
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import SEND_LIMIT, CanFrame
+from thorvaldc.can.local_socket import Unpacker, pack, pack_json, remove_stale_socket, socket_path
 from thorvaldc.can.nanoseconds import NEVER
 from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -34,7 +35,7 @@ class _Connection:
     def __init__(self, stream: socket.socket, wire: Wire) -> None:
         self.stream = stream
         self.wire = wire
-        self.unpacker = protocol.Unpacker()
+        self.unpacker = Unpacker()
         self.out = bytearray()
         self.controller: CanController | None = None
         self.lockstep = False
@@ -49,9 +50,7 @@ class _Connection:
         if controller is not None:
             dropped, self.pending = self.pending - controller.pending, controller.pending
             self.put(
-                protocol.pack_json(
-                    protocol.STATE, {"state": controller.state.value, "dropped": dropped}
-                )
+                pack_json(protocol.STATE, {"state": controller.state.value, "dropped": dropped})
             )
 
     def put(self, message: bytes) -> None:
@@ -91,7 +90,7 @@ class BusServer:
         self._selector.register(woken, selectors.EVENT_READ, None)
         try:
             for channel, wire in wires.items():
-                self._listen(protocol.channel_path(channel), wire)
+                self._listen(socket_path(channel), wire)
         except OSError:
             self._close()
             raise
@@ -156,7 +155,7 @@ class BusServer:
     # -- clients ------------------------------------------------------------------------------
 
     def _listen(self, path: Path, wire: Wire) -> None:
-        protocol.free_path(path, "a bus")
+        remove_stale_socket(path, "a bus")
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listeners.append(listener)
         listener.bind(str(path))
@@ -213,7 +212,7 @@ class BusServer:
             if controller.send(frame):
                 connection.pending += 1
             else:
-                connection.put(protocol.pack(protocol.REFUSED))
+                connection.put(pack(protocol.REFUSED))
         elif kind == protocol.RESTART and controller is not None:
             controller.restart()
             connection.tell_state()
@@ -251,7 +250,7 @@ class BusServer:
 
         def sent(frame: CanFrame) -> None:
             connection.pending -= 1
-            connection.put(protocol.pack(protocol.SENT))
+            connection.put(pack(protocol.SENT))
             if own:
                 connection.heard = True
                 now = self.timeline.now
@@ -271,10 +270,10 @@ class BusServer:
             "epoch": self._epoch,
             "lockstep": self.lockstep,
         }
-        connection.put(protocol.pack_json(protocol.WELCOME, welcome))
+        connection.put(pack_json(protocol.WELCOME, welcome))
 
     def _refuse(self, connection: _Connection, reason: str) -> None:
-        connection.put(protocol.pack_json(protocol.CLOSED, {"reason": reason}))
+        connection.put(pack_json(protocol.CLOSED, {"reason": reason}))
         self._write(connection)
         self._drop(connection)
 
@@ -308,7 +307,7 @@ class BusServer:
     def _close(self) -> None:
         reason = {"reason": "the bus was stopped"}
         for connection in list(self._connections):
-            connection.put(protocol.pack_json(protocol.CLOSED, reason))
+            connection.put(pack_json(protocol.CLOSED, reason))
             self._write(connection)
             self._drop(connection)
         for listener in self._listeners:

@@ -20,7 +20,7 @@ import can.util
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import to_ns
-from thorvaldc.can.simulated_bus_client import RemoteClient
+from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.simulation.bus.timeline import Event
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
@@ -78,12 +78,14 @@ class SimulatedBus(can.BusABC):
             "listen_only": listen_only,
             "fifo": fifo,
         }
-        self.port: VirtualTimeInterface | RemoteClient
+        self.port: VirtualTimeInterface | SimulatedBusClient
         try:
             if isinstance(channel, Wire):
                 self.port = VirtualTimeInterface(channel, name, bitrate, **options)
             else:
-                self.port = RemoteClient(str(channel), name, bitrate, lockstep=lockstep, **options)
+                self.port = SimulatedBusClient(
+                    str(channel), name, bitrate, lockstep=lockstep, **options
+                )
         except OSError as fault:
             # BusABC warns of a bus that was not shut down; there is none.
             self._is_shutdown = True
@@ -164,7 +166,7 @@ class SimulatedBus(can.BusABC):
         autostart: bool = True,
         modifier_callback: Callable[[can.Message], None] | None = None,
     ) -> Any:
-        if isinstance(self.port, RemoteClient):
+        if isinstance(self.port, SimulatedBusClient):
             return super()._send_periodic_internal(
                 msgs, period, duration, autostart, modifier_callback
             )

@@ -1,0 +1,245 @@
+"""Opens the CAN interface that a user names: ``sim:NAME``, ``slcan:PORT``, ``socketcan:can0``, ...
+
+python-can reports most mistakes late and in the words of its backends.  The checks here report
+the common ones before anything is written to a device, with a hint.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import logging
+import os
+import socket
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.python_can_interface import PythonCanInterface, one_line
+from thorvaldc.can.simulated_bus_client import SimulatedBusClient
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.bus import Bus
+from thorvaldc.model.buses import require_bus
+from thorvaldc.model.robot import Robot
+
+if TYPE_CHECKING:
+    import can
+
+UDP_GROUP = "239.74.163.2"
+"""Multicast group of ``udp`` without a channel."""
+SERIAL_START = 2.0
+"""s that a serial adapter may need to start after its port is opened."""
+SERIAL_WRITE_TIME = 0.01
+"""s.  With a shorter time-out pyserial may write only a part of a frame."""
+
+_ALIASES = {"udp": "udp_multicast"}
+_EXTRAS = {"slcan": "serial", "udp_multicast": "udp"}
+"""The extra of this package that installs what a backend of python-can needs."""
+_ARPHRD_CAN = 280
+"""Type of a CAN network interface in /sys/class/net (linux/if_arp.h)."""
+_IFF_UP = 1
+
+
+def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInterface:
+    """Opens the CAN interface ``spec`` at the bitrate of ``bus``.
+
+    - ``sim:NAME``: a bus that ``thorvaldc bus`` runs, by the name that it prints;
+    - ``slcan:PORT``: a serial adapter, ``slcan:/dev/ttyACM0`` (``@115200`` for its baud rate);
+    - ``socketcan:can0``: a Linux network interface, which is already up at the right bitrate;
+    - ``udp`` or ``udp:GROUP``: frames in UDP multicast, between programs without hardware;
+    - ``INTERFACE:CHANNEL``: any other interface that python-can knows.
+
+    ``listen_only``: the interface sends nothing, not even acknowledgements, where it supports this.
+
+    Raises ``DiagnosticError`` (``bus-interface``) where there is no such interface, it is not
+    set up, or the user has no permission.
+    """
+    name, _, channel = spec.partition(":")
+    if name == "sim":
+        return _open_simulated(spec, channel, bus, listen_only)
+    backend = _ALIASES.get(name, name)
+    if backend == "udp_multicast" and not channel:
+        channel = UDP_GROUP
+    options: dict[str, Any] = {}
+    import can.interfaces
+
+    # Our diagnostics report what python-can logs.
+    logging.getLogger("can").addHandler(logging.NullHandler())
+    if backend not in can.interfaces.BACKENDS:
+        raise _interface_error(
+            spec,
+            f"python-can knows no interface `{name}`",
+            "use sim:NAME, slcan:PORT, socketcan:can0, udp or an interface of python-can: "
+            + ", ".join(sorted(can.interfaces.BACKENDS)),
+        )
+    if not channel:
+        raise _interface_error(spec, f"`{name}` needs a channel", f"write {name}:CHANNEL")
+    if backend == "socketcan":
+        _check_network_interface(spec, channel, bus)
+    else:
+        options["bitrate"] = bus.bitrate
+    if listen_only and backend == "slcan":
+        options["listen_only"] = True
+    if backend == "slcan":
+        path = channel.partition("@")[0]
+        _check_serial_port(spec, path)
+        is_pseudo_terminal = os.path.realpath(path).startswith("/dev/pts/")
+        options["sleep_after_open"] = 0.0 if is_pseudo_terminal else SERIAL_START
+    elif backend == "udp_multicast":
+        options["fd"] = False
+        del options["bitrate"]
+    return PythonCanInterface(
+        _open_python_can(spec, backend, channel, options),
+        echoes=backend == "udp_multicast",
+        write_time=SERIAL_WRITE_TIME if backend == "slcan" else 0.0,
+    )
+
+
+def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
+    """Opens a CAN interface for each bus of the robot; returns them by the name of the bus.
+
+    For a robot with several buses ``spec`` names an interface for each, ``left=socketcan:can0,
+    right=socketcan:can1``; or it is ``sim:NAME``, for the channels ``NAME.left``, ``NAME.right``.
+    """
+    require_bus(robot)
+    names = [bus.name for bus in robot.buses]
+    specs = _split_spec(spec, names)
+    interfaces: dict[str, CanInterface] = {}
+    try:
+        for bus in robot.buses:
+            interfaces[bus.name] = open_interface(specs[bus.name], bus)
+    except DiagnosticError:
+        for interface in interfaces.values():
+            interface.close()
+        raise
+    return interfaces
+
+
+def _split_spec(spec: str, names: list[str]) -> Mapping[str, str]:
+    """Returns the part of ``spec`` for each bus."""
+    if len(names) == 1:
+        return {names[0]: spec.removeprefix(f"{names[0]}=")}
+    if spec.startswith("sim:") and "=" not in spec:
+        return {name: f"{spec}.{name}" for name in names}
+    specs = dict(part.strip().partition("=")[::2] for part in spec.split(","))
+    if sorted(specs) != sorted(names) or not all(specs.values()):
+        example = ",".join(f"{name}=socketcan:can{i}" for i, name in enumerate(names))
+        raise _interface_error(
+            spec,
+            f"the robot has the buses {', '.join(names)}",
+            f"name an interface for each: {example}",
+        )
+    return specs
+
+
+# -- opening ---------------------------------------------------------------------------------
+
+
+def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> CanInterface:
+    if not channel:
+        hint = "`thorvaldc bus FILE` prints the name"
+        raise _interface_error(spec, "`sim` needs the name of a bus", hint)
+    try:
+        # First in, first out, as a real interface sends: SYNC must follow the commands, although
+        # its identifier has the higher priority.
+        return SimulatedBusClient(
+            channel, "master", bus.bitrate, listen_only=listen_only, fifo=True
+        )
+    except OSError as error:
+        hint = f"start it in another terminal: thorvaldc bus FILE --channel {channel}"
+        raise _interface_error(spec, one_line(error), hint) from None
+
+
+def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, Any]) -> can.BusABC:
+    import can.interfaces
+
+    module, class_name = can.interfaces.BACKENDS[backend]
+    try:
+        bus_class = getattr(importlib.import_module(module), class_name)
+    except ImportError as error:
+        raise _package_error(spec, backend, one_line(error)) from None
+    # `__new__` and `__init__` are separate: python-can's destructor shuts a bus down, which fails
+    # noisily where `__init__` did not get far enough.
+    bus: can.BusABC = bus_class.__new__(bus_class, channel, **options)
+    try:
+        type(bus).__init__(bus, channel, **options)
+    except can.CanInterfaceNotImplementedError as error:
+        bus._is_shutdown = True
+        raise _package_error(spec, backend, one_line(error)) from None
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        bus._is_shutdown = True
+        raise _open_error(spec, error, channel) from None
+    return bus
+
+
+def _check_serial_port(spec: str, path: str) -> None:
+    """Checks a device that is named by its path, before anything is written to it."""
+    if not path.startswith("/"):
+        return
+    try:
+        mode = os.stat(path).st_mode
+    except OSError as error:
+        hint = "is the adapter plugged in? `ls /dev/serial/by-id` lists serial adapters"
+        raise _interface_error(spec, f"{path}: {error.strerror}", hint) from None
+    if not stat.S_ISCHR(mode):
+        raise _interface_error(spec, f"{path} is not a serial port", None)
+    if not os.access(path, os.R_OK | os.W_OK):
+        raise _open_error(spec, PermissionError(errno.EACCES, "no permission", path), path)
+
+
+def _check_network_interface(spec: str, channel: str, bus: Bus) -> None:
+    """Checks that a Linux network interface exists, is a CAN interface and is up."""
+    if not hasattr(socket, "AF_CAN"):
+        hint = "socketcan needs Linux; try slcan:PORT"
+        raise _interface_error(spec, "this system has no socketcan", hint)
+    folder = Path("/sys/class/net") / channel
+    if "/" in channel or not folder.is_dir():
+        hint = "`ip link` lists the network interfaces; is the adapter plugged in?"
+        raise _interface_error(spec, f"there is no network interface {channel}", hint)
+    try:
+        kind = int((folder / "type").read_text())
+        flags = int((folder / "flags").read_text(), 16)
+    except (OSError, ValueError):
+        return  # without these files the error appears when the interface is opened
+    if kind != _ARPHRD_CAN:
+        hint = "`ip link show type can` lists the CAN interfaces"
+        raise _interface_error(spec, f"{channel} is not a CAN interface", hint)
+    if not flags & _IFF_UP:
+        hint = f"sudo ip link set {channel} up type can bitrate {bus.bitrate}"
+        raise _interface_error(spec, f"{channel} is down", hint)
+
+
+# -- errors ----------------------------------------------------------------------------------
+
+
+def _package_error(spec: str, backend: str, text: str) -> DiagnosticError:
+    """A package that the backend needs is not installed."""
+    extra = _EXTRAS.get(backend)
+    hint = (
+        f"pip install 'thorvaldc[{extra}]'"
+        if extra
+        else f"see python-can's documentation of {backend}"
+    )
+    return _interface_error(spec, text, hint)
+
+
+def _open_error(spec: str, error: BaseException, channel: str) -> DiagnosticError:
+    """python-can or the operating system refused to open the interface."""
+    causes = (error, error.__cause__, error.__context__)
+    codes = [cause.errno for cause in causes if isinstance(cause, OSError)]
+    codes.append(getattr(error, "error_code", None))
+    if errno.EACCES in codes or errno.EPERM in codes:
+        hint = "add yourself to the group that owns the port (dialout, on most systems)"
+        return _interface_error(spec, f"no permission to use {channel}", hint)
+    if errno.EAFNOSUPPORT in codes:
+        hint = "load its module: modprobe can_raw"
+        return _interface_error(spec, "this system's kernel has no CAN", hint)
+    if errno.EBUSY in codes:
+        return _interface_error(spec, f"{channel} is in use by another program", None)
+    return _interface_error(spec, one_line(error), None)
+
+
+def _interface_error(spec: str, reason: str, hint: str | None) -> DiagnosticError:
+    return DiagnosticError("bus-interface", f"cannot use the bus `{spec}`: {reason}", hint=hint)

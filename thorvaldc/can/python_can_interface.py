@@ -1,0 +1,220 @@
+"""Access to a CAN bus through python-can: hardware, socketcan and UDP multicast."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import threading
+import time
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+from thorvaldc.can.error_state import ErrorState
+from thorvaldc.can.frame import CanFrame, ReceivedFrame
+from thorvaldc.can.nanoseconds import to_ns
+
+if TYPE_CHECKING:
+    import can
+
+MAXIMUM_AGE = 1.0
+"""s.  A time stamp is used where it is at most so old; an echo is expected for so long."""
+
+# linux/can/error.h: classes of error frames (bits of the identifier), and the bits of data byte 1
+# that report the controller's state.
+_ERR_CONTROLLER, _ERR_BUS_OFF, _ERR_RESTARTED = 0x04, 0x40, 0x100
+_ERR_CONTROLLER_PASSIVE, _ERR_CONTROLLER_ACTIVE = 0x30, 0x40
+
+_LOST = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
+"""Operating system errors of an interface that was unplugged or switched off."""
+
+
+class PythonCanInterface:
+    """A ``can.BusABC`` as a ``CanInterface``.  Its clock is ``time.monotonic``.
+
+    python-can stamps frames with the wall clock, which may jump.  Each stamp is converted to an
+    age, which is subtracted from the monotonic time; a stamp that is older than ``MAXIMUM_AGE`` or
+    in the future is ignored.  One thread may send while another one receives.
+
+    Limits of python-can: most interfaces do not report error-passive and bus-off (socketcan
+    reports them by error frames, which ``receive`` evaluates), and none reports how many frames
+    its driver lost (``overruns`` stays 0).
+
+    Echo removal (``echoes``).  UDP multicast delivers a program's own frames back to it, without
+    a mark.  ``send`` counts each frame it sends by identifier and data; ``receive`` drops as many
+    equal frames as were sent.  An equal frame of another node is kept, unless it arrives before
+    the echo: then the echo is returned in its place, with the same content.
+
+        send     701#05
+        receive           701#05    701#05    701#7f
+                          echo      kept      kept
+        expected    1       0          0
+
+    An echo that does not come within ``MAXIMUM_AGE`` is no longer expected.
+    """
+
+    overruns = 0
+
+    def __init__(self, bus: can.BusABC, *, echoes: bool = False, write_time: float = 0.0) -> None:
+        """``echoes``: ``bus`` delivers the program's own frames, which are to be dropped.
+
+        ``write_time`` (s): shortest time-out with which ``bus`` sends a frame completely.
+        """
+        import can
+
+        self.bus = bus
+        self._can = can
+        self._expected_echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
+        self._sent: deque[tuple[float, tuple[int, bytes]]] = deque()
+        self._lock = threading.Lock()
+        self._write_time = write_time
+        self._state = ErrorState.ACTIVE
+        self._last_time = 0
+
+    @property
+    def now(self) -> float:
+        return time.monotonic()
+
+    @property
+    def state(self) -> ErrorState:
+        bus_state = self.bus.state
+        if bus_state is self._can.BusState.ERROR:
+            return ErrorState.BUS_OFF
+        if bus_state is self._can.BusState.PASSIVE:
+            return ErrorState.PASSIVE
+        return self._state
+
+    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+        message = self._can.Message(
+            arbitration_id=frame.id,
+            is_extended_id=frame.extended,
+            is_remote_frame=frame.remote,
+            dlc=frame.length,
+            data=None if frame.remote else frame.data,
+            check=True,
+        )
+        if self._expected_echoes is not None:
+            self._expect_echo(frame)
+        try:
+            self.bus.send(message, max(timeout, self._write_time))
+        except self._can.CanError as error:
+            self._raise_if_lost(error)
+            return False
+        except OSError as error:
+            raise ConnectionError(one_line(error)) from None
+        return True
+
+    def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            remaining = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+            try:
+                message = self.bus.recv(remaining)
+            except self._can.CanError as error:
+                self._raise_if_lost(error)
+                raise ConnectionError(one_line(error)) from None
+            except (OSError, ValueError) as error:
+                raise ConnectionError(one_line(error)) from None
+            if message is None:
+                if deadline is not None and time.monotonic() >= deadline:
+                    return None
+                continue
+            if message.is_error_frame:
+                self._evaluate_error_frame(message)
+                continue
+            if message.is_fd:
+                continue
+            frame = CanFrame(
+                message.arbitration_id,
+                b"" if message.is_remote_frame else bytes(message.data),
+                message.is_extended_id,
+                message.is_remote_frame,
+                message.dlc if message.is_remote_frame else 0,
+            )
+            if self._expected_echoes is None or not self._is_echo(frame):
+                arrival = self._monotonic_time(message.timestamp)
+                return ReceivedFrame(arrival, frame, not message.is_rx)
+
+    def sleep(self, seconds: float) -> None:
+        if seconds > 0.0:
+            time.sleep(seconds)
+
+    def sleep_until(self, time: float) -> None:
+        self.sleep(time - self.now)
+
+    def restart(self) -> None:
+        """Requests the restart, where the interface can do it.
+
+        A socketcan interface is restarted by ``ip link``; it reports its restart by an error frame.
+        """
+        with contextlib.suppress(NotImplementedError, AttributeError):
+            self.bus.state = self._can.BusState.ACTIVE
+
+    def close(self) -> None:
+        # An interface that is lost raises when it is closed.
+        with contextlib.suppress(self._can.CanError, OSError):
+            self.bus.shutdown()
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _monotonic_time(self, stamp: float) -> int:
+        """Converts a wall clock's stamp (s) to monotonic time (ns), which never decreases."""
+        age = time.time() - stamp
+        arrival = time.monotonic_ns()
+        if 0.0 < age <= MAXIMUM_AGE:
+            arrival -= to_ns(age)
+        self._last_time = max(arrival, self._last_time)
+        return self._last_time
+
+    def _evaluate_error_frame(self, message: can.Message) -> None:
+        classes, data = message.arbitration_id, bytes(message.data)
+        if classes & _ERR_BUS_OFF:
+            self._state = ErrorState.BUS_OFF
+        elif classes & _ERR_RESTARTED:
+            self._state = ErrorState.ACTIVE
+        elif classes & _ERR_CONTROLLER and len(data) > 1 and data[1] & _ERR_CONTROLLER_PASSIVE:
+            self._state = ErrorState.PASSIVE
+        elif classes & _ERR_CONTROLLER and len(data) > 1 and data[1] & _ERR_CONTROLLER_ACTIVE:
+            self._state = ErrorState.ACTIVE
+
+    def _expect_echo(self, frame: CanFrame) -> None:
+        now = time.monotonic()
+        content = (frame.id, frame.data)
+        with self._lock:
+            self._drop_old_echoes(now)
+            if self._expected_echoes is not None:
+                self._expected_echoes[content] += 1
+                self._sent.append((now, content))
+
+    def _is_echo(self, frame: CanFrame) -> bool:
+        content = (frame.id, frame.data)
+        with self._lock:
+            self._drop_old_echoes(time.monotonic())
+            expected = self._expected_echoes
+            if expected is None or not expected[content]:
+                return False
+            expected[content] -= 1
+            return True
+
+    def _drop_old_echoes(self, now: float) -> None:
+        expected = self._expected_echoes
+        while expected is not None and self._sent and now - self._sent[0][0] > MAXIMUM_AGE:
+            content = self._sent.popleft()[1]
+            if expected[content] > 0:
+                expected[content] -= 1
+            if not expected[content]:
+                del expected[content]
+
+    def _raise_if_lost(self, error: can.CanError) -> None:
+        causes: list[BaseException | None] = [error, error.__cause__, error.__context__]
+        codes = [getattr(error, "error_code", None)]
+        codes += [cause.errno for cause in causes if isinstance(cause, OSError)]
+        timed_out = any(isinstance(cause, TimeoutError) for cause in causes)
+        if not timed_out and any(code in _LOST for code in codes):
+            raise ConnectionError(one_line(error)) from None
+
+
+def one_line(error: BaseException) -> str:
+    """Returns an exception's text as one line, without the numbers of the operating system."""
+    if isinstance(error, OSError) and error.strerror and type(error).__module__ == "builtins":
+        return str(error.strerror)
+    return " ".join(str(error).split()) or type(error).__name__
