@@ -17,7 +17,7 @@ from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.drive_metrics import Meter
 from thorvaldc.simulation.manoeuvre import Segment
 from thorvaldc.simulation.simulation_run import Simulation
-from thorvaldc.simulation.vectorised import crowd
+from thorvaldc.simulation.vectorised import robot_groups
 
 GRIDS = {1: (1, 1), 10: (2, 5), 25: (5, 5), 50: (5, 10), 100: (10, 10)}
 """Rows and columns by the number of robots."""
@@ -109,11 +109,14 @@ class _Loops:
         self.simulation.run(SECONDS, PLAN)
 
     def one_by_one(self) -> None:
-        least, crowd.LEAST = crowd.LEAST, 1 + len(self.simulation.robots)
+        least, robot_groups.MIN_GROUP_SIZE = (
+            robot_groups.MIN_GROUP_SIZE,
+            1 + len(self.simulation.robots),
+        )
         try:
             self.whole()
         finally:
-            crowd.LEAST = least
+            robot_groups.MIN_GROUP_SIZE = least
 
     def bare(self) -> None:
         self.scene.reset()

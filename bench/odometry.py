@@ -15,7 +15,7 @@ from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
-from thorvaldc.simulation.vectorised.calculator_batch import Batch
+from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 
 STATES = 4000
 PAIRED = 500
@@ -76,8 +76,8 @@ def _none() -> tuple[Array, Array]:
     return np.empty((0, 0)), np.empty((0, 0))
 
 
-def _batch_of(geometry: BaseGeometry, noise: Noise, polish: int = 0) -> Batch:
-    return Batch(General(geometry, GeneralOptions(polish=polish), noise))
+def _batch_of(geometry: BaseGeometry, noise: Noise, polish: int = 0) -> CalculatorBatch:
+    return CalculatorBatch(General(geometry, GeneralOptions(polish=polish), noise))
 
 
 def _estimates(geometry: BaseGeometry, noise: Noise, driven: Drive, polish: int = 0) -> Array:
@@ -88,7 +88,7 @@ def _estimates(geometry: BaseGeometry, noise: Noise, driven: Drive, polish: int 
 
 def _least_squares(geometry: BaseGeometry, driven: Drive) -> Array:
     twists = np.empty_like(driven.twists)
-    Batch(General(geometry)).least_squares(driven.speeds, driven.angles, twists)
+    CalculatorBatch(General(geometry)).least_squares(driven.speeds, driven.angles, twists)
     return twists
 
 
@@ -313,7 +313,7 @@ def _distance(a: Pose2, b: Pose2) -> float:
 def _batch(geometry: BaseGeometry) -> Iterator[Figure]:
     n = 100_000
     rng = np.random.default_rng(6)
-    batch = Batch(General(geometry))
+    batch = CalculatorBatch(General(geometry))
     twists = rng.uniform(-1.0, 1.0, (3, n))
     speeds, angles = np.empty((2, len(geometry.wheels), n))
     covariances, copies = np.empty((6, n)), [np.empty_like(a) for a in (twists, speeds, angles)]

@@ -61,7 +61,7 @@ def random_twists(geometry: BaseGeometry, n: int, rng: np.random.Generator) -> A
     Every wheel moves, none faster than its motor can.
     """
     fixed = FixedWheels(geometry.wheels)
-    allowed = np.array([fixed.allowed(Twist(*unit)) for unit in np.eye(3)]).T
+    allowed = np.array([fixed.feasible(Twist(*unit)) for unit in np.eye(3)]).T
     found = np.empty((3, 0))
     while found.shape[1] < n:
         some = allowed @ rng.uniform(-1.0, 1.0, (3, 2 * n))

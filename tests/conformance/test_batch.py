@@ -25,7 +25,7 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimate, TwistEstimator
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.vectorised.calculator_batch import Array, Batch
+from thorvaldc.simulation.vectorised.calculator_batch import Array, CalculatorBatch
 
 N = 24
 TOLERANCE = 1e-12
@@ -85,10 +85,10 @@ def test_inverse_is_that_of_a_fresh_calculator(name: str, data: st.DataObject, s
     speeds, angles = np.full((2, len(wheels), N), np.nan)
     if any(w.steered and w.trail for w in wheels):
         with pytest.raises(ValueError, match="have no inverse over arrays"):
-            Batch(calculator).inverse(twists, speeds, angles)
+            CalculatorBatch(calculator).inverse(twists, speeds, angles)
         return
     calculator.command(Twist(0.3, 0.2, -0.1))  # what it does elsewhere is its own affair
-    Batch(calculator).inverse(twists, speeds, angles)
+    CalculatorBatch(calculator).inverse(twists, speeds, angles)
     for k in range(N):
         calculator.reset()
         joints = calculator.command(Twist(*(float(v) for v in twists[:, k]))).joints
@@ -127,7 +127,7 @@ def test_estimates_are_those_of_the_estimator(
     for faulty in (0, 2):
         estimator = TwistEstimator(geometry, None, Estimation(faulty=faulty, polish=polish))
         calculator.estimator = estimator
-        batch = Batch(calculator)
+        batch = CalculatorBatch(calculator)
         run = batch.estimate if faulty else batch.weighted
         dropped = run(speeds, angles, twists, covariances, tests, rates, yaw_rates)
         for k in range(N):
@@ -144,7 +144,7 @@ def test_least_squares_are_those_of_the_estimator(wheels: list[WheelGeometry], s
     joints = random_joints(seed, wheels, calculator)
     speeds, angles, rates = joints
     twists = np.empty((3, N))
-    Batch(calculator).least_squares(speeds, angles, twists, rates)
+    CalculatorBatch(calculator).least_squares(speeds, angles, twists, rates)
     for k in range(N):
         told = calculator.estimator.least_squares(state(joints, k))
         scale = max(1.0, *(abs(v) for v in told)) * max(1.0, 1.0 / calculator.geometry.length) ** 2
@@ -157,8 +157,8 @@ FOUR = [
 ]
 
 
-def batch() -> Batch:
-    return Batch(General(BaseGeometry.from_wheels(FOUR)))
+def batch() -> CalculatorBatch:
+    return CalculatorBatch(General(BaseGeometry.from_wheels(FOUR)))
 
 
 def test_pieces_join() -> None:

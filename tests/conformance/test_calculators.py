@@ -161,7 +161,7 @@ def exact(request: pytest.FixtureRequest) -> str:
 def make(name: str, wheels: list[WheelGeometry]) -> BaseCalculator:
     cls = calculator_class(name)
     geometry = BaseGeometry.from_wheels(wheels)
-    assert cls.unsuited(geometry) is None
+    assert cls.unsuited_reason(geometry) is None
     return cls(geometry)
 
 
@@ -333,7 +333,7 @@ def test_scaling_keeps_the_angles(name: str, data: st.DataObject) -> None:
     twist, factor = data.draw(twists), data.draw(st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
     one, two = make(name, wheels), make(name, wheels)
     fast, slow = sorted((twist, twist.scaled(factor)), key=lambda t: abs(t.speed) + abs(t.wz))
-    target = one.allowed(fast)
+    target = one.feasible(fast)
     for w in wheels:
         speed = math.hypot(target.vx - target.wz * w.y, target.vy + target.wz * w.x)
         assume(not w.steered or speed == 0.0 or speed > 2 * RESUME_ABOVE)
@@ -347,8 +347,8 @@ def test_what_is_not_allowed_is_returned(name: str, data: st.DataObject) -> None
     calculator = draw_robot(data, name)
     twist = data.draw(twists)
     command = calculator.command(twist)
-    allowed = calculator.allowed(twist)
-    assert close(calculator.allowed(allowed), allowed, 1e-12)
+    allowed = calculator.feasible(twist)
+    assert close(calculator.feasible(allowed), allowed, 1e-12)
     total = Twist(*(a + b for a, b in zip(allowed, command.infeasible, strict=True)))
     assert close(total, twist, 1e-12)
     assert close(command.target, allowed.scaled(command.scale), 1e-12)

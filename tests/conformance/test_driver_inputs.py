@@ -106,7 +106,7 @@ def test_nothing_that_is_reported_or_asked_reaches_the_joints_as_a_nan(
         driver.command(Twist(0.4, 0.1, 0.2), now)
         state = driver.tick(now)
     assert state.mode is DriveMode.DRIVING
-    allowed = driver.calculator.allowed(Twist(0.4, 0.1, 0.2))
+    allowed = driver.calculator.feasible(Twist(0.4, 0.1, 0.2))
     assert state.odometry.twist == pytest.approx(allowed, abs=1e-6)
     for commands in base.written:
         assert all(map(math.isfinite, (*commands.speeds, *commands.angles)))

@@ -15,7 +15,7 @@ from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.vectorised.calculator_batch import Batch
+from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 
 SQUARE = ((0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4))
 STATES = 5
@@ -71,7 +71,7 @@ def test_results_are_finite_or_refused(name: str, largest: float) -> None:
         except NotFiniteError:
             pass
         # Warnings are errors in tests: numpy's of overflow and division, too.
-        batch = Batch(made)
+        batch = CalculatorBatch(made)
         speeds, angles = np.array([joints(STATES) for _ in range(2 * n)]).reshape(2, n, STATES)
         twists, covariances = np.empty((3, STATES)), np.empty((6, STATES))
         for estimate in (batch.weighted, batch.estimate):

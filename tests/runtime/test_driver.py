@@ -131,7 +131,7 @@ def test_a_bad_twist_is_refused_and_the_last_good_stays() -> None:
     for bad in (math.nan, math.inf, -math.inf):
         assert not driver.command(Twist(0.0, bad, 0.0), 1.0)
     state = driver.tick(1.0)
-    assert state.asked == Twist(0.5, 0.0, 0.0)
+    assert state.commanded_twist == Twist(0.5, 0.0, 0.0)
     # A refused command does not feed the watchdog.
     for k in range(51, 90):
         driver.command(Twist(math.nan, 0.0, 0.0), k * DT)

@@ -72,11 +72,11 @@ def test_the_pose_stays_and_each_way_has_its_radius() -> None:
 def test_a_driver_may_start_with_a_set_and_go_back_to_the_ordinary_values() -> None:
     robot = with_sets()
     driver = BaseDriver(robot, SimBase(robot), parameters="rail")
-    assert driver.parameters == Parameters.of(robot, "rail")
+    assert driver.parameters == Parameters.from_robot(robot, "rail")
     assert driver.calculator.noise == Noise(speed_ratio=0.05)
     driver.use(None)
     driver.tick(0.0)
-    assert driver.parameters == Parameters.of(robot)
+    assert driver.parameters == Parameters.from_robot(robot)
     assert driver.calculator.noise == Noise()
 
 
@@ -122,7 +122,7 @@ def test_what_cannot_be_is_refused_and_all_stays(change: dict[str, object], said
     run(driver, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
     run(other, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
     assert driver.state == other.state
-    assert driver.parameters == Parameters.of(PLAIN)
+    assert driver.parameters == Parameters.from_robot(PLAIN)
 
 
 def test_an_unknown_set_is_refused() -> None:
@@ -134,7 +134,7 @@ def test_an_unknown_set_is_refused() -> None:
     assert diagnostic.code.name == "parameter-set-unknown"
     assert diagnostic.hint == "did you mean `rail`?"
     driver.tick(0.0)
-    assert driver.parameters == Parameters.of(robot)
+    assert driver.parameters == Parameters.from_robot(robot)
 
 
 def test_a_change_while_driving_keeps_the_steering_and_the_motors_limits() -> None:

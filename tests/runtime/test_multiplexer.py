@@ -21,7 +21,7 @@ ROBOT = make_robot(FOUR_STEERED)
 @pytest.fixture
 def mux() -> Multiplexer:
     """``teleop_joy`` 100, ``auto_nav`` 10; ``safety_stop`` 255, ``auto_nav_pause`` 50."""
-    return Multiplexer.of(ROBOT)
+    return Multiplexer.from_robot(ROBOT)
 
 
 def test_nobody_drives_before_anybody_has_said_so(mux: Multiplexer) -> None:
@@ -157,4 +157,4 @@ def test_a_lock_stops_the_robot_at_once_and_silence_after_the_time_out(mux: Mult
 
 
 def test_a_run_repeats() -> None:
-    assert drive(Multiplexer.of(ROBOT), 3.0) == drive(Multiplexer.of(ROBOT), 3.0)
+    assert drive(Multiplexer.from_robot(ROBOT), 3.0) == drive(Multiplexer.from_robot(ROBOT), 3.0)

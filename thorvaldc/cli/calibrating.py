@@ -40,7 +40,7 @@ def calibrate_robot(
         raise typer.BadParameter(f"{robot} is a fleet; name one robot's file", param_hint="ROBOT")
     report, faults = Report(), Faults("text", sys.stderr)
     try:
-        Parameters.of(done.model, parameters or None)
+        Parameters.from_robot(done.model, parameters or None)
     except DiagnosticError as fault:
         report.put(fault.diagnostic)
         faults.add(done.located(report), done.sources)

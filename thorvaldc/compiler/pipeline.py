@@ -268,9 +268,9 @@ def _check_calculator(robot: Robot, document: Node, report: Report) -> None:
     node = document.get("base_calculator")
     named = node.get("name") if node is not None else None
     options = node.get("options") if node is not None else None
-    for fault in calculators.faults(robot):
-        option = options.get(fault.option) if options is not None and fault.option else None
-        report.put(replace(fault.diagnostic, span=(option or named or node or document).span))
+    for error in calculators.calculator_errors(robot):
+        option = options.get(error.option) if options is not None and error.option else None
+        report.put(replace(error.diagnostic, span=(option or named or node or document).span))
 
 
 def _fleet(

@@ -45,7 +45,7 @@ class BaseHandle(abc.ABC):
     """
 
     @property
-    def held(self) -> str:
+    def hold_reason(self) -> str:
         """Why the base follows no commands now (it finds its home, a fault); empty: it does."""
         return ""
 
@@ -57,7 +57,7 @@ class BaseHandle(abc.ABC):
     def write(self, commands: JointCommands, now: float) -> None:
         """Ask these of the joints from ``now`` on."""
 
-    def take_single_commands(self) -> None:
+    def expect_single_commands(self) -> None:
         """From now on ``write`` is called whenever one joint's command changes.
 
         It tells nothing of the rates of set points then: its times are nobody's cycle.

@@ -50,7 +50,7 @@ class DriverState:
 
     time: float
     mode: DriveMode
-    asked: Twist
+    commanded_twist: Twist
     ramped: Twist
     infeasible: Twist
     command: BaseCommand | None
@@ -59,7 +59,7 @@ class DriverState:
     pose: Pose2
     pose_covariance: Cov3
     fault: str = ""
-    held: str = ""
+    hold_reason: str = ""
 
 
 class BaseDriver:
@@ -84,7 +84,7 @@ class BaseDriver:
         """
         self.robot = robot
         self.base = base
-        self.parameters = Parameters.of(robot, parameters)
+        self.parameters = Parameters.from_robot(robot, parameters)
         if settings is not None:
             self.parameters = replace(self.parameters, settings=settings)
         self.calculator = calculator or for_robot(robot).with_parameters(
@@ -122,7 +122,7 @@ class BaseDriver:
         self._asked_at = now
         return True
 
-    def asked(self, now: float) -> Twist:
+    def commanded_twist(self, now: float) -> Twist:
         """The twist of the command in force at ``now``; zero where it is too old."""
         old = now - self._asked_at > self.settings.command_timeout + _SLACK
         return ZERO_TWIST if old else self._asked
@@ -143,7 +143,7 @@ class BaseDriver:
         that of the radii before, and the pose stays.  Raises ``DiagnosticError`` where
         there is no such set; then nothing changes.
         """
-        self._stage(Parameters.of(self.robot, parameters))
+        self._stage(Parameters.from_robot(self.robot, parameters))
 
     def update(
         self,
@@ -205,7 +205,7 @@ class BaseDriver:
             fault = str(bad)
             odometry.miss(now)
         self._change_over()
-        held = self.base.held
+        held = self.base.hold_reason
         mode, asked = self._mode(now, fault, held)
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
@@ -218,7 +218,7 @@ class BaseDriver:
         else:
             if starts or held:
                 self.calculator.reset(joints)
-            allowed = self.calculator.allowed(asked)
+            allowed = self.calculator.feasible(asked)
             infeasible = Twist(asked.vx - allowed.vx, asked.vy - allowed.vy, asked.wz - allowed.wz)
             ramped = self._ramped(self._limited(allowed), period)
             command = self.calculator.command(ramped, joints, period)

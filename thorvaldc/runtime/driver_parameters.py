@@ -32,7 +32,7 @@ class Parameters:
     settings: DriverSettings
 
     @staticmethod
-    def of(robot: Robot, name: str | None = None) -> Parameters:
+    def from_robot(robot: Robot, name: str | None = None) -> Parameters:
         """A set that the robot's file names; its ordinary values for ``None``.
 
         Raises ``DiagnosticError`` (``parameter-set-unknown``).

@@ -63,7 +63,7 @@ class Multiplexer:
         self._last: float | None = None
 
     @classmethod
-    def of(cls, robot: Robot) -> Multiplexer:
+    def from_robot(cls, robot: Robot) -> Multiplexer:
         """With the sources and locks that the robot's file gives it."""
         return cls(robot.twist_sources, robot.twist_locks)
 

@@ -114,7 +114,7 @@ class BaseRunner:
         self._serve()
         if self.feed is not None:
             self.feed(self.driver, now)
-        asked = self.driver.asked(now) != ZERO_TWIST
+        asked = self.driver.commanded_twist(now) != ZERO_TWIST
         self.base.arm(asked)
         state = self.driver.tick(now)
         stale = state.mode is not DriveMode.DRIVING
@@ -223,7 +223,7 @@ class BaseRunner:
     def reset(self) -> None:
         """Leave a fault or a stop: the stop released, a command of zero, and this."""
         now = self.clock.now
-        commanded = self.driver.asked(now) != ZERO_TWIST
+        commanded = self.driver.commanded_twist(now) != ZERO_TWIST
         _refuse(self.base.supervisor.reset(now, commanded))
 
     def home_steering(self) -> None:

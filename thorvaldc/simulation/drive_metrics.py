@@ -135,11 +135,11 @@ class Meter:
         if command is None:
             return
         if size(state.infeasible) > size(self.infeasible):
-            self.infeasible, self.infeasible_twist = state.infeasible, state.asked
+            self.infeasible, self.infeasible_twist = state.infeasible, state.commanded_twist
         for i in command.unreachable:
             if i not in self.unreachable and size(state.ramped) > NOTICEABLE:
                 self.unreachable += (i,)
-                self.unreachable_twist = state.asked
+                self.unreachable_twist = state.commanded_twist
 
     def _measure_truth(self) -> None:
         base = self._simulated
@@ -168,7 +168,7 @@ class Meter:
         aimed = ZERO_TWIST if state.command is None else state.command.target
         return Sample(
             state.time,
-            state.asked,
+            state.commanded_twist,
             aimed,
             estimated,
             true,

@@ -113,7 +113,7 @@ def _part(name: str, settings: DriverSettings) -> Twist:
 
 def _possible(robot: Robot, twist: Twist) -> bool:
     calculator = for_robot(robot)
-    allowed = calculator.allowed(twist)
+    allowed = calculator.feasible(twist)
     if abs(allowed.wz - twist.wz) > 1e-6:
         return False
     # What the wheels add across (an axle behind base_link swings it) is no hindrance.

@@ -26,7 +26,7 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.simulation.physics.rolling_base import RollingBase
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.physics.simulated_base import SimulatedBase
-from thorvaldc.simulation.vectorised.crowd import Crowd
+from thorvaldc.simulation.vectorised.robot_groups import RobotGroups
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Simulation:
             self.robots = [(model.name, model)]
             self.starts = {model.name: se2.ORIGIN}
         for _, robot in self.robots:
-            Parameters.of(robot, parameters)
+            Parameters.from_robot(robot, parameters)
         self.parameters = parameters
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
@@ -122,7 +122,7 @@ class Simulation:
         ]
         # When whose next tick is due: a heap, in the order of robots where times are equal.
         due = [(meter.next, number) for number, meter in enumerate(meters)]
-        crowd = Crowd([meter.driver for meter in meters])
+        groups = RobotGroups([meter.driver for meter in meters])
         joints: dict[int, JointStates] = {}
         started = time.perf_counter()
         simulated = 0.0
@@ -131,8 +131,8 @@ class Simulation:
             now, number = due[0]
             if now > duration + 1e-9:
                 break
-            if crowd.kinds and now > simulated:
-                joints = crowd.sense(now, [k for at, k in due if at == now])
+            if groups.groups and now > simulated:
+                joints = groups.update_odometry(now, [k for at, k in due if at == now])
             simulated = now
             meter = meters[number]
             meter.tick(joints.get(number))
@@ -180,7 +180,7 @@ class Simulation:
         for name, robot in self.robots:
             if self.rails and any(wheel.treads for wheel in robot.wheels):
                 continue  # where it rolls on what, only its way tells
-            radii = Parameters.of(robot, self.parameters).radii
+            radii = Parameters.from_robot(robot, self.parameters).radii
             for wheel, radius in zip(robot.wheels, radii, strict=True):
                 if wheel.driven and radius != wheel.radius:
                     report.add(
@@ -198,7 +198,7 @@ class Simulation:
         if self.scene is not None:
             return MujocoBase(robot, self.scene, hidden=hidden, open_loop=self.open_loop)
         if hidden is not None or self.open_loop:
-            return RollingBase(robot, hidden, Parameters.of(robot, self.parameters).radii)
+            return RollingBase(robot, hidden, Parameters.from_robot(robot, self.parameters).radii)
         return SimBase(robot)
 
 
@@ -247,7 +247,7 @@ def _tell(
             report.add(
                 "simulation-tipped",
                 f"{meter.name} fell over{_way(meter)} after {result.simulated:.2f} s, "
-                f"asked for {_words(meter.driver.state.asked)}",
+                f"asked for {_words(meter.driver.state.commanded_twist)}",
                 meter.robot.span,
                 hint=_LOWER if result.simulated >= _AT_ONCE else _ELSEWHERE,
             )

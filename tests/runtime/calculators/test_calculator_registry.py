@@ -1,4 +1,4 @@
-"""Calculators by name, from here and from other packages."""
+"""Loading of calculators by name, built-in and from other packages, and their options."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from thorvaldc.runtime import calculators
 from thorvaldc.runtime.calculators.general import General
 
 
-def choosing(name: str, **options: Scalar) -> Robot:
+def robot_with(name: str, **options: Scalar) -> Robot:
     choice = CalculatorChoice(name, tuple(options.items()))
     return replace(make_robot(FOUR_STEERED), calculator=choice)
 
 
-def code_of(robot: Robot) -> tuple[str, str]:
+def diagnostic_of(robot: Robot) -> tuple[str, str]:
     with pytest.raises(DiagnosticError) as caught:
         calculators.for_robot(robot)
     diagnostic = caught.value.diagnostic
@@ -34,26 +34,26 @@ def test_every_builtin_calculator_loads_under_its_name() -> None:
         cls = calculators.calculator_class(name)
         assert cls.name == name
         assert cls.summary
-    assert set(calculators.PLUGINS.builtin) <= set(calculators.names())
+    assert set(calculators.PLUGINS.builtin) <= set(calculators.calculator_names())
 
 
 def test_unknown_calculator() -> None:
-    code, text = code_of(choosing("genera"))
+    code, text = diagnostic_of(robot_with("genera"))
     assert code == "calculator-unknown"
     assert "did you mean `general`?" in text
 
 
 def test_calculator_for_another_robot() -> None:
-    code, text = code_of(choosing("differential"))
+    code, text = diagnostic_of(robot_with("differential"))
     assert code == "calculator-unsuited"
     assert "steered wheels (w0, w1, w2, w3)" in text
     assert "general" in text
-    code, text = code_of(choosing("one_wheel"))
+    code, text = diagnostic_of(robot_with("one_wheel"))
     assert code == "calculator-unsuited"
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"hysterisis": 0.1}, "did you mean `hysteresis`?"),
         ({"colour": 0.1}, "its options: hysteresis, arrive_together"),
@@ -63,30 +63,33 @@ def test_calculator_for_another_robot() -> None:
         ({"hysteresis": -1}, "it must be 0 to 10 s"),
     ],
 )
-def test_wrong_options(options: dict[str, Scalar], said: str) -> None:
-    code, text = code_of(choosing("general", **options))
+def test_invalid_options(options: dict[str, Scalar], message: str) -> None:
+    code, text = diagnostic_of(robot_with("general", **options))
     assert code == "calculator-option"
-    assert said in text
+    assert message in text
 
 
-def test_options_arrive() -> None:
-    made = calculators.for_robot(choosing("general", hysteresis=1, arrive_together=False))
-    assert isinstance(made, General)
-    assert (made.options.hysteresis, made.options.arrive_together) == (1.0, False)
+def test_calculator_gets_its_options() -> None:
+    calculator = calculators.for_robot(robot_with("general", hysteresis=1, arrive_together=False))
+    assert isinstance(calculator, General)
+    options = calculator.options
+    assert (options.hysteresis, options.arrive_together) == (1.0, False)
 
 
-def test_all_that_is_wrong_is_said() -> None:
-    found = calculators.faults(choosing("differential", hysteresis=1.0, colour="red"))
-    assert [(f.diagnostic.code.name, f.option) for f in found] == [
+def test_all_errors_are_reported() -> None:
+    errors = calculators.calculator_errors(robot_with("differential", hysteresis=1.0, colour="red"))
+    assert [(e.diagnostic.code.name, e.option) for e in errors] == [
         ("calculator-unsuited", None),
         ("calculator-option", "hysteresis"),
         ("calculator-option", "colour"),
     ]
-    found = calculators.faults(choosing("random_pairs", parallel=2.0, seed=1, hysteresis=-1.0))
-    assert [f.option for f in found] == ["parallel", "hysteresis"]
+    errors = calculators.calculator_errors(
+        robot_with("random_pairs", parallel=2.0, seed=1, hysteresis=-1.0)
+    )
+    assert [e.option for e in errors] == ["parallel", "hysteresis"]
 
 
-MINE = """
+CALCULATOR_MODULE = """
 from dataclasses import dataclass
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 
@@ -111,8 +114,8 @@ nothing = 3
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An installed package with calculators, one of which is none and one of which is broken."""
-    (tmp_path / "my_calculator.py").write_text(MINE)
+    """An installed package that offers one calculator and two unusable entry points."""
+    (tmp_path / "my_calculator.py").write_text(CALCULATOR_MODULE)
     info = tmp_path / "my_calculator-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-calculator\nVersion: 1\n")
@@ -126,17 +129,18 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("package")
 def test_calculator_of_another_package() -> None:
-    """One file and one entry point are all that a calculator needs."""
-    assert "mine" in calculators.names()
-    made = calculators.for_robot(choosing("mine", colour="blue", last=3))
-    assert made.name == "mine"
-    assert (made.options.colour, made.options.first, made.options.last) == ("blue", 1.0, 3.0)
-    assert code_of(choosing("min"))[1].endswith("(did you mean `mine`?)")
+    """A calculator needs one file and one entry point."""
+    assert "mine" in calculators.calculator_names()
+    calculator = calculators.for_robot(robot_with("mine", colour="blue", last=3))
+    assert calculator.name == "mine"
+    options = calculator.options
+    assert (options.colour, options.first, options.last) == ("blue", 1.0, 3.0)
+    assert diagnostic_of(robot_with("min"))[1].endswith("(did you mean `mine`?)")
 
 
 @pytest.mark.usefixtures("package")
 @pytest.mark.parametrize(
-    ("options", "where"),
+    ("options", "invalid"),
     [
         ({"colour": 3}, ["colour"]),
         ({"last": 0.5}, ["last"]),
@@ -144,26 +148,26 @@ def test_calculator_of_another_package() -> None:
         ({"lats": 0.5, "first": "x"}, ["lats", "first"]),
     ],
 )
-def test_its_own_schema_checks_its_options(
-    options: dict[str, Scalar], where: list[str | None]
+def test_plugin_checks_its_own_options(
+    options: dict[str, Scalar], invalid: list[str | None]
 ) -> None:
-    found = calculators.faults(choosing("mine", **options))
-    assert [f.option for f in found] == where
-    assert {f.diagnostic.code.name for f in found} == {"calculator-option"}
+    errors = calculators.calculator_errors(robot_with("mine", **options))
+    assert [e.option for e in errors] == invalid
+    assert {e.diagnostic.code.name for e in errors} == {"calculator-option"}
 
 
 @pytest.mark.usefixtures("package")
 @pytest.mark.parametrize(
-    ("name", "said"), [("three", "no BaseCalculator"), ("gone", "cannot be loaded")]
+    ("name", "message"), [("three", "no BaseCalculator"), ("gone", "cannot be loaded")]
 )
-def test_a_broken_package_is_no_traceback(name: str, said: str) -> None:
-    code, text = code_of(choosing(name))
+def test_broken_package_is_a_diagnostic(name: str, message: str) -> None:
+    code, text = diagnostic_of(robot_with(name))
     assert code == "calculator-unknown"
-    assert said in text
+    assert message in text
 
 
 @pytest.mark.usefixtures("package")
-def test_a_robots_file_may_name_it(tmp_path: Path) -> None:
+def test_robot_file_names_a_plugin(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(
         "thorvaldc: 1\nname: one\nbase_calculator:\n  name: mine\n  options:\n"
@@ -174,8 +178,8 @@ def test_a_robots_file_may_name_it(tmp_path: Path) -> None:
             for i, port in enumerate(("front_left", "front_right", "rear_left", "rear_right"))
         )
     )
-    found = compile_file(file).report.errors
-    assert [(d.code.name, d.span.line, d.span.column) for d in found if d.span] == [
+    errors = compile_file(file).report.errors
+    assert [(d.code.name, d.span.line, d.span.column) for d in errors if d.span] == [
         ("calculator-option", 6, 13),
         ("calculator-option", 8, 10),
     ]

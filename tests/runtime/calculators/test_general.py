@@ -59,11 +59,11 @@ def test_two_axles_leave_turning_about_one_point() -> None:
     across = wheel("a", 1.0, 0.0, "fixed", heading=math.pi / 2)
     along = wheel("b", 0.0, 1.0, "fixed")
     made = general(across, along)
-    allowed = made.allowed(Twist(1.0, 1.0, 0.5))
+    allowed = made.feasible(Twist(1.0, 1.0, 0.5))
     # Their axle lines are y = 0 and x = 0.
     assert allowed == pytest.approx((0.0, 0.0, 0.5))
     third = wheel("c", 1.0, 1.0, "passive", heading=0.9)
-    assert general(across, along, third).allowed(Twist(1.0, 1.0, 0.5)) == ZERO_TWIST
+    assert general(across, along, third).feasible(Twist(1.0, 1.0, 0.5)) == ZERO_TWIST
 
 
 def test_nearly_parallel_wheels_are_one_axle() -> None:
@@ -289,6 +289,6 @@ def test_required_rates_say_who_is_late() -> None:
 
 
 def test_robots_without_a_drive_are_refused() -> None:
-    assert General.unsuited(BaseGeometry.from_wheels([])) == "it has no wheels"
+    assert General.unsuited_reason(BaseGeometry.from_wheels([])) == "it has no wheels"
     geometry = BaseGeometry.from_wheels([wheel("c", 0.0, 0.0, "swivel")])
-    assert "motor" in str(General.unsuited(geometry))
+    assert "motor" in str(General.unsuited_reason(geometry))

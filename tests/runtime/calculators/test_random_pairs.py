@@ -60,7 +60,7 @@ def test_hardly_bent_counts_as_straight() -> None:
 
 def test_one_wheel_has_no_pair() -> None:
     one = BaseGeometry.from_wheels([wheel("w", 0.5, 0.0, "steered"), wheel("c", 0, 0, "swivel")])
-    assert "fewer than two wheels" in (RandomPairs.unsuited(one) or "")
+    assert "fewer than two wheels" in (RandomPairs.unsuited_reason(one) or "")
 
 
 @pytest.mark.parametrize(

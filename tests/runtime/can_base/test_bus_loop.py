@@ -215,7 +215,7 @@ def test_a_command_from_before_the_start_does_not_move_it() -> None:
     rig.run(1.0)
     assert rig.state is State.READY
     assert rig.speed() == 0.0
-    assert "before it was ready" in rig.base.held
+    assert "before it was ready" in rig.base.hold_reason
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.twist = FORWARD

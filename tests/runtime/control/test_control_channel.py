@@ -42,7 +42,7 @@ class Running:
 
     def __init__(self) -> None:
         self.driver = BaseDriver(ROBOT, SimBase(ROBOT))
-        self.multiplexer = Multiplexer.of(ROBOT)
+        self.multiplexer = Multiplexer.from_robot(ROBOT)
         self.services = Services(driving_services(self.driver, self.multiplexer))
         self.server = ControlServer("r", self.services)
         self.now = 0.0

@@ -1,7 +1,7 @@
-"""Base calculators: from a twist to the joints, and from the joints to a twist.
+"""Base calculators convert a twist to joint commands, and joint states to a twist estimate.
 
-One file and one line in the table of ``registry`` each; those from outside come by
-the entry point group ``thorvaldc.base_calculators``.
+A calculator is one file and one line in ``calculator_registry``.  Other packages add calculators
+with the entry point group ``thorvaldc.base_calculators``.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeome
 from thorvaldc.runtime.calculators.calculator_registry import (
     PLUGINS,
     calculator_class,
-    faults,
+    calculator_errors,
+    calculator_names,
     for_robot,
-    names,
 )
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate
 from thorvaldc.runtime.calculators.twist_fit import Noise
@@ -28,7 +28,7 @@ __all__ = [
     "TwistEstimate",
     "WheelGeometry",
     "calculator_class",
-    "faults",
+    "calculator_errors",
+    "calculator_names",
     "for_robot",
-    "names",
 ]

@@ -95,12 +95,12 @@ class BaseCalculator(abc.ABC):
         self.estimator = TwistEstimator(geometry, self.noise)
 
     @classmethod
-    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+    def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
         """Why this calculator cannot drive such a robot; ``None`` where it can."""
         return None
 
     @abc.abstractmethod
-    def allowed(self, twist: Twist) -> Twist:
+    def feasible(self, twist: Twist) -> Twist:
         """The nearest twist that the wheels' arrangement allows, at any speed."""
 
     @abc.abstractmethod

@@ -230,7 +230,7 @@ class FixedWheels:
         """Whether there are no such wheels."""
         return not self.rows
 
-    def allowed(self, twist: Twist) -> Twist:
+    def feasible(self, twist: Twist) -> Twist:
         """The nearest twist that these wheels allow; linear in ``twist``."""
         if not self.rows:
             return twist

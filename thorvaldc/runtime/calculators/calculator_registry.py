@@ -1,4 +1,4 @@
-"""Base calculators by name, from here and from other packages, and their options."""
+"""Loading of base calculators by name, and validation of their options."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ PLUGINS: PluginTable[BaseCalculator] = PluginTable(
     },
 )
 
-_KINDS = {bool: "true or false,", int: "a whole number", float: "a number", str: "text"}
+_TYPE_NAMES = {bool: "true or false,", int: "a whole number", float: "a number", str: "text"}
 
 
-class CalculatorFault(DiagnosticError):
-    """What is wrong with a robot's choice; ``option`` is the option it is about, if any."""
+class CalculatorError(DiagnosticError):
+    """A robot's choice of a calculator is invalid; ``option`` names the invalid option, if any."""
 
     option: str | None = None
 
 
-def names() -> list[str]:
-    """Return the names of all calculators, built-in and plugged-in, in alphabetical order."""
+def calculator_names() -> list[str]:
+    """Returns the names of all calculators, built-in and plugged-in, in alphabetical order."""
     return PLUGINS.names()
 
 
 def calculator_class(name: str) -> type[BaseCalculator]:
-    """Return the calculator class of this name.
+    """Returns the calculator class of this name.
 
-    Raises ``CalculatorFault`` where there is none or where it cannot be used.
+    Raises ``CalculatorError`` if the name is unknown or its class cannot be used.
     """
     cls = PLUGINS.load(name)
     if not isinstance(cls, PluginFailure):
         return cls
     if cls.unknown:
-        known = names()
+        known = calculator_names()
         hint = did_you_mean(name, known, f"known: {', '.join(known)}")
-        raise CalculatorFault(
+        raise CalculatorError(
             "calculator-unknown", f"there is no base calculator `{name}`", hint=hint
         )
-    raise CalculatorFault(
+    raise CalculatorError(
         "calculator-unknown",
         f"base calculator `{name}` {cls.reason}",
         hint="install its package again, or report this to its authors",
@@ -61,28 +61,32 @@ def calculator_class(name: str) -> type[BaseCalculator]:
 
 
 def for_robot(robot: Robot) -> BaseCalculator:
-    """The calculator that the robot's file names, for its wheels and its noise.
+    """Returns the calculator that the robot file names, with its options and noise.
 
-    The wheels have their ordinary radii.  Raises ``CalculatorFault`` for an unknown calculator,
+    The wheels have their ordinary radii.  Raises ``CalculatorError`` for an unknown calculator,
     for one that cannot drive this robot and for an invalid option.
     """
-    for fault in faults(robot):
-        raise fault
+    for error in calculator_errors(robot):
+        raise error
     cls = calculator_class(robot.calculator.name)
-    options, _ = _options(cls, robot)
+    options, _ = _read_options(cls, robot)
     noise = Noise(**dict(robot.driver.noise))
     return cls(BaseGeometry.from_robot(robot), options, noise)
 
 
-def faults(robot: Robot) -> list[CalculatorFault]:
-    """All that is wrong with the robot's choice of a calculator and its options."""
+def calculator_errors(robot: Robot) -> list[CalculatorError]:
+    """Returns all errors in the robot's choice of a calculator and its options."""
     try:
         cls = calculator_class(robot.calculator.name)
-    except CalculatorFault as error:
-        said = error.diagnostic
-        return [CalculatorFault(said.code.name, said.message, robot.span, hint=said.hint)]
-    found = _options(cls, robot)[1]
-    reason = cls.unsuited(BaseGeometry.from_robot(robot))
+    except CalculatorError as error:
+        diagnostic = error.diagnostic
+        return [
+            CalculatorError(
+                diagnostic.code.name, diagnostic.message, robot.span, hint=diagnostic.hint
+            )
+        ]
+    _, errors = _read_options(cls, robot)
+    reason = cls.unsuited_reason(BaseGeometry.from_robot(robot))
     if reason is not None:
         text = f"base calculator `{cls.name}` cannot drive {robot.name}: {reason}"
         hint = (
@@ -90,45 +94,48 @@ def faults(robot: Robot) -> list[CalculatorFault]:
             if cls.name != "general"
             else "give the robot a wheel with a motor"
         )
-        found.insert(0, CalculatorFault("calculator-unsuited", text, robot.span, hint=hint))
-    return found
+        errors.insert(0, CalculatorError("calculator-unsuited", text, robot.span, hint=hint))
+    return errors
 
 
-def _options(cls: type[BaseCalculator], robot: Robot) -> tuple[Any, list[CalculatorFault]]:
-    """The options as the calculator wants them, and what is wrong with those given."""
-    known = {field.name: field.default for field in dataclasses.fields(cls.Options)}
-    given: dict[str, Any] = {}
-    found: list[CalculatorFault] = []
+def _read_options(cls: type[BaseCalculator], robot: Robot) -> tuple[Any, list[CalculatorError]]:
+    """Returns the robot's options as an instance of ``cls.Options``, and all errors in them.
 
-    def say(key: str | None, text: str, hint: str | None = None) -> None:
-        fault = CalculatorFault("calculator-option", text, robot.span, hint=hint)
-        fault.option = key
-        found.append(fault)
+    Invalid options keep their default values.
+    """
+    defaults = {field.name: field.default for field in dataclasses.fields(cls.Options)}
+    valid: dict[str, Any] = {}
+    errors: list[CalculatorError] = []
 
-    for key, value in robot.calculator.options:
-        if key not in known:
-            its = f"its options: {', '.join(known)}" if known else "it has no options"
-            text = f"base calculator `{cls.name}` has no option `{key}`"
-            say(key, text, did_you_mean(key, known, its))
+    def report(option: str | None, text: str, hint: str | None = None) -> None:
+        error = CalculatorError("calculator-option", text, robot.span, hint=hint)
+        error.option = option
+        errors.append(error)
+
+    for name, value in robot.calculator.options:
+        if name not in defaults:
+            names = f"its options: {', '.join(defaults)}" if defaults else "it has no options"
+            text = f"base calculator `{cls.name}` has no option `{name}`"
+            report(name, text, did_you_mean(name, defaults, names))
             continue
-        default = known[key]
+        default = defaults[name]
         if isinstance(default, float) and type(value) is int:
             value = float(value)
         if type(value) is not type(default):
-            say(
-                key,
-                f"option `{key}` of base calculator `{cls.name}` is {json.dumps(value)}; "
-                f"expected {_KINDS[type(default)]} such as {json.dumps(default)}",
+            report(
+                name,
+                f"option `{name}` of base calculator `{cls.name}` is {json.dumps(value)}; "
+                f"expected {_TYPE_NAMES[type(default)]} such as {json.dumps(default)}",
             )
             continue
         try:
-            cls.Options(**{key: value})
-        except ValueError as fault:
-            say(key, f"base calculator `{cls.name}`: {fault}")
+            cls.Options(**{name: value})
+        except ValueError as error:
+            report(name, f"base calculator `{cls.name}`: {error}")
             continue
-        given[key] = value
+        valid[name] = value
     try:
-        return cls.Options(**given), found
-    except ValueError as fault:  # values that do not go together
-        say(None, f"base calculator `{cls.name}`: {fault}")
-        return cls.Options(), found
+        return cls.Options(**valid), errors
+    except ValueError as error:  # two values that are valid alone exclude each other
+        report(None, f"base calculator `{cls.name}`: {error}")
+        return cls.Options(), errors

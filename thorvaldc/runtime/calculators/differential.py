@@ -49,7 +49,7 @@ class Differential(BaseCalculator):
         self._axle_places = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
 
     @classmethod
-    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+    def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
         steered = [w.name for w in geometry.wheels if w.steered]
         if steered:
             return f"it has steered wheels ({', '.join(steered)})"
@@ -77,14 +77,14 @@ class Differential(BaseCalculator):
     def resume(self, before: Self) -> None:
         self._motors.resume(before._motors)
 
-    def allowed(self, twist: Twist) -> Twist:
-        return self._fixed.allowed(twist)
+    def feasible(self, twist: Twist) -> Twist:
+        return self._fixed.feasible(twist)
 
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
         self._check(twist, states, dt)
-        allowed = self._fixed.allowed(twist)
+        allowed = self._fixed.feasible(twist)
         vx, vy, wz = allowed
         n = len(self.geometry.wheels)
         speeds = [0.0] * n

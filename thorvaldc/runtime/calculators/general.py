@@ -135,7 +135,7 @@ class General(BaseCalculator):
         self.reset()
 
     @classmethod
-    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+    def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
         if not geometry.wheels:
             return "it has no wheels"
         if not any(w.driven and not w.swivel for w in geometry.wheels):
@@ -164,8 +164,8 @@ class General(BaseCalculator):
         self._before, self._stops, self._follows = before._before, before._stops, before._follows
         self._motors.resume(before._motors)
 
-    def allowed(self, twist: Twist) -> Twist:
-        return self._fixed.allowed(twist)
+    def feasible(self, twist: Twist) -> Twist:
+        return self._fixed.feasible(twist)
 
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
@@ -173,7 +173,7 @@ class General(BaseCalculator):
         self._check(twist, states, dt)
         target, infeasible = twist, ZERO_TWIST
         if not self._free:
-            target = self._fixed.allowed(twist)
+            target = self._fixed.feasible(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         angles: Sequence[float] = self._angles
         speeds: Sequence[float] = self._standing

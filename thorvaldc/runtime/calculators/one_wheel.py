@@ -49,7 +49,7 @@ class OneWheel(BaseCalculator):
         )
 
     @classmethod
-    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+    def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
         drives = [w for w in geometry.wheels if w.driven]
         steered = [w for w in geometry.wheels if w.steered]
         if len(drives) != 1 or len(steered) != 1 or drives[0] is not steered[0]:
@@ -77,15 +77,15 @@ class OneWheel(BaseCalculator):
         self._steering.resume(before._steering)
         self._motors.resume(before._motors)
 
-    def allowed(self, twist: Twist) -> Twist:
-        return self._fixed.allowed(twist)
+    def feasible(self, twist: Twist) -> Twist:
+        return self._fixed.feasible(twist)
 
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
         self._check(twist, states, dt)
         i, wheel, steering = self._index, self._wheel, self._steering
-        allowed = self._fixed.allowed(twist)
+        allowed = self._fixed.feasible(twist)
         vx, vy, wz = allowed
         angle = states.angles[i] if states else steering.angle
         speed = states.speeds[i] * wheel.radius if states else 0.0

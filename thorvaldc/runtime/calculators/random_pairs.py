@@ -72,10 +72,10 @@ class RandomPairs(General):
         super().__init__(geometry, self._pairs, noise)
 
     @classmethod
-    def unsuited(cls, geometry: BaseGeometry) -> str | None:
+    def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
         if sum(1 for w in geometry.wheels if not w.swivel) < 2:
             return "it has fewer than two wheels whose direction is known, so no pair"
-        return super().unsuited(geometry)
+        return super().unsuited_reason(geometry)
 
     def reset(self, states: JointStates | None = None) -> None:
         super().reset(states)

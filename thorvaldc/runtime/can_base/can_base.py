@@ -71,7 +71,7 @@ class CanBase(BaseHandle):
         self._wait = SEND_TIME * self.period
 
     @property
-    def held(self) -> str:
+    def hold_reason(self) -> str:
         supervisor = self.supervisor
         if supervisor.state in (State.FAULT, State.ESTOP):
             return f"{supervisor.state.value}: {supervisor.reason}"

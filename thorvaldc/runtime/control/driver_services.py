@@ -98,13 +98,13 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
         "mode": state.mode.value,
         "source": selected.source,
         "locks": list(selected.locks),
-        "asked": state.asked._asdict(),
+        "asked": state.commanded_twist._asdict(),
         "in_force": state.ramped._asdict(),
         "infeasible": state.infeasible._asdict(),
         "odometry": state.odometry.twist._asdict(),
         "pose": state.pose._asdict(),
         "fault": state.fault,
-        "held": state.held,
+        "held": state.hold_reason,
     }
 
 

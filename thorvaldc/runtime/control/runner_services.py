@@ -23,7 +23,7 @@ class RunnerControl:
 
     def __init__(self, runner: BaseRunner, channel: str = "") -> None:
         self.runner = runner
-        self.multiplexer = Multiplexer.of(runner.robot)
+        self.multiplexer = Multiplexer.from_robot(runner.robot)
         self.services = Services(
             [*driving_services(runner.driver, self.multiplexer), *runner_services(self)]
         )

@@ -136,7 +136,7 @@ class BaseMotors:
 
     def __init__(self, robot: Robot, base: BaseHandle) -> None:
         self.base = base
-        base.take_single_commands()
+        base.expect_single_commands()
         n = len(robot.wheels)
         self._commands = JointCommands([0.0] * n, [0.0] * n)
         self._states: JointStates | None = None

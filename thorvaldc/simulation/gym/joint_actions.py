@@ -64,7 +64,7 @@ class DirectCommands(BaseCalculator):
         self._odometer = odometer
         self._commands = commands
 
-    def allowed(self, twist: Twist) -> Twist:
+    def feasible(self, twist: Twist) -> Twist:
         return twist
 
     def command(

@@ -137,7 +137,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise ValueError(f"there is no robot {self.name!r}; there are {', '.join(self.robots)}")
         self.robot = self.robots[self.name]
         self.parameters = parameters
-        settings = Parameters.of(self.robot, parameters).settings
+        settings = Parameters.from_robot(self.robot, parameters).settings
         self.scene = MujocoScene(files)
         self.reward = reward
         self.spread = tuple(spread)

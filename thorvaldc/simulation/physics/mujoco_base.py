@@ -252,7 +252,7 @@ class MujocoBase(SimulatedBase):
         for i, joint, slope in self._voltages:
             self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
 
-    def take_single_commands(self) -> None:
+    def expect_single_commands(self) -> None:
         """Nothing is fed forward any more: a step's length is not told."""
         self._drives = tuple((i, motor, 0.0) for i, motor, _ in self._drives)
         self._steerings = tuple((i, motor, 0.0) for i, motor, _ in self._steerings)

@@ -124,4 +124,4 @@ class RollingBase(SimBase, SimulatedBase):
                 b3 += r3 * z
         weak = 1e-9
         a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * self._length2
-        return self._fixed.allowed(Twist(*solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)))
+        return self._fixed.feasible(Twist(*solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)))

@@ -27,7 +27,7 @@ BEYOND = 1e9
 """Joints and twists (SI) that nobody can have meant."""
 
 
-class Batch:
+class CalculatorBatch:
     """A calculator over arrays: equal to the calculator itself, one state at a time, to 1e-12."""
 
     def __init__(self, calculator: BaseCalculator) -> None:

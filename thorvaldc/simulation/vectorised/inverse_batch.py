@@ -89,7 +89,7 @@ class Inverse:
         if isinstance(calculator.options, SteeringOptions):
             hysteresis = calculator.options.hysteresis
         units = [Twist(*(_SMALL * (i == j) for j in range(3))) for i in range(3)]
-        columns = [fresh.allowed(unit) for unit in units]
+        columns = [fresh.feasible(unit) for unit in units]
         self._allowed = np.array(columns).T / _SMALL
         self._free = bool((self._allowed == np.eye(3)).all())
         along, across, turning = (fresh.command(unit).joints.speeds for unit in units)

@@ -17,7 +17,7 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.se2 import Cov3, Pose2, Turn, Twist, propagated
-from thorvaldc.simulation.vectorised.calculator_batch import Array, Batch
+from thorvaldc.simulation.vectorised.calculator_batch import Array, CalculatorBatch
 
 _SHORTEST = 1e-4
 """Time (s) below which differences of joint states may be beyond all bounds."""
@@ -35,7 +35,7 @@ class OdometryBatch:
     """
 
     def __init__(self, calculator: BaseCalculator, odometries: Sequence[Odometry]) -> None:
-        self._batch = Batch(calculator)
+        self._batch = CalculatorBatch(calculator)
         self._correlation = calculator.estimator.noise.correlation
         self._odometries = odometries
         n, wheels = len(odometries), self._batch.wheels

@@ -133,7 +133,7 @@ def calibrate(
     """
     names = [""] * len(robot.wheels)
     if parameters is not None:
-        radii = Parameters.of(robot, parameters).radii
+        radii = Parameters.from_robot(robot, parameters).radii
         name = next(s.radii for s in robot.parameter_sets if s.name == parameters) or ""
         names = [name if name in dict(wheel.radii) else "" for wheel in robot.wheels]
         wheels = zip(robot.wheels, radii, strict=True)

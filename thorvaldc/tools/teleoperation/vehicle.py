@@ -46,7 +46,7 @@ class SimulatedVehicle:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.driver = driver
-        self.multiplexer = Multiplexer.of(driver.robot)
+        self.multiplexer = Multiplexer.from_robot(driver.robot)
         self.services = Services(driving_services(driver, self.multiplexer))
         self.description = driver_description(driver)
         self._server = ControlServer(channel, self.services) if channel else None
