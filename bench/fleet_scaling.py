@@ -11,7 +11,8 @@ import numpy as np
 
 from bench.figure import Figure, least_times
 from bench.robots import example
-from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Fleet
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.drive_metrics import Meter

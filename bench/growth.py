@@ -36,7 +36,8 @@ def robot(rows: int, columns: int) -> str:
 
 
 def figures() -> Iterator[Figure]:
-    from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+    from thorvaldc.backends import DEFAULT_TARGETS
+    from thorvaldc.compiler.pipeline import compile_file, emit
 
     def work(path: Path) -> object:
         done = compile_file(path)

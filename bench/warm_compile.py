@@ -13,7 +13,8 @@ FOUR_WHEELS = Path(__file__).parent / "four_wheels.xacro"
 def figures() -> Iterator[Figure]:
     import xacro
 
-    from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+    from thorvaldc.backends import DEFAULT_TARGETS
+    from thorvaldc.compiler.pipeline import compile_file, emit
 
     def ours() -> object:
         done = compile_file(EXAMPLE)

@@ -12,7 +12,8 @@ import pytest
 
 from tests.examples import FOLDER
 from tests.workshop import CART, Workshop
-from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, MODEL_FILE, Compilation, compile_file, emit
+from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.pipeline import MODEL_FILE, Compilation, compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.serialize import from_json
@@ -164,7 +165,8 @@ def test_line_ends_and_byte_order_marks_do_not_matter(
 SCRIPT = """
 import hashlib, sys
 from thorvaldc.diagnostics import Report
-from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.pipeline import compile_file, emit
 for path in sys.argv[1:]:
     done = compile_file(path)
     report = Report()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.examples import FLEETS, FOLDER, ROBOTS, example_robot
+from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 
@@ -36,7 +37,7 @@ def test_builds_without_a_word(name: str) -> None:
     )
     done = compile_file(file)
     assert done.model is not None
-    emit(done.model, ("urdf", "mjcf", "ros2", "can"), done.report)
+    emit(done.model, DEFAULT_TARGETS, done.report)
     assert not list(done.report), [d.message for d in done.report]
 
 

@@ -74,7 +74,8 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         report = Report()
         run_demo(Path(entry), report)
         return list(report)
-    from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+    from thorvaldc.backends import DEFAULT_TARGETS
+    from thorvaldc.compiler.pipeline import compile_file, emit
 
     done = compile_file(entry)
     if how == "emit" and done.model is not None:

@@ -22,7 +22,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics.render import FORMATS, render
 
 ROOT = Path(__file__).parents[2]

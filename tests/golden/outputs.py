@@ -11,7 +11,8 @@ from __future__ import annotations
 from hashlib import sha256
 from pathlib import Path
 
-from thorvaldc.compiler.pipeline import DEFAULT_TARGETS, compile_file, emit
+from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.pipeline import compile_file, emit
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = Path(__file__).parent

@@ -68,8 +68,15 @@ def check(
 def build(
     files: Files,
     target: Annotated[
-        str, typer.Option("--target", "-t", metavar="NAMES", help="Targets, with commas between.")
-    ] = "urdf,mjcf,ros2,can",
+        str | None,
+        typer.Option(
+            "--target",
+            "-t",
+            metavar="NAMES",
+            help="Targets, separated by commas.",
+            show_default="see `thorvaldc targets`",
+        ),
+    ] = None,
     output: Annotated[
         str,
         typer.Option(

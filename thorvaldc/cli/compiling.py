@@ -30,7 +30,7 @@ def check_files(files: Sequence[str], format: str, strict: bool, library: Sequen
 
 
 def build_files(
-    files: Sequence[str], targets: str, output: str, format: str, library: Sequence[str]
+    files: Sequence[str], targets: str | None, output: str, format: str, library: Sequence[str]
 ) -> int:
     check_format(format)
     wanted = check_targets(targets)
@@ -119,19 +119,24 @@ def library_folders(named: Sequence[str], option: str = "'--library'") -> list[P
     return [Path(name) for name in named]
 
 
-def check_targets(text: str) -> list[str]:
-    """Names of targets from ``urdf,mjcf``; raises ``typer.BadParameter`` for an unknown one."""
+def check_targets(text: str | None) -> list[str]:
+    """Names of targets from ``urdf,mjcf``; the default targets for ``None``.
+
+    Raises ``typer.BadParameter`` for an unknown target and for a backend that cannot be loaded.
+    """
     from thorvaldc import backends
 
-    wanted = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
-    if not wanted:
+    if text is None:
+        return list(backends.DEFAULT_TARGETS)
+    targets = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not targets:
         raise typer.BadParameter("names no target", param_hint="'--target'")
-    for name in wanted:
+    for name in targets:
         try:
             backends.load(name)
         except backends.TargetError as error:
             raise typer.BadParameter(str(error), param_hint="'--target'") from None
-    return wanted
+    return targets
 
 
 def _folder(output: str, name: str, files: int) -> Path:

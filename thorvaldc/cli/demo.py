@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
     from thorvaldc.simulation.simulation_run import DemoRow
 
-TARGETS = ("urdf", "mjcf", "ros2", "can")
-
 
 @dataclass
 class Outcome:
@@ -70,6 +68,7 @@ def _progress(done: int, all_: int) -> None:
 
 def _drive(job: tuple[str, str, bool]) -> Outcome:
     from thorvaldc import __version__
+    from thorvaldc.backends import DEFAULT_TARGETS
     from thorvaldc.compiler.pipeline import compile_file, emit
     from thorvaldc.compiler.writer import WriteError, write_build
     from thorvaldc.diagnostics import Report
@@ -88,7 +87,7 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
     run = Report()
     if done.model is not None:
         found = Report()
-        made = emit(done.model, TARGETS, found)
+        made = emit(done.model, DEFAULT_TARGETS, found)
         done.report.extend(done.located(found))
         folder = Path(output) / done.model.name
         try:

@@ -23,11 +23,19 @@ KINDS = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults")
 def list_targets(json: bool) -> int:
     from thorvaldc import backends
 
-    found = {name: backends.load(name).summary for name in backends.names()}
+    summaries: dict[str, str] = {}
+    for name in backends.names():
+        try:
+            summaries[name] = backends.load(name).summary
+        except backends.TargetError as error:
+            summaries[name] = str(error)
     if json:
-        print(json_format.dumps(found, indent=1, ensure_ascii=False))
+        print(json_format.dumps(summaries, indent=1, ensure_ascii=False))
     else:
-        print_table(found.items())
+        print_table(
+            (name, summary if name in backends.DEFAULT_TARGETS else f"{summary} (not by default)")
+            for name, summary in summaries.items()
+        )
     return DONE
 
 

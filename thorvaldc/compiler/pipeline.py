@@ -35,7 +35,6 @@ if TYPE_CHECKING:  # few files need them, and to make their classes takes millis
 MODEL_FILE = "model.json"
 SETTING = "--set "
 """Begins the name of a value on the command line, in place of a file's."""
-DEFAULT_TARGETS = ("urdf", "mjcf", "ros2", "can")
 
 
 @dataclass

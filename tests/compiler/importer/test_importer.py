@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
+from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.importer import ImportResult, import_file, import_original
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Diagnostic, Report
@@ -86,7 +87,7 @@ def has(report: Report, code: str, *words: str) -> Diagnostic:
 def test_it_builds_to_all_targets(name: str) -> None:
     _, report, robot = built(name)
     assert not report.errors, [d.message for d in report.errors]
-    assert emit(robot, ["urdf", "mjcf", "ros2", "can"], Report())
+    assert emit(robot, DEFAULT_TARGETS, Report())
 
 
 def leaves(value: Any, key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
