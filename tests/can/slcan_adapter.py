@@ -1,4 +1,4 @@
-"""A serial CAN adapter of the simplest kind (Lawicel's), between a pseudo-terminal and a wire."""
+"""A serial CAN adapter (Lawicel protocol) between a pseudo-terminal and a simulated bus."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 
 class SlcanAdapter:
-    """``path`` is what another process opens; ``serve`` passes frames on, by the clock."""
+    """Another process opens ``path``; ``serve`` passes frames on in real time."""
 
     def __init__(self, simulated: SimulatedRobot) -> None:
         self.simulated = simulated
@@ -25,24 +25,24 @@ class SlcanAdapter:
         self.path = os.ttyname(self.theirs)
         self.open = False
         self.commands: list[str] = []
-        self._rest = b""
+        self._incomplete = b""
 
     def serve(self, until: Callable[[], bool], limit: float) -> None:
-        """Until it says so, for ``limit`` s at the most."""
-        begun = time.monotonic() - self.simulated.timeline.seconds
+        """Passes frames on until ``until()`` is true, for at most ``limit`` s."""
+        start = time.monotonic() - self.simulated.timeline.seconds
         end = time.monotonic() + limit
         while not until() and time.monotonic() < end:
-            self._take()
-            self.client.sleep_until(time.monotonic() - begun)
-            self._give()
+            self._read_serial()
+            self.client.sleep_until(time.monotonic() - start)
+            self._write_serial()
             time.sleep(0.001)
 
-    def _take(self) -> None:
+    def _read_serial(self) -> None:
         try:
             data = os.read(self.ours, 65536)
         except BlockingIOError:
             return
-        *lines, self._rest = (self._rest + data).split(b"\r")
+        *lines, self._incomplete = (self._incomplete + data).split(b"\r")
         for line in lines:
             text = line.decode()
             if text[:1] == "t" and self.open:
@@ -53,10 +53,10 @@ class SlcanAdapter:
                 self.commands.append(text)
                 self.open = text == "O" if text in ("O", "C") else self.open
 
-    def _give(self) -> None:
+    def _write_serial(self) -> None:
         lines = b""
-        while (found := self.client.receive(0.0)) is not None:
-            frame = found.frame
+        while (received := self.client.receive(0.0)) is not None:
+            frame = received.frame
             lines += f"t{frame.id:03X}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
         if lines and self.open:
             os.write(self.ours, lines)

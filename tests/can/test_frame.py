@@ -1,4 +1,4 @@
-"""Bits of a frame, counted one by one by a reference that shares no code."""
+"""Bits of a frame, compared with an independent count, bit by bit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thorvaldc.can.frame import CanFrame, first_difference, frame_bits, worst_ca
 
 
 def bits_one_by_one(frame: CanFrame) -> list[int]:
-    """What is stuffed of a frame: start, header, data and checksum, bit by bit (ISO 11898-1)."""
+    """Returns the bits that are stuffed: start, header, data and checksum (ISO 11898-1)."""
     bits = [0]
 
     def put(value: int, count: int) -> None:
@@ -53,19 +53,19 @@ def reference(frame: CanFrame) -> int:
 
 
 def random_frames(count: int) -> list[CanFrame]:
-    chance = random.Random(11)
-    found = []
+    rng = random.Random(11)
+    frames = []
     for _ in range(count):
-        extended, remote = chance.random() < 0.3, chance.random() < 0.1
-        length = chance.randrange(9)
-        bytes_ = (chance.choice((0, 255, 0x3C, 0xF0, chance.randrange(256))) for _ in range(length))
+        extended, remote = rng.random() < 0.3, rng.random() < 0.1
+        length = rng.randrange(9)
+        bytes_ = (rng.choice((0, 255, 0x3C, 0xF0, rng.randrange(256))) for _ in range(length))
         data = b"" if remote else bytes(bytes_)
-        identifier = chance.randrange(1 << (29 if extended else 11))
-        found.append(CanFrame(identifier, data, extended, remote, length if remote else 0))
-    return found
+        identifier = rng.randrange(1 << (29 if extended else 11))
+        frames.append(CanFrame(identifier, data, extended, remote, length if remote else 0))
+    return frames
 
 
-def test_bits_are_those_counted_one_by_one() -> None:
+def test_bits_match_the_reference() -> None:
     for frame in random_frames(3000):
         assert frame_bits(frame) == reference(frame), frame
 
@@ -83,8 +83,8 @@ def test_worst_case_of_the_textbooks(length: int, extended: bool, bits: int) -> 
     assert worst_case_bits(length, extended) == bits
 
 
-def test_the_worst_case_is_nearly_reached() -> None:
-    """Runs of four keep the stuffing going once it has begun: within 3 % of the bound."""
+def test_the_worst_case_is_a_tight_bound() -> None:
+    """Runs of four bits add a stuff bit after every run: within 3 % of the bound."""
     assert max(frame_bits(CanFrame(i, bytes([0x3C] * 8))) for i in range(2048)) > 0.97 * 135
 
 
@@ -98,7 +98,7 @@ def test_arbitration_orders_frames_as_the_wire_does() -> None:
         assert (a.arbitration < b.arbitration) == (first < second), (a, b)
 
 
-def test_first_difference_is_the_place_of_the_first_unequal_bit() -> None:
+def test_first_difference_is_the_index_of_the_first_unequal_bit() -> None:
     one = CanFrame(0x181, bytes([1, 2, 3]))
     for other in (
         CanFrame(0x181, bytes([1, 2, 7])),
@@ -107,6 +107,6 @@ def test_first_difference_is_the_place_of_the_first_unequal_bit() -> None:
         CanFrame(0x181, bytes(8)),
     ):
         a, b = bits_one_by_one(one), bits_one_by_one(other)
-        place = next(i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y)
-        assert first_difference(one, other) == first_difference(other, one) == place
+        index = next(i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y)
+        assert first_difference(one, other) == first_difference(other, one) == index
     assert first_difference(one, one) == 19 + 24

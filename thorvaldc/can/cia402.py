@@ -1,4 +1,16 @@
-"""Power states of CiA 402."""
+"""Drive profile CiA 402 (IEC 61800-7-201): power states, status word, control word, modes.
+
+The master steps the power state machine with the control word (object 0x6040) and reads the state
+from the status word (0x6041):
+
+    NOT_READY --> SWITCH_ON_DISABLED --shutdown--> READY_TO_SWITCH_ON --switch on--> SWITCHED_ON
+                        ^  ^                                                            |
+       fault reset      |  | disable voltage, from every state          enable operation |
+                        |  |                                                            v
+      FAULT ------------+  +-- QUICK_STOP_ACTIVE <----------quick stop--- OPERATION_ENABLED
+        ^
+        +-- FAULT_REACTION_ACTIVE <-- an error of the drive, in every state
+"""
 
 from __future__ import annotations
 
@@ -6,7 +18,7 @@ import enum
 
 
 class DriveState(enum.Enum):
-    """With the bits of the status word that tell it (under the mask 0x6F)."""
+    """Power state.  Its value is the pattern of the status word under the mask of the state."""
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -19,9 +31,60 @@ class DriveState(enum.Enum):
 
     @property
     def powered(self) -> bool:
-        """Whether the power stage is on."""
+        """``True`` where the power stage is on: the motor may have torque."""
         return self in (
             DriveState.OPERATION_ENABLED,
             DriveState.QUICK_STOP_ACTIVE,
             DriveState.FAULT_REACTION_ACTIVE,
         )
+
+    @classmethod
+    def of(cls, status_word: int) -> DriveState | None:
+        """Returns the state in a status word; ``None`` where the bits match no state."""
+        for state in cls:
+            if status_word & _MASKS[state] == state.value:
+                return state
+        return None
+
+
+# Bit 5 of the status word (quick stop inactive) belongs to the pattern of these states only.
+_WITH_BIT_5 = (
+    DriveState.READY_TO_SWITCH_ON,
+    DriveState.SWITCHED_ON,
+    DriveState.OPERATION_ENABLED,
+    DriveState.QUICK_STOP_ACTIVE,
+)
+_MASKS = {state: 0x6F if state in _WITH_BIT_5 else 0x4F for state in DriveState}
+
+# Other bits of the status word.  Bits 12 and 13 have these meanings in homing mode.
+VOLTAGE_ENABLED = 1 << 4
+REMOTE = 1 << 9
+TARGET_REACHED = 1 << 10
+HOMING_ATTAINED = 1 << 12
+HOMING_ERROR = 1 << 13
+
+
+class ControlWord(enum.IntEnum):
+    """Commands of the control word; a fault is reset by the rising edge of bit 7."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80
+
+
+# Bits of the control word that depend on the mode of operation.
+NEW_SET_POINT, CHANGE_IMMEDIATELY = 1 << 4, 1 << 5
+START_HOMING = 1 << 4
+
+
+class Mode(enum.IntEnum):
+    """Mode of operation (objects 0x6060 and 0x6061)."""
+
+    PROFILE_POSITION = 1
+    PROFILE_VELOCITY = 3
+    HOMING = 6
+    CYCLIC_POSITION = 8
+    CYCLIC_VELOCITY = 9

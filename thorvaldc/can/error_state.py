@@ -6,7 +6,11 @@ import enum
 
 
 class ErrorState(enum.Enum):
-    """Of a controller: ``PASSIVE`` from 128 of either counter, ``BUS_OFF`` from 256 sent."""
+    """Depends on the transmit and the receive error counter.
+
+    ``PASSIVE``: a counter has reached 128; the controller does not interrupt other nodes' frames.
+    ``BUS_OFF``: the transmit error counter has reached 256; it takes no part in the traffic.
+    """
 
     ACTIVE = "error-active"
     PASSIVE = "error-passive"

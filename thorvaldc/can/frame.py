@@ -1,4 +1,14 @@
-"""A CAN frame, and exactly how many bits it takes on the wire (ISO 11898-1, classical frames)."""
+"""A CAN frame, and its exact number of bits on the wire (ISO 11898-1, classical frames).
+
+After five equal bits the sender inserts a stuff bit of the opposite value, from the start of frame
+to the end of the checksum.  So the length of a frame depends on its content:
+
+    standard   SOF  id 11  RTR  IDE  r0  length 4  data  CRC 15 | delimiter 1  ACK 2  EOF 7  IFS 3
+    extended   SOF  id 11  SRR  IDE  id 18  RTR  r1  r0  length 4  data  CRC 15 | the same tail
+               '---------------- stuffed ----------------------------------'
+
+``frame_bits`` looks up whole bytes in tables: it is called for every frame of a simulated bus.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +16,19 @@ from typing import NamedTuple
 
 INTERFRAME_BITS = 3
 TAIL_BITS = 10
-"""What follows the stuffed part: CRC delimiter, ACK slot and delimiter, 7 bits of end of frame."""
+"""Bits after the stuffed part: CRC delimiter, ACK slot and delimiter, 7 bits of end of frame."""
 
 _POLYNOMIAL = 0x4599
+"""Of the 15-bit CRC, without its highest term: x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1."""
 
 SEND_LIMIT = 32
+"""Frames in a send queue, where nothing else is stated."""
 RECEIVE_LIMIT = 1024
+"""Frames in a receive queue, where nothing else is stated."""
 
 
 class CanFrame(NamedTuple):
-    """A data or remote frame.  ``requested`` is the length that a remote frame asks for."""
+    """A data or remote frame.  ``requested`` is the data length that a remote frame requests."""
 
     id: int
     data: bytes = b""
@@ -30,10 +43,10 @@ class CanFrame(NamedTuple):
 
     @property
     def arbitration(self) -> int:
-        """The arbitration field as a number: at the same instant the lowest wins.
+        """The arbitration field as a number: of frames that start together the lowest wins.
 
-        Standard: identifier, RTR, IDE = 0.  Extended: the upper 11 bits, SRR = 1,
-        IDE = 1, the lower 18, RTR.
+        Standard: identifier, RTR, IDE = 0.  Extended: the upper 11 bits of the identifier,
+        SRR = 1, IDE = 1, its lower 18 bits, RTR.
         """
         if self.extended:
             return (self.id >> 18) << 21 | 0b11 << 19 | (self.id & 0x3FFFF) << 1 | int(self.remote)
@@ -45,7 +58,7 @@ class CanFrame(NamedTuple):
 
 
 class ReceivedFrame(NamedTuple):
-    """A frame and when (ns) it was complete; ``own``: the program's own, come back."""
+    """A frame, and the time (ns) at which it was complete.  ``own``: this program sent it."""
 
     time: int
     frame: CanFrame
@@ -53,15 +66,18 @@ class ReceivedFrame(NamedTuple):
 
 
 def worst_case_bits(length: int, extended: bool = False) -> int:
-    """Bits of a frame of ``length`` bytes with as much stuffing as can be, interframe space too."""
+    """Returns the most bits that a frame of ``length`` data bytes can have, with interframe space.
+
+    At worst the first stuff bit follows five bits, every further one four bits.
+    """
     stuffed = (54 if extended else 34) + 8 * length
     return stuffed + (stuffed - 1) // 4 + TAIL_BITS + INTERFRAME_BITS
 
 
 def frame_bits(frame: CanFrame) -> int:
-    """Bits of this very frame with its stuff bits, from start of frame to the interframe space.
+    """Returns the exact number of bits, from the start of frame to the interframe space.
 
-    Bit for bit as a controller sends it: the checksum is computed and stuffed too.
+    It includes the stuff bits; the checksum is computed, because it is stuffed too.
     """
     length = frame.length
     data = b"" if frame.remote else frame.data
@@ -74,44 +90,44 @@ def frame_bits(frame: CanFrame) -> int:
         # SOF, 11 bits, RTR, IDE, r0, length.
         head = frame.id << 7 | int(frame.remote) << 6 | length
         width = 19
-    # Leading zeros do not change the checksum, so that whole bytes can be taken.
+    # Leading zeros do not change the checksum: it can be computed over whole bytes.
     crc = 0
     for byte in head.to_bytes(5, "big"):
         crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7 ^ byte]
     for byte in data:
         crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7 ^ byte]
     state, stuffed = _START, 0
-    odd = width % 8  # the bits before the first whole byte, one at a time
+    odd = width % 8  # the bits before the first whole byte are counted one by one
     for shift in range(width - 1, width - 1 - odd, -1):
-        state, more = _STUFF_BIT[state][head >> shift & 1]
-        stuffed += more
+        state, added = _STUFF_BIT[state][head >> shift & 1]
+        stuffed += added
     for byte in (head & (1 << (width - odd)) - 1).to_bytes(width // 8, "big"):
-        state, more = _STUFF_BYTE[state][byte]
-        stuffed += more
+        state, added = _STUFF_BYTE[state][byte]
+        stuffed += added
     for byte in data:
-        state, more = _STUFF_BYTE[state][byte]
-        stuffed += more
-    state, more = _STUFF_BYTE[state][crc >> 7]
-    stuffed += more
+        state, added = _STUFF_BYTE[state][byte]
+        stuffed += added
+    state, added = _STUFF_BYTE[state][crc >> 7]
+    stuffed += added
     for shift in range(6, -1, -1):
-        state, more = _STUFF_BIT[state][crc >> shift & 1]
-        stuffed += more
+        state, added = _STUFF_BIT[state][crc >> shift & 1]
+        stuffed += added
     return width + 8 * len(data) + 15 + stuffed + TAIL_BITS + INTERFRAME_BITS
 
 
-def first_difference(one: CanFrame, other: CanFrame) -> int:
-    """Where two frames of the same identifier part: bits of header and data before it, unstuffed.
+def first_difference(a: CanFrame, b: CanFrame) -> int:
+    """Returns the number of equal bits at the start of two frames with the same identifier.
 
-    Equal frames give the bits of the whole of both.
+    Only header and data count, without stuff bits.  At the first different bit one of two nodes
+    that send together detects a bit error.
     """
-    header = 39 if one.extended else 19
-    if one.length != other.length:
-        unlike = one.length ^ other.length
-        return header - unlike.bit_length()
-    for place, (a, b) in enumerate(zip(one.data, other.data, strict=True)):
-        if a != b:
-            return header + 8 * place + 8 - (a ^ b).bit_length()
-    return header + 8 * len(one.data)
+    header = 39 if a.extended else 19
+    if a.length != b.length:
+        return header - (a.length ^ b.length).bit_length()
+    for index, (byte_a, byte_b) in enumerate(zip(a.data, b.data, strict=True)):
+        if byte_a != byte_b:
+            return header + 8 * index + 8 - (byte_a ^ byte_b).bit_length()
+    return header + 8 * len(a.data)
 
 
 # -- tables -------------------------------------------------------------------------------
@@ -127,24 +143,26 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-# The state of the stuffing: the last bit sent and how often in a row, as 2 * (run - 1) + bit;
-# a run of five is followed by a stuff bit at once.  `_START`: nothing has been sent.
+# State of the bit stuffing: the last bit and the length of its run (1 to 4), as
+# 2 * (run - 1) + bit.  A fifth equal bit adds a stuff bit, which starts the next run.
+# `_START`: no bit was sent yet.
 _START = 8
 
 
 def _next(state: int, bit: int) -> tuple[int, int]:
+    """Returns the state after a bit, and the number of stuff bits that it adds."""
     last, run = (None, 0) if state == _START else (state & 1, (state >> 1) + 1)
     run = run + 1 if bit == last else 1
     if run == 5:
-        return 1 - bit, 1  # the stuff bit is the first of the next run
+        return 1 - bit, 1  # the stuff bit is the first bit of the next run
     return 2 * (run - 1) + bit, 0
 
 
 def _byte_step(state: int, byte: int) -> tuple[int, int]:
     stuffed = 0
     for shift in range(7, -1, -1):
-        state, more = _next(state, byte >> shift & 1)
-        stuffed += more
+        state, added = _next(state, byte >> shift & 1)
+        stuffed += added
     return state, stuffed
 
 

@@ -1,0 +1,161 @@
+"""Opening the CAN interface that a user names, and the diagnostics where that fails."""
+
+from __future__ import annotations
+
+import os
+import pty
+import sys
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.robots import SPAN
+from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.open_interface import open_interface, open_interfaces
+from thorvaldc.can.python_can_interface import PythonCanInterface
+from thorvaldc.can.simulated_bus_client import SimulatedBusClient
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Bus
+from thorvaldc.simulation.bus.bus_server import serving
+from thorvaldc.simulation.bus.timeline import Timeline
+from thorvaldc.simulation.bus.wire import Wire
+
+HEARTBEAT = CanFrame(0x701, b"\x05")
+ALL_KINDS = (
+    HEARTBEAT,
+    CanFrame(0x080),
+    CanFrame(0x203, bytes(range(8))),
+    CanFrame(0x1ABCDEF0, b"\x01\x02", extended=True),
+    CanFrame(0x583, remote=True, requested=8),
+)
+
+
+@pytest.fixture
+def bus() -> Bus:
+    return Bus("can", 500_000, 0.02, (), (), SPAN)
+
+
+def open_python_can(spec: str, bus: Bus) -> PythonCanInterface:
+    interface = open_interface(spec, bus)
+    assert isinstance(interface, PythonCanInterface)
+    return interface
+
+
+def refusal(spec: str, bus: Bus) -> tuple[str, str]:
+    with pytest.raises(DiagnosticError) as caught:
+        open_interface(spec, bus)
+    diagnostic = caught.value.diagnostic
+    assert diagnostic.code.name == "bus-interface"
+    assert diagnostic.code.outside
+    assert "\n" not in diagnostic.message
+    return diagnostic.message, diagnostic.hint or ""
+
+
+# -- what cannot be opened --------------------------------------------------------------------
+
+
+def test_an_interface_unknown_to_python_can(bus: Bus) -> None:
+    message, hint = refusal("socketkan:can0", bus)
+    assert "no interface `socketkan`" in message
+    assert "slcan" in hint
+
+
+@pytest.mark.parametrize("spec", ["slcan", "slcan:", "sim:", "socketcan:"])
+def test_without_a_channel(spec: str, bus: Bus) -> None:
+    message, _ = refusal(spec, bus)
+    assert "needs" in message
+
+
+def test_a_serial_port_that_is_not_there(bus: Bus) -> None:
+    message, hint = refusal("slcan:/nowhere/ttyACM0", bus)
+    assert "/nowhere/ttyACM0: No such file or directory" in message
+    assert "plugged in" in hint
+
+
+def test_a_file_is_not_a_serial_port(tmp_path: Path, bus: Bus) -> None:
+    (tmp_path / "port").write_text("")
+    assert "is not a serial port" in refusal(f"slcan:{tmp_path / 'port'}", bus)[0]
+    assert "cannot use the bus" in refusal("slcan:/dev/null", bus)[0]
+
+
+def test_no_permission(
+    serial_line: tuple[int, str], bus: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, path = serial_line
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may open anything
+    message, hint = refusal(f"slcan:{path}", bus)
+    assert f"no permission to use {path}" in message
+    assert "dialout" in hint
+
+
+def test_a_missing_package_is_named(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    import can.interfaces.slcan
+
+    monkeypatch.setattr(can.interfaces.slcan, "serial", None)
+    message, hint = refusal("slcan:COM3", bus)
+    assert "serial module is not installed" in message
+    assert "thorvaldc[serial]" in hint
+    monkeypatch.setitem(sys.modules, "can.interfaces.udp_multicast", None)
+    _, hint = refusal("udp", bus)
+    assert "thorvaldc[udp]" in hint
+
+
+@pytest.mark.parametrize("channel", ["can77", "lo", "../net/lo"])
+def test_a_network_interface_that_is_not_a_can_interface(channel: str, bus: Bus) -> None:
+    message, _ = refusal(f"socketcan:{channel}", bus)
+    assert "no network interface" in message or "is not a CAN interface" in message
+
+
+def test_a_simulated_bus_that_does_not_run(bus: Bus) -> None:
+    message, hint = refusal("sim:nobody", bus)
+    assert "no bus runs at" in message
+    assert "thorvaldc bus FILE --channel nobody" in hint
+
+
+def test_a_driver_that_refuses(bus: Bus) -> None:
+    strange = replace(bus, bitrate=123_456)
+    ours, theirs = pty.openpty()
+    try:
+        assert "bitrate" in refusal(f"slcan:{os.ttyname(theirs)}", strange)[0]
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+# -- several buses ----------------------------------------------------------------------------
+
+
+def test_a_robot_with_several_buses_needs_an_interface_for_each(two_buses: Robot) -> None:
+    interfaces = open_interfaces("left=virtual:l,right=virtual:r", two_buses)
+    assert list(interfaces) == ["left", "right"]
+    for interface in interfaces.values():
+        interface.close()
+    for spec in ("virtual:l", "left=virtual:l", "left=virtual:l,wrong=virtual:r", "left=,right="):
+        with pytest.raises(DiagnosticError) as caught:
+            open_interfaces(spec, two_buses)
+        assert "left=socketcan:can0,right=socketcan:can1" in (caught.value.diagnostic.hint or "")
+
+
+@pytest.fixture
+def two_buses() -> Robot:
+    buses = tuple(Bus(name, 500_000, 0.02, (), (), SPAN) for name in ("left", "right"))
+    return replace(cia402_robot(), buses=buses)
+
+
+def test_a_master_on_a_simulated_bus_sends_in_its_own_order(bus: Bus, tmp_path: Path) -> None:
+    """As real interfaces do: SYNC follows the commands, although its priority is higher."""
+    wire = Wire(Timeline())
+    channel = str(tmp_path / "bus.sock")
+    with (
+        serving(wire.timeline, {channel: wire}),
+        closing(open_interface(f"sim:{channel}", bus)) as master,
+        closing(SimulatedBusClient(channel)) as second,
+    ):
+        sent = [CanFrame(k, bytes(8)) for k in (0x201, 0x202, 0x303, 0x304, 0x080)]
+        for frame in sent:
+            assert master.send(frame)
+        assert [got.frame for got in (second.receive(2.0) for _ in sent) if got] == sent
