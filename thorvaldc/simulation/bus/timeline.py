@@ -1,4 +1,4 @@
-"""Virtual time: events in the order of their times, to the nanosecond, the same in every run."""
+"""Virtual time: a queue of events, ordered to the nanosecond and the same in every run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Action = Callable[[], None]
 
 
 class Event:
-    """Something to be done at ``time`` (ns), unless it is cancelled."""
+    """An action that is due at ``time`` (ns), unless it is cancelled."""
 
     __slots__ = ("action", "time")
 
@@ -24,10 +24,10 @@ class Event:
 
 
 class Timeline:
-    """The time of a simulation and what is still to happen in it.
+    """The clock of a simulation and its planned events.
 
-    ``now`` is in ns.  Events of the same time come in the order in which they were
-    planned, those that are planned ``last`` after all others of that time.
+    ``now`` is in ns.  Events of the same time run in the order in which they were planned;
+    events planned with ``last`` run after all others of that time.
     """
 
     def __init__(self) -> None:
@@ -38,29 +38,30 @@ class Timeline:
 
     @property
     def seconds(self) -> float:
+        """The present time in s."""
         return self.now / NANOSECONDS
 
     @property
     def next_time(self) -> int:
-        """When the next event is due, ``NEVER`` if there is none."""
+        """Time (ns) of the next event; ``NEVER`` if none is planned."""
         queue = self._queue
         while queue and queue[0][3].action is None:
             heapq.heappop(queue)
         return queue[0][0] if queue else NEVER
 
     def at(self, time: int, action: Action, last: bool = False) -> Event:
-        """Plan ``action`` for ``time`` (ns); what is past happens now."""
+        """Plans ``action`` for ``time`` (ns).  A time in the past counts as now."""
         event = Event(max(time, self.now), action)
         self._planned += 1
         heapq.heappush(self._queue, (event.time, int(last), self._planned, event))
         return event
 
     def after(self, delay: int, action: Action) -> Event:
-        """Plan ``action`` for ``delay`` ns from now."""
+        """Plans ``action`` for ``delay`` ns from now."""
         return self.at(self.now + delay, action)
 
     def step(self) -> bool:
-        """Let the next event happen; ``False`` where there is none."""
+        """Runs the next event.  ``False``: none is planned."""
         queue = self._queue
         while queue:
             time, _, _, event = heapq.heappop(queue)
@@ -72,10 +73,10 @@ class Timeline:
         return False
 
     def run_until(self, time: int, stop: Callable[[], bool] | None = None) -> bool:
-        """Let everything happen up to and with ``time``, or until ``stop()`` after an event.
+        """Runs all events up to and including ``time`` (ns), or until ``stop()`` is true.
 
-        Says whether it was stopped; if not, ``now`` is ``time`` afterwards.  Raises
-        ``RuntimeError`` where an event itself wants to run the time on.
+        ``stop`` is called after each event.  Returns whether it ended the run; otherwise
+        ``now`` is ``time`` afterwards.  Raises ``RuntimeError`` if an event calls this method.
         """
         if self._running:
             raise RuntimeError("an event of the simulation cannot wait for the simulation")

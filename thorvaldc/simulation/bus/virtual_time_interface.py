@@ -1,4 +1,4 @@
-"""A program under test on a simulated wire, in virtual time and in one thread."""
+"""A program's access to a simulated wire, in virtual time and in one thread."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from thorvaldc.simulation.bus.wire import Wire
 
 
 class VirtualTimeInterface:
-    """A controller whose device is a program: it sends, and waits by letting time run.
+    """A ``CanInterface`` to a wire: virtual time runs while the program waits.
 
-    What is received waits in a queue of ``receive_limit`` frames; a full one loses the
-    newest and counts it in ``overruns``, as controllers and kernels do.  ``bitrate``
-    ``None``: the wire's.
+    The receive queue holds ``receive_limit`` frames.  A full queue drops the newest frame
+    and counts it in ``overruns``, as controllers and kernels do.  ``bitrate`` ``None``: that
+    of the wire.
     """
 
     epoch = 0.0
-    """s: what its times count from."""
+    """s: zero of the interface's times."""
 
     def __init__(
         self,
@@ -49,9 +49,9 @@ class VirtualTimeInterface:
             listen_only=listen_only,
             auto_recovery=False,
         )
-        self.controller.on_frame = self._arrived
+        self.controller.on_frame = self._queue_received
         if receive_own:
-            self.controller.on_sent = lambda frame: self._arrived(frame, own=True)
+            self.controller.on_sent = lambda frame: self._queue_received(frame, own=True)
         wire.attach(self.controller)
         self.controller.switch_on()
 
@@ -65,9 +65,9 @@ class VirtualTimeInterface:
         return self.timeline.seconds
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Queue a frame.  Where the queue is full, wait at most ``timeout`` s for room.
+        """Queues a frame; waits at most ``timeout`` s for room in the queue.
 
-        ``False``: there was none, or the controller is in bus-off.
+        ``False``: there was no room, or the controller is in bus-off.
         """
         controller = self.controller
         if controller.pending >= controller.queue_limit and timeout > 0.0:
@@ -76,10 +76,10 @@ class VirtualTimeInterface:
         return controller.send(frame)
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """The oldest frame received; where there is none, time runs until one comes.
+        """Returns the oldest received frame; time runs until there is one.
 
-        ``None`` after ``timeout`` s without.  Without a time-out it returns ``None`` only
-        where nothing at all is planned to happen any more.
+        ``None`` after ``timeout`` s.  Without a time-out ``None`` means that no event is
+        planned any more.
         """
         if not self.received and (timeout is None or timeout > 0.0):
             limit = NEVER - 1 if timeout is None else self.timeline.now + to_ns(timeout)
@@ -91,21 +91,21 @@ class VirtualTimeInterface:
         return self.received.popleft() if self.received else None
 
     def sleep(self, seconds: float) -> None:
-        """Let time run; what comes meanwhile waits in the queue."""
+        """Lets time run; frames received meanwhile wait in the queue."""
         self.timeline.run_until(self.timeline.now + to_ns(seconds))
 
     def sleep_until(self, time: float) -> None:
-        """Let time run until ``time`` (s); a time that is past is now."""
+        """Lets time run until ``time`` (s).  Returns immediately if that time is past."""
         self.timeline.run_until(to_ns(time))
 
     def restart(self) -> None:
-        """Come back from bus-off."""
+        """Leaves bus-off."""
         self.controller.restart()
 
     def close(self) -> None:
         self.wire.detach(self.controller)
 
-    def _arrived(self, frame: CanFrame, own: bool = False) -> None:
+    def _queue_received(self, frame: CanFrame, own: bool = False) -> None:
         if len(self.received) >= self.receive_limit:
             self.overruns += 1
         else:
