@@ -157,18 +157,17 @@ def _drive(
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.se2 import Twist
     from thorvaldc.simulation.manoeuvre import Segment
-    from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+    from thorvaldc.simulation.physics.wheel_errors import WheelErrors
     from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
     from thorvaldc.simulation.simulation_run import Simulation
 
-    hidden = {}
+    wheel_errors = {}
     if errors is not None:
-        hidden[robot.name] = HiddenErrors.of(robot, errors.radii, errors.offsets)
+        wheel_errors[robot.name] = WheelErrors.by_name(robot, errors.radii, errors.offsets)
     plan = [Segment(start, Twist(*twist)) for start, *twist in RUN]
     stream = io.StringIO()
-    simulation = Simulation(robot, files, hidden=hidden, open_loop=open_loop)
-    watch = JointLogWriter(robot, stream).watch
-    run = simulation.run(SECONDS, plan, None, watch).robots[0]
+    simulation = Simulation(robot, files, wheel_errors=wheel_errors, open_loop=open_loop)
+    run = simulation.run(SECONDS, plan, None, JointLogWriter(robot, stream).on_tick).robots[0]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "joints.csv")
         path.write_text(stream.getvalue(), encoding="utf-8")

@@ -21,7 +21,7 @@ from thorvaldc.runtime import driver
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.twist_ramp import Ramp
-from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
@@ -99,10 +99,10 @@ def _run(
         prepare(simulation)
     samples: list[Sample] = []
 
-    def watch(meter: Meter) -> None:
-        samples.append(meter.sample())
+    def on_tick(loop: ControlLoop) -> None:
+        samples.append(loop.sample())
 
-    run = simulation.run(SECONDS, random_drive(seed), None, watch).robots[0]
+    run = simulation.run(SECONDS, random_drive(seed), None, on_tick).robots[0]
     return run.end_error, samples
 
 

@@ -15,7 +15,7 @@ from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Fleet
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.drive_metrics import Meter
+from thorvaldc.simulation.control_loop import ControlLoop
 from thorvaldc.simulation.manoeuvre import Segment
 from thorvaldc.simulation.simulation_run import Simulation
 from thorvaldc.simulation.vectorised import robot_groups
@@ -97,11 +97,11 @@ class _Loops:
         controls: list[np.ndarray] = []
         last = fleet.placements[-1].name
 
-        def keep(meter: Meter) -> None:
-            if meter.name == last:
+        def keep(loop: ControlLoop) -> None:
+            if loop.name == last:
                 controls.append(self.scene.data.ctrl.copy())
 
-        self.simulation.run(SECONDS, PLAN, watch=keep)
+        self.simulation.run(SECONDS, PLAN, on_tick=keep)
         self.controls = controls[:-1]
         self.ticks = len(self.controls)
         self.steps = round(SECONDS / self.ticks / self.scene.timestep)

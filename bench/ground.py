@@ -11,7 +11,7 @@ from bench.figure import ROOT, Figure
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.simulation.drive_metrics import Sample
+from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
 SLIM = ROOT / "examples" / "4wd4ws_slim" / "robot.yaml"
@@ -89,5 +89,5 @@ def _played(
             raise SystemExit("; ".join(d.message for d in done.report))
     simulation = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"]), parameters)
     samples: list[Sample] = []
-    result = simulation.play(Report(), watch=lambda meter: samples.append(meter.sample()))
+    result = simulation.play(Report(), on_tick=lambda loop: samples.append(loop.sample()))
     return result, samples

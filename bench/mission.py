@@ -14,7 +14,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.drive_metrics import Meter
+from thorvaldc.simulation.control_loop import ControlLoop
 from thorvaldc.simulation.manoeuvre import Segment
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation
@@ -35,10 +35,10 @@ def figures() -> Iterator[Figure]:
     plans = manoeuvres(scenario)
     controls: list[np.ndarray] = []
 
-    def keep(_: Meter) -> None:
+    def keep(_: ControlLoop) -> None:
         controls.append(scene.data.ctrl.copy())
 
-    run = simulation.run(duration, plans, watch=keep).robots[0]
+    run = simulation.run(duration, plans, on_tick=keep).robots[0]
     end = scene.data.qpos.copy()
     steps = round(1.0 / RATE / scene.timestep)
 

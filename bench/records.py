@@ -10,8 +10,9 @@ from bench.figure import Figure, least_times
 from bench.mission import manoeuvres, mission
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model.scenario import GROUPS
+from thorvaldc.simulation.records.csv_record import CsvRecorder
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
-from thorvaldc.simulation.records.record_writer import CsvRecorder, Recorder, recording
+from thorvaldc.simulation.records.recorder import Recorder, record_ticks
 from thorvaldc.simulation.simulation_run import Simulation
 
 ROUNDS = 5
@@ -30,7 +31,7 @@ def figures() -> Iterator[Figure]:
                 simulation.run(seconds, plan)
                 return
             recorder = make()
-            simulation.run(seconds, plan, watch=recording([recorder]))
+            simulation.run(seconds, plan, on_tick=record_ticks([recorder]))
             recorder.close()
 
         ways = [

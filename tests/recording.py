@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
 from thorvaldc.simulation.simulation_run import Simulation
 
@@ -39,8 +39,10 @@ def record(
     """
     plan = [Segment(start, Twist(*twist)) for start, *twist in twists]
     turned = {name: math.radians(degrees) for name, degrees in (offsets or {}).items()}
-    hidden = {robot.name: HiddenErrors.of(robot, radii, turned)} if radii or offsets else {}
+    wheel_errors = (
+        {robot.name: WheelErrors.by_name(robot, radii, turned)} if radii or offsets else {}
+    )
     stream = io.StringIO()
-    simulation = Simulation(robot, files, hidden=hidden, open_loop=open_loop)
-    simulation.run(seconds, plan, None, JointLogWriter(robot, stream).watch)
+    simulation = Simulation(robot, files, wheel_errors=wheel_errors, open_loop=open_loop)
+    simulation.run(seconds, plan, None, JointLogWriter(robot, stream).on_tick)
     return stream.getvalue()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.pictures.graphics import choose_graphics
+from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 from thorvaldc.simulation.pictures.render import View, render
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -55,7 +55,7 @@ def render_example(name: str) -> bytes:
 
 def main(names: list[str]) -> int:
     """Render the examples named, or all."""
-    choose_graphics()
+    choose_opengl_backend()
     for name in names or sorted(p.name for p in (ROOT / "examples").iterdir() if p.is_dir()):
         picture = render_example(name)
         (ROOT / "examples" / name / "picture.png").write_bytes(picture)

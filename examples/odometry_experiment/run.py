@@ -22,9 +22,9 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
 from thorvaldc.runtime.odometry import Odometry
-from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation
@@ -71,14 +71,14 @@ def drive(path: Path, name: str) -> tuple[Row, Robot, list[Sample]]:
     beside = Odometry(paired, (2.0, 2.0))
     samples: list[Sample] = []
 
-    def watch(meter: Meter) -> None:
-        sample = meter.sample()
+    def on_tick(loop: ControlLoop) -> None:
+        sample = loop.sample()
         samples.append(sample)
         if sample.joints is not None:
             beside.update(sample.joints, sample.time)
 
     files = thorvaldc.emit(scenario.fleet, ["mjcf"], done.report)
-    result = ScenarioSimulation(scenario, files).play(done.report, (), watch)
+    result = ScenarioSimulation(scenario, files).play(done.report, (), on_tick)
     run = result.run.robots[0]
     pairs = math.hypot(beside.pose.x - run.pose_true.x, beside.pose.y - run.pose_true.y)
     row = Row(name, run.path_true, run.path_odometry, run.end_error, pairs)
@@ -154,10 +154,10 @@ def _script(robot: Robot, document: dict[str, Any], radii: dict[str, float], str
         )
         plan.append(Segment(at, thorvaldc.Twist(vx, vy, wz)))
     files = thorvaldc.emit(robot, ["mjcf"], Report())
-    hidden = {robot.name: HiddenErrors.of(robot, radii)}
-    simulation = Simulation(robot, files, hidden=hidden, open_loop=True)
+    wheel_errors = {robot.name: WheelErrors.by_name(robot, radii)}
+    simulation = Simulation(robot, files, wheel_errors=wheel_errors, open_loop=True)
     duration = float(document["duration"].split()[0])
-    simulation.run(duration, plan, None, JointLogWriter(robot, stream).watch)
+    simulation.run(duration, plan, None, JointLogWriter(robot, stream).on_tick)
 
 
 def _missed(found: CalibrationResult, radii: dict[str, float], offsets: dict[str, float]) -> str:

@@ -16,7 +16,7 @@ import pytest
 from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
 from thorvaldc.cli.progress import Progress
-from thorvaldc.simulation.drive_metrics import Meter
+from thorvaldc.simulation.control_loop import ControlLoop
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SLIM, TALL = EXAMPLES / "4wd4ws_slim/robot.yaml", EXAMPLES / "4wd2ws_tall/robot.yaml"
@@ -104,7 +104,7 @@ def test_a_disk_that_gets_full_is_told_by_the_files_name(
     """From the first tick on no file may grow beyond some size; what is there by then stays."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def watch(self: Progress, meter: Meter) -> None:
+    def watch(self: Progress, meter: ControlLoop) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
 
     monkeypatch.setattr(Progress, "watch", watch)

@@ -65,11 +65,11 @@ def test_what_cannot_be_drawn_is_told(
 
 
 def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    from thorvaldc.simulation.pictures import graphics
+    from thorvaldc.simulation.pictures import opengl_backend
 
     monkeypatch.delitem(sys.modules, "mujoco", raising=False)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(graphics, "_works", lambda name: False)
+    monkeypatch.setattr(opengl_backend, "_works", lambda name: False)
     for arguments in (["render", "good.yaml"], ["sim", "good.yaml", "--video", "a.gif"]):
         done = thorvaldc(*arguments)
         assert done.status == 3

@@ -14,7 +14,7 @@ from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.drive_metrics import Meter, RobotRun
+from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
 from thorvaldc.simulation.manoeuvre import Segment
 from thorvaldc.simulation.simulation_run import Simulation
 
@@ -50,7 +50,7 @@ def simulation(name: str) -> Simulation:
     return Simulation(done.model, emit(done.model, ["mjcf"], done.report))
 
 
-def drive(name: str, twist: Twist, seconds: float) -> RobotRun:
+def drive(name: str, twist: Twist, seconds: float) -> RobotResult:
     """Drive a twist and stop; the wheels are at their angles before the way counts."""
     made = simulation(name)
     plan = [Segment(0.0, twist), Segment(seconds, ZERO_TWIST)]
@@ -130,16 +130,16 @@ def test_a_wheel_that_must_turn_around_does_so_while_the_robot_stands() -> None:
     slips: list[float] = [0.0]
     stops: list[bool] = []
 
-    def watch(meter: Meter) -> None:
-        sample, state = meter.sample(), meter.driver.state
+    def on_tick(loop: ControlLoop) -> None:
+        sample, state = loop.sample(), loop.driver.state
         if state.command is not None and state.joints is not None:
             stops.append(state.command.must_stop)
-            for wheel, angle in zip(meter.robot.wheels, state.joints.angles, strict=True):
+            for wheel, angle in zip(loop.robot.wheels, state.joints.angles, strict=True):
                 vx, vy, wz = sample.true
                 c, s = math.cos(wheel.heading + angle), math.sin(wheel.heading + angle)
                 slips.append(abs(c * (vy + wz * wheel.x) - s * (vx - wz * wheel.y)))
 
-    run = made.run(12.0, plan, None, watch).robots[0]
+    run = made.run(12.0, plan, None, on_tick).robots[0]
     assert any(stops[200:400])
     assert not any(stops[400:])
     # Without the stop a wheel is dragged across at 0.5 m/s, over and over again.

@@ -16,7 +16,7 @@ from thorvaldc.backends.mjcf_terrain import heights
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Ground, Pose
-from thorvaldc.simulation.records.record_writer import CsvRecorder
+from thorvaldc.simulation.records.csv_record import CsvRecorder
 from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,7 +114,7 @@ def test_a_lost_motor_comes_back_and_leaves_the_scene_as_it_was(tmp_path: Path) 
     before = drive.scene.model.actuator_gainprm.copy()
     energy = []
     report = Report()
-    result = drive.play(report, watch=lambda m: energy.append(m.sample().joints))
+    result = drive.play(report, on_tick=lambda m: energy.append(m.sample().joints))
     assert list(report.errors) == []
     assert (drive.scene.model.actuator_gainprm == before).all()
     assert result.metrics["cart"]["end_error"] < 0.05
@@ -126,11 +126,11 @@ def test_frozen_encoders_stand_for_as_long(tmp_path: Path) -> None:
     text = HEAD + "faults: [{type: encoder_frozen, wheel: fl_wheel, at: 1, until: 2}]\n"
     seen: list[tuple[float, float]] = []
 
-    def watch(meter: Any) -> None:
-        joints = meter.sample().joints
+    def on_tick(loop: Any) -> None:
+        joints = loop.sample().joints
         seen.append((joints.time, joints.positions[0]))
 
-    simulation(tmp_path, text).play(Report(), watch=watch)
+    simulation(tmp_path, text).play(Report(), on_tick=on_tick)
     held = {position for time, position in seen if 1.0 <= time < 2.0}
     assert len(held) == 1
     assert len({position for time, position in seen if time >= 2.0}) > 50
@@ -170,7 +170,7 @@ def test_who_starts_within_an_obstacle_is_not_told_to_drive_slower(tmp_path: Pat
     drive = simulation(tmp_path, HEAD + f"world: {{obstacles: {{crate: {crate}}}}}\n")
     report = Report()
     drive.play(report, [])
-    assert "start within an obstacle" in (report.errors[0].hint or "")
+    assert "start inside an obstacle" in (report.errors[0].hint or "")
 
 
 def test_records_have_the_groups_and_times_that_are_wanted(tmp_path: Path) -> None:
@@ -206,12 +206,12 @@ def test_rough_ground_is_as_high_as_it_says_and_level_where_robots_start() -> No
 def test_who_diverges_is_told_with_time_and_cause(tmp_path: Path) -> None:
     drive = simulation(tmp_path, HEAD)
 
-    def watch(meter: Any) -> None:
-        if meter.driver.state.time >= 1.0:
-            meter.scene.data.qvel[7] = 1e7
+    def on_tick(loop: Any) -> None:
+        if loop.driver.state.time >= 1.0:
+            loop.scene.data.qvel[7] = 1e7
 
     report = Report()
-    result = drive.play(report, watch=watch)
+    result = drive.play(report, on_tick=on_tick)
     (fault,) = report.errors
     assert fault.code.name == "simulation-diverged"
     assert "after 1.0" in fault.message
@@ -223,12 +223,12 @@ def test_an_interrupted_run_leaves_whole_records(tmp_path: Path) -> None:
     drive = simulation(tmp_path, HEAD)
     recorder = CsvRecorder(tmp_path / "r", drive.robots, drive.scenario.record)
 
-    def watch(meter: Any) -> None:
-        if meter.driver.state.time >= 1.0:
+    def on_tick(loop: Any) -> None:
+        if loop.driver.state.time >= 1.0:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        drive.play(Report(), [recorder], watch)
+        drive.play(Report(), [recorder], on_tick)
     recorder.close()
     rows = read(tmp_path / "r/cart.csv")
     assert float(rows[-1]["time"]) == 1.0

@@ -18,7 +18,8 @@ from thorvaldc.model.serialize import to_json
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 from thorvaldc.runtime.twist_text import parse_twist
 from thorvaldc.simulation.manoeuvre import Segment, default_manoeuvre, fleet_manoeuvres, twist_at
-from thorvaldc.simulation.simulation_run import Simulation, demo_table, run_demo
+from thorvaldc.simulation.run_result import result_table
+from thorvaldc.simulation.simulation_run import Simulation, drive_build
 
 pytest.importorskip("mujoco")
 ROBOT = make_robot(FOUR_STEERED)
@@ -135,11 +136,13 @@ def test_infeasible_twists_are_told_but_not_the_swing_of_a_turn() -> None:
 
 def test_demo_reads_only_the_build_folder(tmp_path: Path) -> None:
     report = Report()
-    (row,) = run_demo(write_build(tmp_path, ROBOT), report)
+    result = drive_build(write_build(tmp_path, ROBOT), report)
     assert codes(report) == []
-    assert row.run.path_true == pytest.approx(row.run.path_commanded, rel=0.02)
-    assert row.run.end_error < 0.1
-    table = demo_table([row])
+    assert result is not None
+    (robot,) = result.robots
+    assert robot.path_true == pytest.approx(robot.path_commanded, rel=0.02)
+    assert robot.end_error < 0.1
+    table = result_table([result])
     assert "test_robot" in table
     assert "4: 4/4" in table
     assert len({line.index("true") for line in table.splitlines() if "true" in line}) == 1
@@ -147,16 +150,16 @@ def test_demo_reads_only_the_build_folder(tmp_path: Path) -> None:
 
 def test_demo_tells_what_is_missing(tmp_path: Path) -> None:
     report = Report()
-    assert run_demo(tmp_path, report) == []
+    assert drive_build(tmp_path, report) is None
     assert codes(report) == ["model-unreadable"]
     for text in (b"{}", b"[]", b"not json", b"\xff\xfe", to_json(ROBOT)[:-40].encode()):
         (tmp_path / "model.json").write_bytes(text)
         report = Report()
-        assert run_demo(tmp_path, report) == []
+        assert drive_build(tmp_path, report) is None
         assert codes(report) == ["model-unreadable"]
     (tmp_path / "model.json").write_text(to_json(ROBOT), encoding="utf-8")
     report = Report()
-    assert run_demo(tmp_path, report) == []
+    assert drive_build(tmp_path, report) is None
     assert codes(report) == ["simulation-scene"]
 
 

@@ -174,7 +174,7 @@ def _json(runs: Sequence[Run]) -> str:
 
 def _rows(stream: TextIO, runs: Sequence[Run], *, heading: bool = True) -> None:
     """A line for each robot of each run: what varied, every metric in SI, the hash."""
-    from thorvaldc.simulation.scenario_run import UNITS
+    from thorvaldc.simulation.scenario_metrics import UNITS
 
     writer = csv.writer(stream, lineterminator="\n")
     if heading and runs:

@@ -19,14 +19,14 @@ from thorvaldc.cli.faults import Faults, count, message
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
-    from thorvaldc.simulation.simulation_run import DemoRow
+    from thorvaldc.simulation.run_result import SimulationResult
 
 
 @dataclass
 class Outcome:
-    """Of one file: the table's rows, what is to be said of it, whether it is all well."""
+    """The result of one file: its run, the diagnostics as text, and if all is well."""
 
-    rows: list[DemoRow]
+    run: SimulationResult | None
     text: str
     well: bool
 
@@ -40,17 +40,18 @@ def run_demo(files: Sequence[str], originals: Sequence[str], output: str) -> int
         for outcome in pool.imap(_drive, jobs):
             outcomes.append(outcome)
             _progress(len(outcomes), len(jobs))
-    from thorvaldc.simulation.simulation_run import demo_table
+    from thorvaldc.simulation.run_result import result_table
 
     for outcome in outcomes:
         if outcome.text:
             message(outcome.text.rstrip())
-    rows = [row for outcome in outcomes for row in outcome.rows]
-    if rows:
-        print(demo_table(rows))
+    runs = [outcome.run for outcome in outcomes if outcome.run is not None]
+    if runs:
+        print(result_table(runs))
+    robots = sum(len(run.robots) for run in runs)
     seconds = time.monotonic() - started
     message(
-        f"{count(len(jobs), 'file')} built to {output}/ and {count(len(rows), 'robot')} driven"
+        f"{count(len(jobs), 'file')} built to {output}/ and {count(robots, 'robot')} driven"
         f" in {seconds:.0f} s"
     )
     return DONE if jobs and all(outcome.well for outcome in outcomes) else INPUT
@@ -73,7 +74,7 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
     from thorvaldc.compiler.writer import WriteError, write_build
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet
-    from thorvaldc.simulation.simulation_run import run_demo as drive
+    from thorvaldc.simulation.simulation_run import drive_build
 
     file, output, is_original = job
     text = io.StringIO()
@@ -81,9 +82,9 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
     if is_original:
         file = _import(file, output, faults)
         if not file:
-            return Outcome([], text.getvalue(), False)
+            return Outcome(None, text.getvalue(), False)
     done = compile_file(file)
-    rows: list[DemoRow] = []
+    result: SimulationResult | None = None
     run = Report()
     if done.model is not None:
         found = Report()
@@ -100,16 +101,17 @@ def _drive(job: tuple[str, str, bool]) -> Outcome:
             )
         except WriteError as fault:
             raise OutsideError(str(fault)) from None
-        rows = drive(folder, run)
-        if isinstance(done.model, Fleet):
-            rows = [_of_fleet(row, done.model.name) for row in rows]
+        result = drive_build(folder, run)
+        if result is not None and isinstance(done.model, Fleet):
+            result = _with_fleet_name(result, done.model.name)
     done.report.extend(done.located(run))
     faults.add(done.report, done.sources)
-    return Outcome(rows, text.getvalue(), faults.finish() == DONE)
+    return Outcome(result, text.getvalue(), faults.finish() == DONE)
 
 
-def _of_fleet(row: DemoRow, fleet: str) -> DemoRow:
-    return replace(row, run=replace(row.run, name=f"{fleet}/{row.run.name}"))
+def _with_fleet_name(result: SimulationResult, fleet: str) -> SimulationResult:
+    robots = tuple(replace(robot, name=f"{fleet}/{robot.name}") for robot in result.robots)
+    return replace(result, robots=robots)
 
 
 def _without_notes(report: Report) -> Report:

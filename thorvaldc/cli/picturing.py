@@ -19,8 +19,8 @@ from thorvaldc.cli.progress import Progress
 
 if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
-    from thorvaldc.simulation.drive_metrics import Meter, Sample
-    from thorvaldc.simulation.pictures.video import Film
+    from thorvaldc.simulation.control_loop import ControlLoop, Sample
+    from thorvaldc.simulation.pictures.video import VideoRecorder
     from thorvaldc.tools.replay import Replay
 
 T = TypeVar("T")
@@ -36,11 +36,11 @@ def render_file(
     at: str = "",
 ) -> int:
     """A picture of the robots as they stand, or as the record ``replay`` has them ``at`` a time."""
-    from thorvaldc.simulation.pictures.graphics import check_pillow, choose_graphics
+    from thorvaldc.simulation.pictures.opengl_backend import check_pillow, choose_opengl_backend
 
     with outside_errors():
         check_pillow()
-        choose_graphics()
+        choose_opengl_backend()
     from thorvaldc.simulation.pictures.render import parse_size, parse_view, render
 
     pixels = parsed(size, parse_size, "--size")
@@ -144,7 +144,7 @@ class RunPictures:
         self.plot = plot
         self.video = video
         self._samples: dict[str, list[Sample]] = {}
-        self._film: Film | None = None
+        self._film: VideoRecorder | None = None
         if plot:
             self._prepare_plot()
         if video:
@@ -158,8 +158,8 @@ class RunPictures:
             check_plotting()
 
     def _prepare_video(self, ideal: bool) -> None:
-        from thorvaldc.simulation.pictures.graphics import check_pillow, choose_graphics
-        from thorvaldc.simulation.pictures.video import FORMATS, RATES, Film, encoder
+        from thorvaldc.simulation.pictures.opengl_backend import check_pillow, choose_opengl_backend
+        from thorvaldc.simulation.pictures.video import FORMATS, RATES, VideoRecorder, encoder
 
         check_output(self.video, FORMATS, "--video")
         if ideal:
@@ -173,14 +173,14 @@ class RunPictures:
                 check_pillow()
             else:
                 encoder()
-            choose_graphics()
-        self._film = Film(RATES[kind])
+            choose_opengl_backend()
+        self._film = VideoRecorder(RATES[kind])
 
-    def watch(self, meter: Meter) -> None:
+    def watch(self, loop: ControlLoop) -> None:
         if self.plot:
-            self._samples.setdefault(meter.name, []).append(meter.sample())
-        if self._film is not None and meter.scene is not None:
-            self._film.watch(meter.scene)
+            self._samples.setdefault(loop.name, []).append(loop.sample())
+        if self._film is not None and loop.scene is not None:
+            self._film.on_tick(loop.scene)
 
     def replay(self, samples: Mapping[str, Sequence[Sample]], show: Replay | None) -> None:
         """Take samples that were recorded in place of a run; ``show`` places them in a scene."""

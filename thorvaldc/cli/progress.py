@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from thorvaldc.cli.faults import width_of
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.drive_metrics import Meter
+    from thorvaldc.simulation.control_loop import ControlLoop
 
 BAR = 30  # characters
 
@@ -35,9 +35,9 @@ class Progress:
             # A line that goes on in the next one could not be taken away.
             print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
 
-    def watch(self, meter: Meter) -> None:
+    def watch(self, loop: ControlLoop) -> None:
         """``show`` the time of a run."""
-        self.show(meter.driver.state.time)
+        self.show(loop.driver.state.time)
 
     def clear(self) -> None:
         """Take the bar away."""

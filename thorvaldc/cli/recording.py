@@ -13,8 +13,8 @@ from thorvaldc.cli.exits import OutsideError, closing_when_terminated
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.simulation.drive_metrics import Watch
-    from thorvaldc.simulation.records.record_writer import Recorder
+    from thorvaldc.simulation.control_loop import TickCallback
+    from thorvaldc.simulation.records.recorder import Recorder
 
 Robots = Sequence[tuple[str, "Robot"]]
 _OTHERS = (".bag", ".db3", ".json", ".parquet", ".txt")
@@ -48,7 +48,7 @@ def open_recorder(
 
             recorder: Recorder = McapRecorder(path, robots, groups, every)
         else:
-            from thorvaldc.simulation.records.record_writer import CsvRecorder
+            from thorvaldc.simulation.records.csv_record import CsvRecorder
 
             recorder = CsvRecorder(path, robots, groups, every)
     stack.enter_context(closing_when_terminated())
@@ -63,11 +63,11 @@ def recorded(record: str, robots: Robots) -> str:
     return f"{record}: {', '.join(f'{name}.csv' for name, _ in robots)}"
 
 
-def open_logs(log: str, robots: Robots, stack: ExitStack) -> Watch:
+def open_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
     """What writes the joint logs: of one robot to the file ``log``, of several to a folder."""
-    from thorvaldc.simulation.drive_metrics import Meter
+    from thorvaldc.simulation.control_loop import ControlLoop
     from thorvaldc.simulation.records.joint_csv import JointLogWriter
-    from thorvaldc.simulation.records.record_writer import naming
+    from thorvaldc.simulation.records.recorder import errors_with_name
 
     folder = Path(log)
     several = len(robots) > 1
@@ -78,24 +78,24 @@ def open_logs(log: str, robots: Robots, stack: ExitStack) -> Watch:
         for name, robot in robots:
             path = folder / f"{name}.csv" if several else folder
             stream = path.open("w", encoding="utf-8", newline="\n")
-            stack.enter_context(naming(path))  # of what is found when it is closed
+            stack.enter_context(errors_with_name(path))  # of what is found when it is closed
             stack.enter_context(stream)
             writers[name], paths[name] = JointLogWriter(robot, stream), path
 
-    def watch(meter: Meter) -> None:
-        with naming(paths[meter.name]):
-            writers[meter.name].watch(meter)
+    def watch(loop: ControlLoop) -> None:
+        with errors_with_name(paths[loop.name]):
+            writers[loop.name].on_tick(loop)
 
     return watch
 
 
-def each(watches: Sequence[Watch]) -> Watch:
+def each(watches: Sequence[TickCallback]) -> TickCallback:
     """One watch that calls them all."""
-    from thorvaldc.simulation.drive_metrics import Meter
+    from thorvaldc.simulation.control_loop import ControlLoop
 
-    def watch(meter: Meter) -> None:
+    def watch(loop: ControlLoop) -> None:
         for one in watches:
-            one(meter)
+            one(loop)
 
     return watch
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.runtime.base_interface import JointCommands
-    from thorvaldc.simulation.drive_metrics import Sample
+    from thorvaldc.simulation.control_loop import Sample
     from thorvaldc.simulation.physics.mujoco_base import MujocoScene
-    from thorvaldc.simulation.records.record_reader import RecordedRun
+    from thorvaldc.simulation.records.recorded_run import RecordedRun
 
 
 def replay(done: Compilation, source: str, pictures: RunPictures, record: str, json: bool) -> int:
@@ -30,7 +30,7 @@ def replay(done: Compilation, source: str, pictures: RunPictures, record: str, j
     from thorvaldc.diagnostics import Report
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.physics.mujoco_base import MujocoScene
-    from thorvaldc.simulation.simulation_run import DemoRow, demo_table
+    from thorvaldc.simulation.run_result import result_table
     from thorvaldc.tools.replay import Replay, summary
 
     model, robots = _robots(done)
@@ -55,7 +55,7 @@ def replay(done: Compilation, source: str, pictures: RunPictures, record: str, j
     if json:
         print(json_format.dumps(finite(result.as_json()), indent=1, ensure_ascii=False))
     else:
-        print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
+        print(result_table([result]))
     if record:
         with ExitStack() as stack:
             groups = next(iter(runs.values())).groups

@@ -18,7 +18,7 @@ from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 if TYPE_CHECKING:
     from thorvaldc.compiler.pipeline import Compilation
     from thorvaldc.model.scenario import Scenario
-    from thorvaldc.simulation.drive_metrics import Watch
+    from thorvaldc.simulation.control_loop import TickCallback
     from thorvaldc.simulation.scenario_run import ScenarioResult
 
 
@@ -47,7 +47,7 @@ def run_scenario(
     robots = [(p.name, p.robot) for p in scenario.fleet.placements]
     with ExitStack() as stack:
         recorders = open_recorder(record, robots, scenario.record, scenario.every, stack)
-        watches: list[Watch] = [progress.watch, pictures.watch]
+        watches: list[TickCallback] = [progress.watch, pictures.watch]
         if log:
             watches.append(open_logs(log, robots, stack))
         stack.callback(progress.clear)
@@ -74,13 +74,13 @@ def run_scenario(
 
 
 def _text(result: ScenarioResult) -> str:
-    from thorvaldc.simulation.simulation_run import DemoRow, demo_table
+    from thorvaldc.simulation.run_result import result_table
 
     run = result.run
-    lines = [demo_table([DemoRow(robot, run.real_time_factor) for robot in run.robots])]
+    lines = [result_table([run])]
     for check in result.checks:
         mark = "ok    " if check.passed else "FAILED"
-        lines.append(f"{mark}  {check.robot} {check.metric}: {check.words} ({check.bounds})")
+        lines.append(f"{mark}  {check.robot} {check.metric}: {check.value_text} ({check.bounds})")
     passed = sum(check.passed for check in result.checks)
     end = "" if result.completed else f", ended after {run.simulated:.2f} s"
     lines.append(
@@ -112,7 +112,7 @@ def junit_report(result: ScenarioResult, faults: Sequence[str]) -> bytes:
     for check in result.checks:
         case = suite.add("testcase", classname=f"{name}.{check.robot}", name=check.metric)
         if not check.passed:
-            case.add("failure", message=f"{check.words}; {check.bounds} is expected")
+            case.add("failure", message=f"{check.value_text}; {check.bounds} is expected")
     top = Element("testsuites", name="thorvaldc", tests=len(result.checks) + 1, failures=failed)
     top.append(suite)
     return to_bytes(top)

@@ -22,7 +22,7 @@ from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.scenario.variations import Change
-    from thorvaldc.simulation.drive_metrics import Watch
+    from thorvaldc.simulation.control_loop import TickCallback
 
 SECONDS = 5.0  # of a twist, where the user does not say
 
@@ -126,8 +126,9 @@ def simulate(
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model.scenario import GROUPS
     from thorvaldc.runtime.twist_text import parse_twist
-    from thorvaldc.simulation.records.record_writer import recording
-    from thorvaldc.simulation.simulation_run import DemoRow, Simulation, demo_table
+    from thorvaldc.simulation.records.recorder import record_ticks
+    from thorvaldc.simulation.run_result import result_table
+    from thorvaldc.simulation.simulation_run import Simulation
 
     gc.enable()
     report = Report()
@@ -139,11 +140,11 @@ def simulate(
         length = seconds or (SECONDS if motion is not None else simulation.demonstration()[1])
         with contextlib.ExitStack() as stack:
             progress = Progress(length)
-            watches: list[Watch] = [progress.watch, pictures.watch]
+            watches: list[TickCallback] = [progress.watch, pictures.watch]
             robots = simulation.robots
             recorders = open_recorder(record, robots, GROUPS, 0.0, stack)
             if recorders:
-                watches.append(recording(recorders))
+                watches.append(record_ticks(recorders))
             if log:
                 watches.append(open_logs(log, robots, stack))
             stack.callback(progress.clear)
@@ -159,7 +160,7 @@ def simulate(
     if json:
         print(json_format.dumps(finite(result.as_json()), indent=1, ensure_ascii=False))
     else:
-        print(demo_table([DemoRow(run, result.real_time_factor) for run in result.robots]))
+        print(result_table([result]))
     faults.add(done.located(report), done.sources)
     if record:
         message(recorded(record, simulation.robots))

@@ -1,4 +1,4 @@
-"""Runs scenarios: faults and noise, what is measured, and whether it is as expected."""
+"""Scenario runs: injected faults, sensor noise, metrics, and the checks of the expectations."""
 
 from __future__ import annotations
 
@@ -13,63 +13,53 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.runtime.base_interface import BaseHandle
-from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.drive_metrics import Meter, RobotRun, Watch
+from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
 from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.collisions import Contacts, Rings
-from thorvaldc.simulation.physics.faulty_base import FaultyBase
-from thorvaldc.simulation.records.record_writer import Digest, Recorder
-from thorvaldc.simulation.simulation_run import Simulation, SimulationResult
-
-UNITS = {
-    "end_error": "m",
-    "yaw_error": "rad",
-    "path": "m",
-    "length_ratio": "",
-    "tilt": "rad",
-    "slip": "m/s",
-    "largest_slip": "m/s",
-    "steering_limit_hits": "",
-    "collisions": "",
-    "energy": "J",
-}
-"""What is measured of every robot, in this order, and in which unit."""
-_AT_LIMIT = math.radians(0.2)
-_MOVING = 1e-3
-"""Length (m) of a path below which the ratio of two says nothing."""
+from thorvaldc.simulation.physics.collision_counter import CollisionCounter
+from thorvaldc.simulation.physics.scenario_base import ScenarioBase
+from thorvaldc.simulation.records.recorder import Recorder, RunHash
+from thorvaldc.simulation.run_result import SimulationResult
+from thorvaldc.simulation.scenario_metrics import UNITS, ScenarioMetrics
+from thorvaldc.simulation.simulation_run import Simulation
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """An expectation of one robot, and what came of it."""
+    """The result of one expectation for one robot; values in SI."""
 
     robot: str
     metric: str
     value: float
-    least: float | None
-    most: float | None
+    minimum: float | None
+    maximum: float | None
     span: Span
 
     @property
     def passed(self) -> bool:
-        """Whether the value is a number within the bounds."""
-        low = self.least is None or self.value >= self.least
-        return math.isfinite(self.value) and low and (self.most is None or self.value <= self.most)
+        """The value is finite and within the bounds."""
+        above = self.minimum is None or self.value >= self.minimum
+        below = self.maximum is None or self.value <= self.maximum
+        return math.isfinite(self.value) and above and below
 
     @property
     def bounds(self) -> str:
+        """The bounds as text, such as ``at most 20 deg``."""
         unit = UNITS[self.metric]
-        found = [f"at least {_said(self.least, unit)}"] if self.least is not None else []
-        found += [f"at most {_said(self.most, unit)}"] if self.most is not None else []
-        return " and ".join(found)
+        texts = []
+        if self.minimum is not None:
+            texts.append(f"at least {_with_unit(self.minimum, unit)}")
+        if self.maximum is not None:
+            texts.append(f"at most {_with_unit(self.maximum, unit)}")
+        return " and ".join(texts)
 
     @property
-    def words(self) -> str:
-        return _said(self.value, UNITS[self.metric])
+    def value_text(self) -> str:
+        """The value with its unit."""
+        return _with_unit(self.value, UNITS[self.metric])
 
 
-def _said(value: float, unit: str) -> str:
+def _with_unit(value: float, unit: str) -> str:
     if unit == "rad":
         return f"{math.degrees(value):.4g} deg"
     return f"{value:.4g} {unit}".rstrip()
@@ -77,9 +67,10 @@ def _said(value: float, unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioResult:
-    """A scenario's run: ``metrics`` by robot and name in SI, the ``checks``, and a hash.
+    """Result of a scenario: ``metrics`` by robot and name in SI, the ``checks``, and a hash.
 
-    ``hash`` is over every number of every tick: equal for equal runs.
+    ``hash`` covers every number of every tick: runs that are equal to the last bit have
+    equal hashes.
     """
 
     scenario: str
@@ -90,22 +81,23 @@ class ScenarioResult:
 
     @property
     def completed(self) -> bool:
-        """Whether it ran to the end, with every robot on its wheels."""
+        """The run reached its end, and no robot fell over."""
         return not self.run.diverged and not any(robot.tipped for robot in self.run.robots)
 
     @property
     def passed(self) -> bool:
+        """The run is complete and all expectations are met."""
         return self.completed and all(check.passed for check in self.checks)
 
     def as_json(self) -> dict[str, Any]:
-        """The result as plain values."""
+        """Returns the result as plain values."""
         checks = [
             {
                 "robot": check.robot,
                 "metric": check.metric,
                 "value": check.value,
-                "min": check.least,
-                "max": check.most,
+                "min": check.minimum,
+                "max": check.maximum,
                 "passed": check.passed,
             }
             for check in self.checks
@@ -122,7 +114,7 @@ class ScenarioResult:
 
 
 class ScenarioSimulation(Simulation):
-    """A scenario's robots in its world, ready to drive."""
+    """The robots of a scenario in its world."""
 
     def __init__(
         self,
@@ -132,15 +124,15 @@ class ScenarioSimulation(Simulation):
     ) -> None:
         """``files`` are the outputs of the ``mjcf`` backend for ``scenario.fleet``.
 
-        ``parameters`` names the set that the robots drive by to begin with.  Raises
-        ``DiagnosticError`` where the scene cannot be read, or a robot has no such set.
+        ``parameters`` names the parameter set at the start.  Raises ``DiagnosticError`` if the
+        scene cannot be read, or if a robot has no such parameter set.
         """
         super().__init__(scenario.fleet, files, parameters)
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()
-        # By robot the parameter sets of its script, and from when on.
-        self._changes = {
+        # By robot: the start times (s) and names of the parameter sets in its script.
+        self._parameter_changes = {
             name: [(c.time, c.parameters) for c in commands if c.parameters]
             for name, commands in scenario.commands
         }
@@ -149,162 +141,82 @@ class ScenarioSimulation(Simulation):
         self,
         report: Report,
         recorders: Sequence[Recorder] = (),
-        watch: Watch | None = None,
+        on_tick: TickCallback | None = None,
     ) -> ScenarioResult:
-        """Run it.  What goes wrong, and what is not as expected, goes to ``report``.
+        """Runs the scenario.  Problems and failed expectations go to ``report``.
 
-        ``recorders`` get every tick of every robot; they are not closed here.  Raises
-        ``DiagnosticError`` where it cannot start.
+        The ``recorders`` get every tick of every robot; this method does not close them.
+        Raises ``DiagnosticError`` if the run cannot start.
         """
         scene = self.scene
         if scene is None:
             raise DiagnosticError("simulation-scene", "a scenario needs a scene")
-        digest = Digest()
-        everywhere = (digest, *recorders)
-        contacts = Contacts(scene, dict(self.robots))
-        observers: dict[str, Observer] = {}
+        run_hash = RunHash()
+        all_recorders = (run_hash, *recorders)
+        collisions = CollisionCounter(scene, dict(self.robots))
+        metrics: dict[str, ScenarioMetrics] = {}
 
-        def observe(meter: Meter) -> None:
-            found = observers.get(meter.name)
-            if found is None:
-                found = observers[meter.name] = Observer(meter, contacts)
-            command = meter.driver.state.command
-            sample, joints = meter.sample(), None if command is None else command.joints
-            found.tick(sample.true)
-            self._change_parameters(meter)
-            for recorder in everywhere:
-                recorder.record(meter.name, sample, joints)
-            if watch is not None:
-                watch(meter)
+        def measure(loop: ControlLoop) -> None:
+            robot_metrics = metrics.get(loop.name)
+            if robot_metrics is None:
+                robot_metrics = metrics[loop.name] = ScenarioMetrics(loop, collisions)
+            command = loop.driver.state.command
+            sample, joints = loop.sample(), None if command is None else command.joints
+            robot_metrics.update(sample.true)
+            self._change_parameters(loop)
+            for recorder in all_recorders:
+                recorder.record(loop.name, sample, joints)
+            if on_tick is not None:
+                on_tick(loop)
 
-        plans = {
+        manoeuvres = {
             name: tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
             for name, commands in self.scenario.commands
         }
-        self._bases: list[FaultyBase] = []
+        self._bases: list[ScenarioBase] = []
         try:
-            run = self.run(self.scenario.duration, plans, report, observe)
+            run = self.run(self.scenario.duration, manoeuvres, report, measure)
         finally:
             for base in self._bases:
                 base.close()
-        metrics = {
-            robot.name: _metrics(robot, observers[robot.name], contacts) for robot in run.robots
-        }
+        values = {robot.name: metrics[robot.name].values(robot) for robot in run.robots}
         checks = tuple(
-            _check(name, values, expectation)
+            _check(robot, robot_values, expectation)
             for expectation in self.scenario.expectations
-            for name, values in metrics.items()
+            for robot, robot_values in values.items()
         )
         for check in checks:
             if not check.passed:
                 report.add(
                     "expectation-failed",
-                    f"`{check.metric}` of {check.robot} is {check.words}; "
+                    f"`{check.metric}` of {check.robot} is {check.value_text}; "
                     f"{check.bounds} is expected",
                     check.span,
                 )
-        return ScenarioResult(self.scenario.name, run, metrics, checks, digest.hexdigest())
+        return ScenarioResult(self.scenario.name, run, values, checks, run_hash.hexdigest())
 
-    def _change_parameters(self, meter: Meter) -> None:
-        """Switch to the sets of the script; what is staged now is in force with the next tick."""
-        before, now = meter.driver.state.time, meter.next
-        for start, parameters in self._changes.get(meter.name, ()):
-            if before < start - 1e-9 <= now or start == before == 0.0:
-                meter.driver.use(parameters)
+    def _change_parameters(self, loop: ControlLoop) -> None:
+        """Switches to the parameter sets of the script.
+
+        The driver applies a change at its next tick.  So the change is made after the last
+        tick before its time; a change at time 0 is made after the first tick.
+        """
+        previous, following = loop.driver.state.time, loop.next_time
+        for start, parameters in self._parameter_changes.get(loop.name, ()):
+            if previous < start - 1e-9 <= following or start == previous == 0.0:
+                loop.driver.use(parameters)
 
     def _base(self, name: str, robot: Robot) -> BaseHandle:
         if self.scene is None:
             return super()._base(name, robot)
         faults = [fault for fault in self.scenario.faults if fault.robot == name]
-        base = FaultyBase(robot, self.scene, faults, self.scenario.noise, self._zones)
+        base = ScenarioBase(robot, self.scene, faults, self.scenario.noise, self._zones)
         self._bases.append(base)
         return base
 
 
-class Observer:
-    """What is measured of a robot beside what its meter does: slip, limits, energy."""
-
-    def __init__(self, meter: Meter, contacts: Contacts) -> None:
-        base = meter.base
-        if not isinstance(base, FaultyBase):
-            raise TypeError("only robots of a scenario are observed")
-        import numpy
-
-        self.meter = meter
-        self.base = base
-        self.contacts = contacts
-        wheels = BaseGeometry.from_robot(meter.robot).wheels
-        self.rolling = [(i, w) for i, w in enumerate(wheels) if w.driven and not w.swivel]
-        # Between which angles each steering joint is not at its limits.
-        self.limits = [
-            (
-                i,
-                -math.inf if w.lower is None else w.lower + _AT_LIMIT,
-                math.inf if w.upper is None else w.upper - _AT_LIMIT,
-            )
-            for i, w in enumerate(wheels)
-            if w.steered
-        ]
-        self.motors = numpy.array(base.motors(), dtype=int)
-        rings = any(wheel.treads for wheel in meter.robot.wheels)
-        self.rings = Rings(meter.robot, base.scene) if rings else None
-        self.time = 0.0
-        self.energy = 0.0
-        self.slip_squares = 0.0
-        self.slips = 0
-        self.largest_square = 0.0
-        self.limit_hits = 0
-        self.at_limit = [False] * len(wheels)
-
-    def tick(self, twist: Twist) -> None:
-        """Look at what the last tick left; ``twist`` is the true one."""
-        data = self.base.scene.data
-        now = self.meter.driver.state.time
-        dt, self.time = now - self.time, now
-        forces, speeds = data.actuator_force[self.motors], data.actuator_velocity[self.motors]
-        for power in (forces * speeds).tolist():
-            if power > 0.0:
-                self.energy += power * dt
-        vx, vy, wz = twist
-        joints = self.base.actual
-        radii = self.rings.radii() if self.rings is not None else None
-        for i, wheel in self.rolling:
-            turning = wheel.sign * joints.angle_rates[i]
-            (l1, l2, l3), (t1, t2, t3) = wheel.rows(joints.angles[i])
-            along, across = l1 * vx + l2 * vy + l3 * wz, t1 * vx + t2 * vy + t3 * wz
-            # The contact moves about the steering axis too, where it lies beside it.
-            radius = wheel.radius if radii is None else radii[i]
-            along -= wheel.lateral * turning + radius * joints.speeds[i]
-            across += wheel.trail * turning
-            square = along * along + across * across
-            self.slip_squares += square
-            if square > self.largest_square:
-                self.largest_square = square
-        self.slips += len(self.rolling)
-        for i, least, most in self.limits:
-            hit = not least <= joints.angles[i] <= most
-            self.limit_hits += hit and not self.at_limit[i]
-            self.at_limit[i] = hit
-        self.contacts.look()
-
-
-def _metrics(run: RobotRun, observer: Observer, contacts: Contacts) -> dict[str, float]:
-    known = run.path_odometry > _MOVING and run.path_true > _MOVING
-    values = {
-        "end_error": run.end_error,
-        "yaw_error": run.yaw_error,
-        "path": run.path_true,
-        "length_ratio": run.path_true / run.path_odometry if known else 1.0,
-        "tilt": run.largest_tilt,
-        "slip": math.sqrt(observer.slip_squares / max(observer.slips, 1)),
-        "largest_slip": math.sqrt(observer.largest_square),
-        "steering_limit_hits": float(observer.limit_hits),
-        "collisions": float(contacts.collisions[run.name]),
-        "energy": observer.energy,
-    }
-    return {name: values[name] for name in UNITS}
-
-
-def _check(robot: str, values: Mapping[str, float], wanted: Expectation) -> Check:
-    value = values[wanted.metric]
-    return Check(robot, wanted.metric, value, wanted.least, wanted.most, wanted.span)
+def _check(robot: str, values: Mapping[str, float], expectation: Expectation) -> Check:
+    value = values[expectation.metric]
+    return Check(
+        robot, expectation.metric, value, expectation.least, expectation.most, expectation.span
+    )

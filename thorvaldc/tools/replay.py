@@ -11,10 +11,10 @@ from thorvaldc.model.spatial import quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2
-from thorvaldc.simulation.drive_metrics import TIPPED, RobotRun, Sample
+from thorvaldc.simulation.control_loop import TIPPED, Sample
 from thorvaldc.simulation.physics.mujoco_base import MujocoScene
-from thorvaldc.simulation.records.record_reader import RecordedRun
-from thorvaldc.simulation.simulation_run import SimulationResult
+from thorvaldc.simulation.records.recorded_run import RecordedRun
+from thorvaldc.simulation.run_result import RobotResult, SimulationResult
 
 
 def summary(
@@ -26,19 +26,19 @@ def summary(
     return SimulationResult("record", end, end, math.nan, False, found)
 
 
-def _run(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotRun:
+def _run(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
     first, last = samples[0], samples[-1]
     true = _from(last.pose_true, first.pose_true)
     estimated = _from(last.pose_estimated, first.pose_estimated)
     upright = [math.cos(s.posture[1]) * math.cos(s.posture[2]) for s in samples]
     tilt = math.acos(min(max(min(upright), -1.0), 1.0)) if all(map(math.isfinite, upright)) else 0.0
-    return RobotRun(
+    return RobotResult(
         name=name,
         mass=robot.inertial.mass,
         wheels=len(robot.wheels),
         driven=sum(1 for w in robot.wheels if w.driven),
         steered=sum(1 for w in robot.wheels if w.steered),
-        path_commanded=sum(a.aimed.speed * (b.time - a.time) for a, b in pairwise(samples)),
+        path_commanded=sum(a.limited.speed * (b.time - a.time) for a, b in pairwise(samples)),
         path_true=_path([s.pose_true for s in samples]),
         path_odometry=_path([s.pose_estimated for s in samples]),
         end_error=math.hypot(true.x - estimated.x, true.y - estimated.y),

@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from thorvaldc.compiler.pipeline import Compilation, compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.scenario import Command
+from thorvaldc.simulation.records.csv_record import CsvRecorder
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
-from thorvaldc.simulation.records.record_writer import CsvRecorder
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
 SLIM = Path(__file__).resolve().parents[3] / "examples/4wd4ws_slim/robot.yaml"

@@ -14,7 +14,7 @@ import pytest
 
 from thorvaldc import environments
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.simulation.pictures import PictureError, graphics
+from thorvaldc.simulation.pictures import PictureError, opengl_backend
 
 ROOT = Path(__file__).resolve().parents[3]
 SLIM = ROOT / "examples/4wd4ws_slim/robot.yaml"
@@ -35,7 +35,7 @@ def draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo draws here, by what it finds now, and as before when the test is over."""
     monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))
     try:
-        graphics.choose_graphics()
+        opengl_backend.choose_opengl_backend()
     except PictureError as fault:
         if os.environ.get("CI"):
             pytest.fail(str(fault))

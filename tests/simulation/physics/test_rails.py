@@ -38,7 +38,7 @@ def played(
     simulation = ScenarioSimulation(done.scenario, files, parameters)
     seen: list[Any] = []
     report = Report()
-    result = simulation.play(report, watch=lambda m: seen.append(m.sample()))
+    result = simulation.play(report, on_tick=lambda m: seen.append(m.sample()))
     return result, seen, [d.code.name for d in report]
 
 

@@ -40,7 +40,7 @@ def played(folder: Path, more: str, imu: bool = True) -> tuple[ScenarioResult, l
     simulation = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"]))
     told: list[Any] = []
     result = simulation.play(
-        Report(), watch=lambda m: told.append((m.sample().joints, m.sample().true.wz))
+        Report(), on_tick=lambda m: told.append((m.sample().joints, m.sample().true.wz))
     )
     return result, told
 

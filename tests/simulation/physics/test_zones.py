@@ -30,7 +30,7 @@ def played(folder: Path, text: str) -> tuple[ScenarioResult, ScenarioSimulation,
     seen: list[Any] = []
     report = Report()
     result = simulation.play(
-        report, watch=lambda m: seen.append((m.sample().pose_true, m.base.posture()))
+        report, on_tick=lambda m: seen.append((m.sample().pose_true, m.base.posture()))
     )
     assert not report.errors, [d.message for d in report.errors]
     return result, simulation, seen
@@ -91,7 +91,7 @@ def test_a_wheel_is_in_the_zone_that_it_stands_in(tmp_path: Path) -> None:
     before = model.geom_friction.copy()
     seen: dict[str, set[float]] = {name: set() for name in treads}
 
-    def watch(_: Any) -> None:
+    def on_tick(_: Any) -> None:
         for name, geom in treads.items():
             mu = float(model.geom_friction[geom, 0])
             seen[name].add(mu)
@@ -100,7 +100,7 @@ def test_a_wheel_is_in_the_zone_that_it_stands_in(tmp_path: Path) -> None:
                 assert 1.97 < x < 4.03
                 assert 0.2 < y < 0.6
 
-    simulation.play(Report(), watch=watch)
+    simulation.play(Report(), on_tick=on_tick)
     own = before[treads["fl_wheel"], 0]
     assert seen["fl_wheel"] == {own, 0.02}
     assert seen["fr_wheel"] == {own, 0.5}

@@ -11,7 +11,7 @@ import pytest
 
 from tests.examples import example_robot
 from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.simulation.drive_metrics import Sample
+from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.pictures import PictureError
 from thorvaldc.simulation.pictures.plot import check_plotting, draw, footprint, plot
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thorvaldc.simulation.pictures import PictureError, graphics
+from thorvaldc.simulation.pictures import PictureError, opengl_backend
 from thorvaldc.simulation.pictures.render import (
     FIELD_OF_VIEW,
     VIEWS,
@@ -20,7 +20,7 @@ from thorvaldc.simulation.pictures.render import (
     parse_size,
     parse_view,
 )
-from thorvaldc.simulation.pictures.video import Film, encoder
+from thorvaldc.simulation.pictures.video import VideoRecorder, encoder
 
 
 @pytest.mark.parametrize("view", [*VIEWS.values(), View(10.0, -45.0), View(77.0, 30.0)])
@@ -100,7 +100,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MuJoCo chooses what it draws by when it is imported, which the tests did long ago.
     """
     try:
-        if "MUJOCO_GL" not in os.environ and not any(map(graphics._works, ("egl", "osmesa"))):
+        if "MUJOCO_GL" not in os.environ and not any(map(opengl_backend._works, ("egl", "osmesa"))):
             raise PictureError("neither EGL nor OSMesa works here")
         encoder()
     except PictureError as fault:
@@ -136,16 +136,16 @@ def test_egl_first_then_osmesa_then_a_clear_word(monkeypatch: pytest.MonkeyPatch
         tried.append(name)
         return name == "osmesa"
 
-    monkeypatch.setattr(graphics, "_works", works)
-    graphics.choose_graphics()
+    monkeypatch.setattr(opengl_backend, "_works", works)
+    opengl_backend.choose_opengl_backend()
     assert tried == ["egl", "osmesa"]
     assert os.environ["MUJOCO_GL"] == "osmesa"
-    monkeypatch.setattr(graphics, "_works", lambda name: False)
+    monkeypatch.setattr(opengl_backend, "_works", lambda name: False)
     with pytest.raises(PictureError, match="cannot draw with MUJOCO_GL=osmesa"):
-        graphics.choose_graphics()
+        opengl_backend.choose_opengl_backend()
     monkeypatch.setenv("MUJOCO_GL", "")
     with pytest.raises(PictureError, match="neither EGL nor OSMesa works"):
-        graphics.choose_graphics()
+        opengl_backend.choose_opengl_backend()
 
 
 def test_without_an_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,15 +164,15 @@ def test_a_film_keeps_a_picture_when_it_is_time(
         class data:
             qpos = np.zeros(3)
 
-    film = Film(10.0)
+    film = VideoRecorder(10.0)
     for k in range(101):
         Scene.time = k * 0.01
-        film.watch(Scene)  # type: ignore[arg-type]
+        film.on_tick(Scene)  # type: ignore[arg-type]
     assert len(film._positions) == 11
     # A file that is there stays where the new one fails.
     old = tmp_path / "a.gif"
     old.write_bytes(b"old")
-    monkeypatch.setattr(Film, "_pictures", lambda *a: iter(()))
+    monkeypatch.setattr(VideoRecorder, "_pictures", lambda *a: iter(()))
     with pytest.raises(StopIteration):
         film.write({}, old)
     assert old.read_bytes() == b"old"

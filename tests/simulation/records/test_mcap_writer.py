@@ -19,10 +19,10 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.manoeuvre import Segment
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
-from thorvaldc.simulation.records.record_writer import recording
+from thorvaldc.simulation.records.recorder import record_ticks
 from thorvaldc.simulation.simulation_run import Simulation
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -49,14 +49,14 @@ def drive(
     samples: dict[str, list[Sample]] = {}
     groups = options.pop("groups", GROUPS)
     recorder = McapRecorder(path, simulation.robots, groups, **options)
-    hand = recording([recorder])
+    hand = record_ticks([recorder])
 
-    def watch(meter: Meter) -> None:
-        samples.setdefault(meter.name, []).append(meter.sample())
-        hand(meter)
+    def on_tick(loop: ControlLoop) -> None:
+        samples.setdefault(loop.name, []).append(loop.sample())
+        hand(loop)
 
     try:
-        simulation.run(seconds, TURN, None, watch)
+        simulation.run(seconds, TURN, None, on_tick)
     finally:
         recorder.close()
     return samples
@@ -179,15 +179,15 @@ def test_an_interrupted_run_leaves_a_whole_file(robot: Robot, tmp_path: Path) ->
     path = tmp_path / "a.mcap"
     simulation = Simulation(robot)
     recorder = McapRecorder(path, simulation.robots, GROUPS)
-    hand = recording([recorder])
+    hand = record_ticks([recorder])
 
-    def watch(meter: Meter) -> None:
-        hand(meter)
-        if meter.driver.state.time >= 0.5:
+    def on_tick(loop: ControlLoop) -> None:
+        hand(loop)
+        if loop.driver.state.time >= 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        simulation.run(1.0, TURN, None, watch)
+        simulation.run(1.0, TURN, None, on_tick)
     assert not path.exists()
     recorder.close()
     recorder.close()

@@ -322,12 +322,17 @@ def test_distance_gives_the_scale(tmp_path: Path) -> None:
     way = [(0.0, 0.8, 0.0, 0.0), (12.0, 0.8, 0.1, 0.1), (16.0, 0.0, 0.0, 0.0)]
     from thorvaldc.runtime.se2 import Twist
     from thorvaldc.simulation.manoeuvre import Segment
-    from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+    from thorvaldc.simulation.physics.wheel_errors import WheelErrors
     from thorvaldc.simulation.simulation_run import Simulation
 
-    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, radii)}
+    wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, radii)}
     plan = [Segment(t, Twist(*v)) for t, *v in way]
-    true = Simulation(ROBOT, hidden=hidden, open_loop=True).run(18.0, plan).robots[0].pose_true
+    true = (
+        Simulation(ROBOT, wheel_errors=wheel_errors, open_loop=True)
+        .run(18.0, plan)
+        .robots[0]
+        .pose_true
+    )
     log = logged(tmp_path, ROBOT, record(ROBOT, twists=way, seconds=18.0, radii=radii))
     wheels, result, _ = found(log, distance=math.hypot(true.x, true.y))
     for wheel in ROBOT.wheels:

@@ -24,12 +24,12 @@ from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.driver_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.gym.joint_actions import DirectCommands, JointActions
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
-from thorvaldc.simulation.physics.collisions import Contacts
-from thorvaldc.simulation.physics.faulty_base import FaultyBase
+from thorvaldc.simulation.physics.collision_counter import CollisionCounter
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 
 try:
     import gymnasium
@@ -39,7 +39,7 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.pictures.video import Boxes
+    from thorvaldc.simulation.pictures.video import BoundingBoxes
 
 ACTIONS = ("twist", "joints")
 LARGEST = 1e6
@@ -122,9 +122,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self.render_mode = render_mode
         if render_mode is not None:
             # Before MuJoCo is imported, which looks only once for what it draws by.
-            from thorvaldc.simulation.pictures.graphics import choose_graphics
+            from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 
-            choose_graphics()
+            choose_opengl_backend()
         self.scenario = model if isinstance(model, Scenario) else None
         fleet = model.fleet if isinstance(model, Scenario) else model
         self.robots = (
@@ -158,8 +158,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self.observation_space = gymnasium.spaces.Box(
             -LARGEST, LARGEST, (len(self.observation_names),), np.float64
         )
-        self._bases: list[FaultyBase] = []
-        self._meters: list[Meter] = []
+        self._bases: list[ScenarioBase] = []
+        self._meters: list[ControlLoop] = []
         self._steps = 0
         self._files, self._size = files, size
         self._drawing: _Drawing | None = None
@@ -182,8 +182,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             base = acting.base
             if isinstance(base, MujocoBase):
                 base.place(base.true_pose().moved(Pose2(float(x), float(y), float(yaw))))
-                acting.start = acting.true = base.true_pose()
-        self._contacts = Contacts(self.scene, self.robots)
+                acting.start = acting.pose_true = base.true_pose()
+        self._contacts = CollisionCounter(self.scene, self.robots)
         self._steps = 0
         self._advance(0.0)
         return self._observation(), self._info("")
@@ -229,13 +229,13 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     # -- parts --------------------------------------------------------------------------
 
     @property
-    def _acting(self) -> Meter:
+    def _acting(self) -> ControlLoop:
         for meter in self._meters:
             if meter.name == self.name:
                 return meter
         raise DiagnosticError("simulation-scene", "the environment was not reset")
 
-    def _meter(self, name: str, chance: int) -> Meter:
+    def _meter(self, name: str, chance: int) -> ControlLoop:
         robot, scenario = self.robots[name], self.scenario
         base: MujocoBase
         plan: Manoeuvre = ()
@@ -245,14 +245,14 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             faults = [fault for fault in scenario.faults if fault.robot == name]
             noise = replace(scenario.noise, seed=chance)
             zones = scenario.fleet.world.zones if scenario.fleet.world is not None else ()
-            base = FaultyBase(robot, self.scene, faults, noise, zones)
+            base = ScenarioBase(robot, self.scene, faults, noise, zones)
             self._bases.append(base)
             for other, commands in scenario.commands:
                 if other == name:
                     plan = tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
         if name != self.name:
-            return Meter(name, robot, base, plan)
-        meter = Meter(name, robot, base, (), self.parameters)
+            return ControlLoop(name, robot, base, plan)
+        meter = ControlLoop(name, robot, base, (), self.parameters)
         if self._action == "joints":
             self._joints.reset()
             direct = DirectCommands(meter.driver.calculator, self._joints.commands)
@@ -261,11 +261,11 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _advance(self, end: float) -> None:
         while not self.scene.diverged:
-            meter = min(self._meters, key=lambda m: m.next)
-            if meter.next > end + 1e-9:
+            meter = min(self._meters, key=lambda m: m.next_time)
+            if meter.next_time > end + 1e-9:
                 return
             meter.tick()
-            self._contacts.look()
+            self._contacts.update()
 
     def _release(self) -> None:
         """Take back what faults changed in the scene."""
@@ -289,7 +289,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             "time": self._steps * self.period,
             "true_pose": np.array(sample.pose_true),
             "true_twist": np.array(sample.true),
-            "tilt": math.acos(max(-1.0, min(1.0, acting.upright))),
+            "tilt": math.acos(max(-1.0, min(1.0, acting.uprightness))),
             "collisions": self._contacts.collisions[self.name],
         }
         return {**info, "cause": cause} if cause else info
@@ -323,13 +323,13 @@ class _Drawing:
     """Pictures of a scene, from a copy of it with all that is seen; the camera follows."""
 
     def __init__(self, files: Path | str | Mapping[str, bytes], size: tuple[int, int]) -> None:
-        from thorvaldc.simulation.pictures.render import View, dressed_scene, renderer
-        from thorvaldc.simulation.pictures.video import Boxes
+        from thorvaldc.simulation.pictures.render import View, picture_scene, renderer
+        from thorvaldc.simulation.pictures.video import BoundingBoxes
 
         self._view = View()
-        self._scene = dressed_scene(files, size, self._view, quick=True)
+        self._scene = picture_scene(files, size, self._view, quick=True)
         self._aspect = size[0] / size[1]
-        self._boxes: Boxes = Boxes(self._scene)
+        self._boxes: BoundingBoxes = BoundingBoxes(self._scene)
         # As far as a robot drives in a while, and the ground on the way.
         around = self._boxes.corners(self._scene)
         around = np.vstack([around.min(axis=0) - 20.0, around.max(axis=0) + 20.0])

@@ -12,8 +12,8 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
-from thorvaldc.simulation.physics.simulated_base import SimulatedBase
+from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
+from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
@@ -135,7 +135,7 @@ class MujocoScene:
         return found
 
 
-class MujocoBase(SimulatedBase):
+class MujocoBase(GroundTruthBase):
     """The joints of one robot of a scene, and what only a simulation knows.
 
     Joints, actuators and bodies are found by their names, which start with
@@ -154,7 +154,7 @@ class MujocoBase(SimulatedBase):
         scene: MujocoScene,
         prefix: str | None = None,
         *,
-        hidden: HiddenErrors | None = None,
+        wheel_errors: WheelErrors | None = None,
         open_loop: bool = False,
     ) -> None:
         """Raises ``DiagnosticError`` where the scene is not of this robot."""
@@ -164,8 +164,8 @@ class MujocoBase(SimulatedBase):
         self.scene = scene
         model = scene.model
         self._n = len(robot.wheels)
-        hidden = hidden or HiddenErrors.none(robot)
-        self._ratios, self._offsets = hidden.radius_ratios, hidden.steering_offsets
+        wheel_errors = wheel_errors or WheelErrors.none(robot)
+        self._ratios, self._offsets = wheel_errors.radius_ratios, wheel_errors.steering_offsets
         body = scene.index("body", prefix + robot.links[0].name, robot)
         free = int(model.body_jntadr[body])
         if free < 0 or int(model.body_dofnum[body]) != 6:

@@ -12,15 +12,15 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
-from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
+from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
 from thorvaldc.simulation.physics.sim_base import SimBase
-from thorvaldc.simulation.physics.simulated_base import SimulatedBase
+from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
 _STANDS = 1e-3
 """Speed (m/s) over ground below which a wheel is not turned by it."""
 
 
-class RollingBase(SimBase, SimulatedBase):
+class RollingBase(SimBase, GroundTruthBase):
     """Joints give way to the ground: the robot moves as its wheels ask for on the whole.
 
     Then each wheel rolls as that motion wants and points where it wants, so
@@ -32,14 +32,14 @@ class RollingBase(SimBase, SimulatedBase):
     def __init__(
         self,
         robot: Robot,
-        hidden: HiddenErrors | None = None,
+        wheel_errors: WheelErrors | None = None,
         radii: Sequence[float] | None = None,
         start: float = 0.0,
     ) -> None:
         """``radii`` (m) are those that the wheels roll on but for their errors."""
         super().__init__(robot, start)
-        hidden = hidden or HiddenErrors.none(robot)
-        self._ratios, self._offsets = hidden.radius_ratios, hidden.steering_offsets
+        wheel_errors = wheel_errors or WheelErrors.none(robot)
+        self._ratios, self._offsets = wheel_errors.radius_ratios, wheel_errors.steering_offsets
         model = BaseGeometry.from_robot(robot)
         radii = radii or [wheel.radius for wheel in model.wheels]
         self._true = tuple(

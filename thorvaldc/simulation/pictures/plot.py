@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Pose2
-from thorvaldc.simulation.drive_metrics import Sample
+from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.pictures import PictureError
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.pictures.visible_shapes import Points
 
 FORMATS = ("png", "svg", "pdf")
-TRUE, ESTIMATED, ASKED, AIMED = "#1b7837", "#d95f02", "#9a9a9a", "#4575b4"
+TRUE, ESTIMATED, COMMANDED, LIMITED = "#1b7837", "#d95f02", "#9a9a9a", "#4575b4"
 MOST_ROBOTS = 6
 """Of a large fleet the velocities of so many are drawn; the paths of all."""
 _DIRECTIONS = 48
@@ -232,15 +232,15 @@ def _velocities(axes: Sequence[Any], samples: Sequence[Sample]) -> None:
     times = [s.time for s in samples]
     rows = (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s"))
     lines = (
-        ("asked", "commanded", ASKED, "-", 2.4),
-        ("aimed", "within limits", AIMED, "-", 1.0),
+        ("commanded", "commanded", COMMANDED, "-", 2.4),
+        ("limited", "within limits", LIMITED, "-", 1.0),
         ("true", "true", TRUE, "-", 1.2),
         ("estimated", "estimated", ESTIMATED, (0, (4, 2)), 1.0),
     )
     for axis, (part, unit) in zip(axes, rows, strict=True):
         for of, label, color, style, width in lines:
             values = [getattr(getattr(s, of), part) for s in samples]
-            steps = "steps-post" if of == "asked" else "default"
+            steps = "steps-post" if of == "commanded" else "default"
             axis.plot(times, values, color=color, ls=style, lw=width, label=label, drawstyle=steps)
         low, high = axis.get_ylim()
         if high - low < 0.1:  # so that noise of nothing does not fill the picture

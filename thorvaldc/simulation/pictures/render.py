@@ -94,7 +94,7 @@ def render(
     view = view or View()
     width, height = size
     large = (width * SAMPLING, height * SAMPLING)
-    scene = dressed_scene(files, large, view)
+    scene = picture_scene(files, large, view)
     if arrange is not None:
         arrange(scene)
     else:
@@ -110,7 +110,7 @@ def render(
     return out.getvalue()
 
 
-def dressed_scene(
+def picture_scene(
     files: Path | str | Mapping[str, bytes],
     size: tuple[int, int],
     view: View,

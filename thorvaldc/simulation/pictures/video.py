@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.simulation.physics.mujoco_base import MujocoScene
 from thorvaldc.simulation.pictures import PictureError
-from thorvaldc.simulation.pictures.render import View, aim, dressed_scene, renderer
+from thorvaldc.simulation.pictures.render import View, aim, picture_scene, renderer
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.pictures.visible_shapes import Points
@@ -40,14 +40,14 @@ def encoder() -> str:
         ) from None
 
 
-class Film:
+class VideoRecorder:
     """What is to be seen of a run in ``scene``, at ``rate`` pictures a second."""
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
         self._positions: list[Any] = []
 
-    def watch(self, scene: MujocoScene) -> None:
+    def on_tick(self, scene: MujocoScene) -> None:
         """Keep where everything is, if it is time for a picture.  Call it at each tick."""
         if scene.time >= len(self._positions) / self.rate - 1e-9:
             self.keep(scene)
@@ -100,10 +100,10 @@ class Film:
         """Arrays (height, width, 3) of bytes."""
         import numpy as np
 
-        scene = dressed_scene(files, size, view, quick=True)
+        scene = picture_scene(files, size, view, quick=True)
         if self._positions and len(self._positions[0]) != scene.model.nq:
             raise PictureError("the scene to draw is not the one that was simulated")
-        boxes = Boxes(scene)
+        boxes = BoundingBoxes(scene)
         cameras, limits = [], []
         for position in self._positions:
             self._place(scene, position)
@@ -130,7 +130,7 @@ class Film:
         scene.forward()
 
 
-class Boxes:
+class BoundingBoxes:
     """The boxes about all that is seen of what can move: quick to tell where it is."""
 
     def __init__(self, scene: MujocoScene) -> None:

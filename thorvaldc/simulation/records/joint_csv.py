@@ -24,7 +24,7 @@ from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.drive_metrics import Meter
+    from thorvaldc.simulation.control_loop import ControlLoop
 
 TIME = "time"
 POSITION, VELOCITY, COMMAND = "position", "velocity", "velocity_command"
@@ -91,9 +91,9 @@ class JointLogWriter:
         cells += [_text(joints.angles[j.wheel] - j.offset) for j in self._steering]
         self._stream.write(",".join(cells) + "\n")
 
-    def watch(self, meter: Meter) -> None:
+    def on_tick(self, loop: ControlLoop) -> None:
         """``record``, for ``Simulation.run``."""
-        self.record(meter.driver.state)
+        self.record(loop.driver.state)
 
     def _head(self) -> None:
         columns = [TIME]

@@ -41,8 +41,8 @@ from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
-from thorvaldc.simulation.drive_metrics import Sample
-from thorvaldc.simulation.records.record_writer import Pace, naming
+from thorvaldc.simulation.control_loop import Sample
+from thorvaldc.simulation.records.recorder import SampleInterval, errors_with_name
 from thorvaldc.simulation.records.ros_messages import RosMessages, covariance, place, velocity
 
 _TF = "tf2_msgs/msg/TFMessage"
@@ -79,17 +79,17 @@ class McapRecorder:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.path = path
-        self._pace = Pace(every)
+        self._interval = SampleInterval(every)
         self._make = RosMessages()
         self._pending: list[tuple[Any, int, bytes]] = []
         self._tf: Any = None
         self._tf_static: Any = None
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-        with naming(path):
+        with errors_with_name(path):
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         try:
-            with naming(path):
+            with errors_with_name(path):
                 self._writer = Writer(
                     self._folder / _NAME, version=9, storage_plugin=StoragePlugin.MCAP
                 )
@@ -107,18 +107,18 @@ class McapRecorder:
             raise
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
-        if not self._pace.due(robot, sample.time):
+        if not self._interval.is_due(robot, sample.time):
             return
         self._robots[robot].say(sample, commands)
         if len(self._pending) >= _BATCH:
             # A message that is written by half would spoil all that is written with it.
-            with uninterrupted(), naming(self.path):
+            with uninterrupted(), errors_with_name(self.path):
                 self._write()
 
     def close(self) -> None:
         if not self._folder.exists():
             return
-        with uninterrupted(), naming(self.path):
+        with uninterrupted(), errors_with_name(self.path):
             try:
                 self._write()
                 self._writer.close()
@@ -175,7 +175,7 @@ class _RobotTopics:
         self._topics = topics
         self._recorder = recorder
         odom, base = f"{prefix}odom", f"{prefix}base_link"
-        drives, steering = joints_of(robot)
+        drives, steering = recorded_joints(robot)
         self._drives, self._steering = list(drives.values()), list(steering.values())
         self._odometry = make.odometry(odom, base)
         self._truth = make.odometry("map", f"{base}_true")
@@ -210,7 +210,7 @@ class _RobotTopics:
             send(topics[TRUE_ODOM], time, self._truth.bytes(time, numbers))
         if places:
             self._recorder.send_tf(time, self._frames.bytes(time, places))
-        for topic, twist in ((COMMANDED_TWIST, sample.asked), (LIMITED_TWIST, sample.aimed)):
+        for topic, twist in ((COMMANDED_TWIST, sample.commanded), (LIMITED_TWIST, sample.limited)):
             if topic in topics:
                 send(topics[topic], time, self._twist.bytes(time, velocity(twist)))
         if JOINTS in topics and sample.joints is not None:
@@ -234,7 +234,7 @@ class _RobotTopics:
         return found + [commands.speeds[i] for i in drives] + [math.nan] * len(steering)
 
 
-def joints_of(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
+def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
     """The joints that are recorded, with the index of (the first of) their wheels.
 
     First those by which driven wheels spin, then those that steer.

@@ -14,9 +14,9 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.hidden_errors import HiddenErrors
 from thorvaldc.simulation.physics.rolling_base import RollingBase
 from thorvaldc.simulation.physics.sim_base import SimBase
+from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 from thorvaldc.simulation.simulation_run import Simulation
 
 ROBOT = make_robot(FOUR_STEERED)
@@ -64,8 +64,8 @@ def test_without_errors_wheels_do_as_commanded() -> None:
 
 
 def test_errors_show_in_the_end_and_not_to_who_knows_them() -> None:
-    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, RADII, OFFSETS)}
-    blind = Simulation(ROBOT, hidden=hidden).run(8.0, WAY).robots[0]
+    wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, RADII, OFFSETS)}
+    blind = Simulation(ROBOT, wheel_errors=wheel_errors).run(8.0, WAY).robots[0]
     assert blind.end_error > 0.02
     # The readings are those of a robot that has these wheels and knows it.
     known = truly(ROBOT, RADII, OFFSETS)
@@ -75,7 +75,7 @@ def test_errors_show_in_the_end_and_not_to_who_knows_them() -> None:
 
 
 def test_wheels_roll_and_point_as_the_ground_wants() -> None:
-    base = RollingBase(ROBOT, HiddenErrors.of(ROBOT, RADII, OFFSETS))
+    base = RollingBase(ROBOT, WheelErrors.by_name(ROBOT, RADII, OFFSETS))
     follow(base, 0.2, 3.0, 3.0)
     states, (vx, vy, wz) = base.read(4.0), base.true_twist()
     for i, wheel in enumerate(ROBOT.wheels):
@@ -96,31 +96,33 @@ def files() -> dict[str, bytes]:
 
 
 def test_larger_wheels_go_farther_in_mujoco(files: dict[str, bytes]) -> None:
-    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, dict.fromkeys(NAMES, 1.02))}
+    wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, dict.fromkeys(NAMES, 1.02))}
     plain = Simulation(ROBOT, files).run(4.0, WAY).robots[0]
-    larger = Simulation(ROBOT, files, hidden=hidden).run(4.0, WAY).robots[0]
+    larger = Simulation(ROBOT, files, wheel_errors=wheel_errors).run(4.0, WAY).robots[0]
     assert larger.path_odometry == pytest.approx(plain.path_odometry, rel=1e-3)
     assert larger.path_true == pytest.approx(1.02 * plain.path_true, rel=1e-3)
 
 
 def test_wheels_that_point_elsewhere_lead_there_in_mujoco(files: dict[str, bytes]) -> None:
     offset = math.radians(5.0)
-    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, None, dict.fromkeys(NAMES, offset))}
-    run = Simulation(ROBOT, files, hidden=hidden).run(4.0, Twist(0.8, 0.0, 0.0)).robots[0]
+    wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, None, dict.fromkeys(NAMES, offset))}
+    run = (
+        Simulation(ROBOT, files, wheel_errors=wheel_errors).run(4.0, Twist(0.8, 0.0, 0.0)).robots[0]
+    )
     assert run.pose_odometry.y == pytest.approx(0.0, abs=1e-3)
     assert math.atan2(run.pose_true.y, run.pose_true.x) == pytest.approx(offset, abs=2e-3)
 
 
 def test_open_loop_drives_give_way_and_others_do_not(files: dict[str, bytes]) -> None:
-    hidden = {ROBOT.name: HiddenErrors.of(ROBOT, {"w0": 1.02})}
+    wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, {"w0": 1.02})}
 
     def speeds(open_loop: bool) -> tuple[float, ...]:
         seen: list[tuple[float, ...]] = []
-        simulation = Simulation(ROBOT, files, hidden=hidden, open_loop=open_loop)
+        simulation = Simulation(ROBOT, files, wheel_errors=wheel_errors, open_loop=open_loop)
         simulation.run(
             4.0,
             Twist(0.8, 0.0, 0.0),
-            watch=lambda meter: seen.append(tuple(meter.driver.state.joints.speeds)),
+            on_tick=lambda loop: seen.append(tuple(loop.driver.state.joints.speeds)),
         )
         return seen[-1]
 
@@ -151,11 +153,11 @@ def test_offset_that_is_known_changes_nothing(files: dict[str, bytes]) -> None:
 )
 def test_impossible_errors(radii: dict[str, float], offsets: dict[str, float], said: str) -> None:
     with pytest.raises(DiagnosticError, match=said) as caught:
-        HiddenErrors.of(ROBOT, radii, offsets)
+        WheelErrors.by_name(ROBOT, radii, offsets)
     assert caught.value.diagnostic.code.name == "hidden-error"
 
 
 def test_offset_of_a_wheel_that_is_not_steered() -> None:
     robot = make_robot([(0.5, 0.4, "fixed"), (0.5, -0.4, "fixed"), (-0.5, 0.0, "swivel")])
     with pytest.raises(DiagnosticError, match="not steered"):
-        HiddenErrors.of(robot, None, {"w0": 0.1})
+        WheelErrors.by_name(robot, None, {"w0": 0.1})

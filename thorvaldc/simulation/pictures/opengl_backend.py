@@ -17,7 +17,7 @@ _MISSING = (
 )
 
 
-def choose_graphics() -> None:
+def choose_opengl_backend() -> None:
     """Choose what MuJoCo draws by; best before anything imports MuJoCo, which looks once.
 
     What the user says in ``MUJOCO_GL`` stands.  On Linux EGL and then OSMesa are tried, in

@@ -9,7 +9,7 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.drive_metrics import Meter, Sample
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.simulation_run import Simulation
 
 ROBOT = make_robot(FOUR_STEERED)
@@ -19,10 +19,10 @@ ASKED = Twist(0.5, 0.1, 1.2)
 def samples(simulation: Simulation, duration: float) -> list[Sample]:
     seen: list[Sample] = []
 
-    def watch(meter: Meter) -> None:
-        seen.append(meter.sample())
+    def on_tick(loop: ControlLoop) -> None:
+        seen.append(loop.sample())
 
-    simulation.run(duration, ASKED, watch=watch)
+    simulation.run(duration, ASKED, on_tick=on_tick)
     return seen
 
 
@@ -30,8 +30,8 @@ def test_each_tick_is_seen_once() -> None:
     seen = samples(Simulation(ROBOT), 1.0)
     rate = ROBOT.driver.rate
     assert [s.time for s in seen] == pytest.approx([k / rate for k in range(round(rate) + 1)])
-    assert all(s.asked == ASKED for s in seen)
-    assert seen[0].aimed.speed < 0.1  # the ramp
+    assert all(s.commanded == ASKED for s in seen)
+    assert seen[0].limited.speed < 0.1  # the ramp
     assert seen[-1].true == seen[-1].estimated
     assert seen[-1].pose_true == seen[-1].pose_estimated
 
@@ -41,8 +41,8 @@ def test_truth_is_the_physics_and_yaw_is_counted() -> None:
     seen = samples(Simulation(ROBOT, Mjcf().emit(ROBOT)), 8.0)
     last = seen[-1]
     assert last.true != last.estimated
-    assert last.true == pytest.approx(last.aimed, abs=0.02)
-    assert last.estimated == pytest.approx(last.aimed, abs=0.02)
+    assert last.true == pytest.approx(last.limited, abs=0.02)
+    assert last.estimated == pytest.approx(last.limited, abs=0.02)
     assert last.pose_true != last.pose_estimated
     assert last.pose_true == pytest.approx(last.pose_estimated, abs=0.1)
     assert last.pose_true.yaw > 1.2 * math.tau

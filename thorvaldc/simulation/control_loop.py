@@ -1,0 +1,195 @@
+"""The control loop of one simulated robot: its driver, and the measurements of each tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime import se2
+from thorvaldc.runtime.base_interface import BaseHandle, JointStates
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
+from thorvaldc.simulation.manoeuvre import Manoeuvre, twist_at
+from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.run_result import RobotResult
+
+TIPPED = math.cos(math.radians(60.0))
+"""Cosine of the tilt from which a robot counts as fallen over."""
+NEGLIGIBLE_TWIST = 0.01
+"""Infeasible or unreachable motion (m/s, rad/s) that is too small to be reported."""
+
+
+def largest_component(twist: Twist) -> float:
+    """Returns the largest absolute component of a twist, m/s or rad/s."""
+    return max(abs(twist.vx), abs(twist.vy), abs(twist.wz))
+
+
+@dataclass(slots=True)
+class Sample:
+    """Measurements of a robot at one tick: time in s, twists in ``base_link``, poses in the world.
+
+    ``commanded`` is the twist of the script, ``limited`` the commanded twist after the
+    driver's limits and ramps, ``estimated`` the twist of the odometry and ``true`` the twist in
+    the simulated world.  ``pose_estimated`` begins at the true start pose; yaw is not wrapped.
+    With ideal joints the true values are the estimated ones.  ``posture`` completes the
+    true pose in 3D: height (m), roll and pitch (rad).  The covariances are those of a small
+    motion of ``base_link`` and of the estimated twist, both in ``base_link``.
+    """
+
+    time: float
+    commanded: Twist
+    limited: Twist
+    estimated: Twist
+    true: Twist
+    pose_estimated: Pose2
+    pose_true: Pose2
+    joints: JointStates | None
+    posture: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pose_covariance: Cov3 = ZERO_COV
+    twist_covariance: Cov3 = ZERO_COV
+
+
+class ControlLoop:
+    """Runs the driver of one robot along a manoeuvre and measures how the robot moves.
+
+    Path lengths in m and angles in rad accumulate from the start on: ``path_commanded``,
+    ``path_true``, ``path_estimated`` and ``yaw_true`` (not wrapped).  ``uprightness`` is the
+    least cosine of the tilt so far.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        robot: Robot,
+        base: BaseHandle,
+        manoeuvre: Manoeuvre,
+        parameters: str | None = None,
+    ) -> None:
+        self.name = name
+        self.robot = robot
+        self.driver = BaseDriver(robot, base, parameters=parameters)
+        self.base = base
+        self.manoeuvre = manoeuvre
+        self.ticks = 0
+        self._truth = base if isinstance(base, GroundTruthBase) else None
+        self.start = se2.ORIGIN if self._truth is None else self._truth.true_pose()
+        self.pose_true = self.start
+        self.yaw_true = 0.0
+        self.path_commanded = self.path_true = self.path_estimated = 0.0
+        self.uprightness = 1.0
+        self.infeasible = ZERO_TWIST
+        self.infeasible_twist = ZERO_TWIST
+        self.unreachable: tuple[int, ...] = ()
+        self.unreachable_twist = ZERO_TWIST
+
+    @property
+    def scene(self) -> MujocoScene | None:
+        """The MuJoCo scene of the robot; ``None`` with ideal joints."""
+        return self.base.scene if isinstance(self.base, MujocoBase) else None
+
+    @property
+    def next_time(self) -> float:
+        """Time (s) of the next tick."""
+        return self.ticks / self.robot.driver.rate
+
+    def tick(self, joints: JointStates | None = None) -> None:
+        """Runs one tick of the driver; ``joints`` as for ``BaseDriver.tick``."""
+        now = self.next_time
+        previous = self.driver.state
+        self.driver.command(twist_at(self.manoeuvre, now), now)
+        state = self.driver.tick(now, joints)
+        if self.ticks:
+            dt = now - previous.time
+            if previous.command is not None:
+                self.path_commanded += previous.command.target.speed * dt
+            self.path_estimated += state.odometry.twist.speed * dt
+            self._measure_truth()
+        self.ticks += 1
+        command = state.command
+        if command is None:
+            return
+        if largest_component(state.infeasible) > largest_component(self.infeasible):
+            self.infeasible, self.infeasible_twist = state.infeasible, state.commanded_twist
+        for i in command.unreachable:
+            if i not in self.unreachable and largest_component(state.ramped) > NEGLIGIBLE_TWIST:
+                self.unreachable += (i,)
+                self.unreachable_twist = state.commanded_twist
+
+    def _measure_truth(self) -> None:
+        base = self._truth
+        if base is None:
+            return
+        pose = base.true_pose()
+        turn = math.remainder(pose.yaw - self.pose_true.yaw, math.tau)
+        self.yaw_true += turn
+        # The path between two ticks is taken as an arc; its chord is the measured distance.
+        chord = math.hypot(pose.x - self.pose_true.x, pose.y - self.pose_true.y)
+        self.path_true += chord / se2.chord_over_arc(turn)
+        self.pose_true = pose
+        uprightness = base.uprightness()
+        if uprightness < self.uprightness:
+            self.uprightness = uprightness
+
+    def sample(self) -> Sample:
+        """Returns the measurements of the last tick."""
+        state = self.driver.state
+        estimated, pose = state.odometry.twist, self.start.moved(state.pose)
+        true, pose_true = estimated, pose
+        posture = (0.0, 0.0, 0.0)
+        if self._truth is not None:
+            true = self._truth.true_twist()
+            pose_true = Pose2(self.pose_true.x, self.pose_true.y, self.start.yaw + self.yaw_true)
+            posture = self._truth.posture()
+        limited = ZERO_TWIST if state.command is None else state.command.target
+        return Sample(
+            state.time,
+            state.commanded_twist,
+            limited,
+            estimated,
+            true,
+            pose,
+            pose_true,
+            state.joints,
+            posture,
+            state.pose_covariance,
+            state.odometry.covariance,
+        )
+
+    @property
+    def tipped(self) -> bool:
+        """The robot fell over at some time in the run."""
+        return self.uprightness < TIPPED
+
+    def result(self) -> RobotResult:
+        """Returns the result of the run so far."""
+        robot = self.robot
+        odometry = self.driver.state.pose
+        true, path = odometry, self.path_estimated
+        if self._truth is not None:
+            x, y, _ = self.pose_true.relative_to(self.start)
+            true, path = Pose2(x, y, self.yaw_true), self.path_true
+        return RobotResult(
+            name=self.name,
+            mass=robot.inertial.mass,
+            wheels=len(robot.wheels),
+            driven=sum(1 for w in robot.wheels if w.driven),
+            steered=sum(1 for w in robot.wheels if w.steered),
+            path_commanded=self.path_commanded,
+            path_true=path,
+            path_odometry=self.path_estimated,
+            end_error=math.hypot(true.x - odometry.x, true.y - odometry.y),
+            yaw_error=abs(true.yaw - odometry.yaw),
+            pose_true=true,
+            pose_odometry=odometry,
+            largest_tilt=math.acos(max(self.uprightness, -1.0)),
+            infeasible=self.infeasible,
+            unreachable=tuple(robot.wheels[i].name for i in self.unreachable),
+            tipped=self.tipped,
+        )
+
+
+TickCallback = Callable[[ControlLoop], None]
+"""A function that a run calls after each tick of each robot."""

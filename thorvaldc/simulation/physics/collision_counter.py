@@ -1,0 +1,66 @@
+"""Counts collisions in a scene: all contacts except those of wheels with the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from thorvaldc.model import Robot
+from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+
+DRIVABLE = ("ground", "rail", "kerb")
+"""First parts of the names of the geoms on which wheels may roll."""
+
+
+class CollisionCounter:
+    """Counts the collisions of each robot in ``collisions``.
+
+    A wheel may touch the ground, rails and kerbs.  Every other contact of a robot is a
+    collision, also that of another part of the robot with the ground.  A contact that lasts
+    counts once.
+    """
+
+    def __init__(self, scene: MujocoScene, robots: Mapping[str, Robot]) -> None:
+        import mujoco  # late: the user of the module chooses the OpenGL backend before
+
+        self._scene = scene
+        model = scene.model
+        self.collisions = dict.fromkeys(robots, 0)
+        owners: dict[int, str] = {}
+        wheel_bodies: set[int] = set()
+        for name, robot in robots.items():
+            prefix = robot.prefix
+            owners[scene.index("body", prefix + robot.links[0].name, robot)] = name
+            # The body that the joint turns: MuJoCo may have fused the wheel's own link into it.
+            joints = (scene.index("joint", prefix + w.spin_joint, robot) for w in robot.wheels)
+            wheel_bodies |= {int(model.jnt_bodyid[joint]) for joint in joints}
+        # By geom: the robot that it belongs to (empty: the world), and its kind.
+        self._owner: list[str] = []
+        self._is_wheel: list[bool] = []
+        self._is_drivable: list[bool] = []
+        for geom in range(model.ngeom):
+            body = int(model.geom_bodyid[geom])
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or ""
+            self._owner.append(owners.get(int(model.body_rootid[body]), ""))
+            self._is_wheel.append(body in wheel_bodies)
+            self._is_drivable.append(body == 0 and name.split("/")[0] in DRIVABLE)
+        self._contacts: frozenset[tuple[int, int]] = frozenset()
+        self._step = -1
+
+    def update(self) -> None:
+        """Counts the contacts that began since the last call."""
+        if self._scene.steps == self._step:
+            return
+        self._step = self._scene.steps
+        contacts = frozenset(
+            (a, b)
+            for a, b in self._scene.data.contact.geom.tolist()
+            if not (
+                (self._is_wheel[a] and self._is_drivable[b])
+                or (self._is_wheel[b] and self._is_drivable[a])
+            )
+        )
+        for a, b in contacts - self._contacts:
+            for name in {self._owner[a], self._owner[b]}:
+                if name:
+                    self.collisions[name] += 1
+        self._contacts = contacts

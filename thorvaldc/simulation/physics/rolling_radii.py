@@ -1,0 +1,34 @@
+"""Current rolling radii of wheels with several treads: the tyre, or a ring on a rail."""
+
+from __future__ import annotations
+
+from thorvaldc.model import Robot
+from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+
+
+class RollingRadii:
+    """Finds the tread that each wheel of a robot rolls on from the contacts of the scene."""
+
+    def __init__(self, robot: Robot, scene: MujocoScene) -> None:
+        prefix = robot.prefix
+        self._scene = scene
+        self._tyres = [wheel.radius for wheel in robot.wheels]
+        # (geom, wheel, radius in m) of the treads beside the tyres.
+        self._treads = [
+            (
+                scene.index("geom", f"{prefix}{wheel.link}_{tread.name}", robot),
+                i,
+                wheel.radius_named(tread.name),
+            )
+            for i, wheel in enumerate(robot.wheels)
+            for tread in wheel.treads
+        ]
+
+    def current(self) -> list[float]:
+        """Returns the radius (m) that each wheel rolls on; that of the tyre for one in the air."""
+        touching = set(self._scene.data.contact.geom.ravel().tolist())
+        radii = list(self._tyres)
+        for geom, wheel, radius in self._treads:
+            if geom in touching:
+                radii[wheel] = radius
+        return radii

@@ -1,0 +1,201 @@
+"""A MuJoCo base with the injected faults, the sensor noise and the ground zones of a scenario."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import random
+from collections.abc import Sequence
+from typing import Any
+
+from thorvaldc.model import Robot, Zone
+from thorvaldc.model.scenario import Fault, Noise
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.simulation.physics.ground_zones import GroundZones
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+
+_WHEEL_ERRORS = ("radius_error", "steering_offset")
+
+
+class _Readings:
+    """Joint states that noise and faults can change."""
+
+    def __init__(self, joints: JointStates) -> None:
+        self.speeds = list(joints.speeds)
+        self.positions = list(joints.positions or ())
+        self.angles = list(joints.angles)
+        self.rates = list(joints.angle_rates)
+        self.yaw_rate: float | None = None
+
+
+class ScenarioBase(MujocoBase):
+    """A base whose driver reads the joints with the noise and the active injected faults.
+
+    ``true_joints`` are the joint states without either.  Wrong radii and steering offsets are
+    the ``WheelErrors`` of ``MujocoBase``; here they begin and end at the times of the
+    faults.  Faults of the scene (a motor that is lost, a wheel on ice) change MuJoCo's model;
+    ``close`` restores it.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        scene: MujocoScene,
+        faults: Sequence[Fault] = (),
+        noise: Noise | None = None,
+        zones: Sequence[Zone] = (),
+    ) -> None:
+        super().__init__(robot, scene)
+        self._faults = faults
+        self._noise = noise if noise is not None and _is_noisy(noise) else None
+        self._has_gyro = any(sensor.type == "imu" for sensor in robot.sensors)
+        self._encoders = _encoders(robot) if noise is not None and noise.encoder_counts else ()
+        self._wheel_index = {wheel.name: i for i, wheel in enumerate(robot.wheels)}
+        # Each robot of a scenario has its own random numbers, the same in every process:
+        # Python's hash() of a text differs between processes, sha256 does not.
+        seed = f"{noise.seed if noise is not None else 0} {robot.namespace}"
+        self._random = random.Random(hashlib.sha256(seed.encode()).digest())
+        self._ground = GroundZones(robot, scene, zones, [f for f in faults if f.type == "ice"])
+        # By fault: (array, index, value) of the entries of MuJoCo's model to restore.
+        self._saved: dict[int, list[tuple[Any, Any, Any]]] = {}
+        self._frozen: dict[int, float] = {}
+        self._no_errors = (self._ratios, self._offsets)
+        self.true_joints = JointStates(0.0, [], [], [])
+
+    def read(self, now: float) -> JointStates:
+        for number, fault in enumerate(self._faults):
+            self._switch(number, fault, fault.start <= now < fault.end)
+        self._ground.update(now)
+        self._ratios, self._offsets = self._no_errors
+        joints = self.true_joints = super().read(now)
+        errors = self._active_wheel_errors(now)
+        if errors is None and self._noise is None and not self._faults:
+            return joints
+        readings = _Readings(joints)
+        if errors is not None:
+            self._ratios, self._offsets = errors.radius_ratios, errors.steering_offsets
+            for i, ratio in enumerate(self._ratios):
+                readings.speeds[i] /= ratio
+                readings.positions[i] /= ratio
+                readings.angles[i] -= self._offsets[i]
+        self._disturb(readings, now)
+        return JointStates(
+            joints.time,
+            readings.speeds,
+            readings.angles,
+            readings.rates,
+            readings.positions,
+            readings.yaw_rate,
+        )
+
+    def motors(self) -> list[int]:
+        """Returns MuJoCo's actuator indices of the robot."""
+        return [actuator for _, actuator in (*self._drive_motors, *self._steering_motors)]
+
+    def close(self) -> None:
+        """Restores MuJoCo's model."""
+        self._ground.restore()
+        for number in list(self._saved):
+            self._restore(number)
+
+    # -- readings of the driver -------------------------------------------------------
+
+    def _active_wheel_errors(self, now: float) -> WheelErrors | None:
+        active = [f for f in self._faults if f.type in _WHEEL_ERRORS and f.start <= now < f.end]
+        if not active:
+            return None
+        return WheelErrors.by_name(
+            self.robot,
+            {f.wheel: 1.0 + f.value for f in active if f.type == "radius_error"},
+            {f.wheel: f.value for f in active if f.type == "steering_offset"},
+        )
+
+    def _disturb(self, readings: _Readings, now: float) -> None:
+        """Adds noise, rounds to encoder counts, and freezes the encoders of active faults."""
+        noise, gauss = self._noise, self._random.gauss
+        if noise is not None:
+            for i in range(len(readings.speeds)):
+                readings.speeds[i] += gauss(0.0, noise.wheel_speed)
+                readings.positions[i] += gauss(0.0, noise.wheel_position)
+                readings.angles[i] += gauss(0.0, noise.steering_angle)
+            if noise.gyro is not None and self._has_gyro:
+                rate = float(self.scene.data.qvel[self._base_velocity + 5])
+                readings.yaw_rate = rate + noise.gyro_bias + gauss(0.0, noise.gyro)
+            for i, is_steering, count, offset in self._encoders:
+                values = readings.angles if is_steering else readings.positions
+                values[i] = math.floor((values[i] - offset) / count) * count + offset
+        for number, fault in enumerate(self._faults):
+            if fault.type != "encoder_frozen":
+                continue
+            i = self._wheel_index[fault.wheel]
+            values, rates = readings.positions, readings.speeds
+            if fault.motor == "steering":
+                values, rates = readings.angles, readings.rates
+            if fault.start <= now < fault.end:
+                values[i], rates[i] = self._frozen.setdefault(number, values[i]), 0.0
+            else:
+                self._frozen.pop(number, None)
+
+    # -- changes of the scene ---------------------------------------------------------
+
+    def _switch(self, number: int, fault: Fault, active: bool) -> None:
+        """Starts or ends a fault of the scene."""
+        if active and number not in self._saved:
+            self._saved[number] = []
+            if fault.type == "motor_lost":
+                self._disable_motor(number, self._wheel_index[fault.wheel], fault.motor)
+        elif not active and number in self._saved:
+            self._restore(number)
+            if fault.type == "motor_lost" and fault.motor == "drive":
+                self._reset_drive_set_point(self._wheel_index[fault.wheel])
+
+    def _set(self, number: int, array: Any, index: Any, value: float) -> None:
+        self._saved[number].append((array, index, float(array[index])))
+        array[index] = value
+
+    def _restore(self, number: int) -> None:
+        for array, index, value in reversed(self._saved.pop(number)):
+            array[index] = value
+
+    def _disable_motor(self, number: int, wheel: int, motor: str) -> None:
+        """Sets the gains of the motor's servo to zero, so that the joint turns freely."""
+        model = self.scene.model
+        motors = self._steering_motors if motor == "steering" else self._drive_motors
+        for i, actuator in motors:
+            if i == wheel:
+                for array in (model.actuator_gainprm, model.actuator_biasprm):
+                    for k in range(3):
+                        self._set(number, array, (actuator, k), 0.0)
+
+    def _reset_drive_set_point(self, wheel: int) -> None:
+        """Sets the position set point of a drive to the wheel's present position.
+
+        The drive servos (``intvelocity``) integrate the commanded speed to a position.  While
+        the motor was lost, the wheel did not follow; without a reset it would catch up.
+        """
+        model, data = self.scene.model, self.scene.data
+        addresses = {i: self._base + q for i, q, _ in self._spin}
+        for i, actuator in self._drive_motors:
+            if i == wheel and int(model.actuator_actadr[actuator]) >= 0:
+                data.act[int(model.actuator_actadr[actuator])] = data.qpos[addresses[i]]
+
+
+def _is_noisy(noise: Noise) -> bool:
+    deviations = (noise.wheel_speed, noise.wheel_position, noise.steering_angle)
+    return max(deviations) > 0.0 or noise.gyro is not None or noise.encoder_counts
+
+
+def _encoders(robot: Robot) -> tuple[tuple[int, bool, float, float], ...]:
+    """Returns (wheel, is_steering, rad per count, offset in rad) of each motor's encoder.
+
+    A quadrature encoder has four counts per pulse.  It sits on the motor, before the gear.
+    """
+    encoders = []
+    for i, wheel in enumerate(robot.wheels):
+        for joint, is_steering in ((wheel.spin_joint, False), (wheel.steering_joint, True)):
+            motor = robot.actuator_of(joint) if joint is not None else None
+            if motor is not None:
+                count = math.tau / (4.0 * motor.encoder_ppr * motor.gear_ratio)
+                encoders.append((i, is_steering, count, motor.encoder_offset))
+    return tuple(encoders)

@@ -1,0 +1,82 @@
+"""Diagnostics of a run: divergence, tip-over, unreachable steering, infeasible twists."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from thorvaldc.diagnostics import Report
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.control_loop import NEGLIGIBLE_TWIST, ControlLoop, largest_component
+from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
+from thorvaldc.simulation.run_result import SimulationResult
+
+_START_DURATION = 0.5
+"""Time (s) before which a fall comes from the start position, not from the motion."""
+
+
+def report_run(
+    loops: Sequence[ControlLoop], result: SimulationResult, report: Report, fastest_joint: str = ""
+) -> None:
+    """Reports the problems of a finished run.
+
+    ``fastest_joint`` describes the fastest joint of a simulation that diverged.
+    """
+    if result.diverged:
+        cause = f": {fastest_joint}" if fastest_joint else ""
+        report.add(
+            "simulation-diverged",
+            f"the simulation diverged after {result.simulated:.2f} s{cause}",
+            next((m for m in loops if f"`{m.robot.namespace}/" in cause), loops[0]).robot.span,
+            hint="look for masses or inertias that are very small compared with the forces on them",
+        )
+        return
+    for loop in loops:
+        if loop.tipped:
+            in_motion = result.simulated >= _START_DURATION
+            report.add(
+                "simulation-tipped",
+                f"{loop.name} fell over{_direction(loop)} after {result.simulated:.2f} s; "
+                f"the commanded twist was {_twist_text(loop.driver.state.commanded_twist)}",
+                loop.robot.span,
+                hint="lower its speed, accelerations or centre of mass, or widen its track"
+                if in_motion
+                else "check that it does not start inside an obstacle or another robot",
+            )
+        if loop.unreachable:
+            wheels = ", ".join(loop.robot.wheels[i].name for i in loop.unreachable)
+            report.add(
+                "steering-unreachable",
+                f"{loop.name} cannot steer {wheels} for the twist "
+                f"{_twist_text(loop.unreachable_twist)} within the joint limits",
+                loop.robot.span,
+                hint="command another twist, or widen the steering limits",
+            )
+        if largest_component(loop.infeasible) > NEGLIGIBLE_TWIST and not _is_axle_swing(loop):
+            report.add(
+                "twist-infeasible",
+                f"the commanded twist of {loop.name} is {_twist_text(loop.infeasible_twist)}; "
+                f"its fixed wheels do not allow the part {_twist_text(loop.infeasible)}",
+                loop.robot.span,
+                hint="a robot with fixed wheels cannot move across them",
+            )
+
+
+def _twist_text(twist: Twist) -> str:
+    return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"
+
+
+def _direction(loop: ControlLoop) -> str:
+    direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
+    return f" {direction}" if direction else ""
+
+
+def _is_axle_swing(loop: ControlLoop) -> bool:
+    """Detects that only the sideways swing of ``base_link`` beside a fixed axle is infeasible.
+
+    A turn (vx, 0, wz) about an axle that is not under ``base_link`` moves ``base_link``
+    sideways.  A user who commands a turn does not think of this vy, so it is no mistake.
+    The infeasible part is then perpendicular to the commanded velocity and has no yaw rate.
+    """
+    commanded, infeasible = loop.infeasible_twist, loop.infeasible
+    dot = commanded.vx * infeasible.vx + commanded.vy * infeasible.vy
+    return abs(dot) < 1e-6 and abs(infeasible.wz) < 1e-6
