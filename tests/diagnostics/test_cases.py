@@ -1,22 +1,30 @@
-"""Every code is raised by its cases, at the line they say, and not by their neighbours.
+"""Tests every diagnostic code with example files that raise it and similar files that do not.
 
 A case file ``TVnnn-name.yaml`` is a list of cases:
 
-- ``code``: the name of the code that must be raised;
-- ``line``: where, 0 for a fault without a place; ``file``: in which file (default: any);
+- ``code``: name of the expected code;
+- ``line``: line of the diagnostic, 0 if it has no span; ``file``: its file (default: any);
 - ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
-- ``neighbour``: files that differ as little as may be and compile without errors;
+- ``neighbour``: files with the smallest change that removes the diagnostic;
 - ``entry``: the file to compile (default ``robot.yaml``);
-- ``run``: ``compile`` (default), ``emit`` (to all targets or to ``targets``), ``pin`` (write
-  the lock file, into a folder that is ``read_only`` or not), ``sim`` (with ``twist`` for
-  ``seconds`` by ``parameters``), ``bus`` (with the faults of faults.yaml),
-  ``can`` (setting its simulated bus up in a ``situation``), ``port`` (opening ``bus`` for its
-  first bus), ``drive`` (by its buses with
-  ``devices`` of another file, and faults.yaml), ``scenario``,
-  ``demo`` (of the build folder ``entry``), ``import``, or ``log`` and ``calibrate`` (reading
-  joints.csv, which ``record`` makes by its arguments, and calibrating by it, with
-  ``distance``), or ``replay`` (of record.csv, by the command with ``options``);
-- keys of a neighbour's own run, such as ``neighbour_twist``, where they differ.
+- ``run``: the command to test:
+
+  - ``compile`` (default);
+  - ``emit`` to all targets, or to ``targets``;
+  - ``pin``: write the lock file, into a folder that may be ``read_only``;
+  - ``sim``: simulate ``twist`` for ``seconds``, with the parameter sets ``parameters``;
+  - ``bus``: run the simulated bus with the injected faults of faults.yaml;
+  - ``can``: configure the simulated bus in a ``situation``;
+  - ``interface``: open the CAN interface ``bus`` for the first bus of the robot;
+  - ``drive``: run the base driver on simulated buses, whose devices are those of the robot or
+    of the file ``devices``, with the injected faults of faults.yaml;
+  - ``scenario``; ``import``;
+  - ``demo``: run the demo of the build folder ``entry``;
+  - ``log``: read joints.csv, or record it first with the arguments ``record``;
+  - ``calibrate``: as ``log``, then calibrate, with the measured ``distance``;
+  - ``replay``: read record.csv, with the command-line ``options``;
+
+- ``neighbour_<key>``: value of a key for the neighbour, such as ``neighbour_twist``.
 """
 
 from __future__ import annotations
@@ -39,7 +47,7 @@ KEYS = {
     *("twist", "seconds", "parameters", "record", "distance", "read_only"),
     *("bus", "devices", "options", "situation"),
 }
-OWN = "neighbour_"
+NEIGHBOUR = "neighbour_"
 
 
 def case_files() -> list[Path]:
@@ -61,14 +69,14 @@ def write(files: dict[str, Any], folder: Path) -> None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
-    """What is found in the files in the working folder."""
-    how = case.get("run", "compile")
-    if how == "import":
+def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
+    """Runs the command of a case in the working folder; returns the diagnostics."""
+    command = case.get("run", "compile")
+    if command == "import":
         from thorvaldc.compiler.importer import import_original
 
         return list(import_original(Path(entry))[1])
-    if how == "demo":
+    if command == "demo":
         from thorvaldc.simulation.simulation_run import run_demo
 
         report = Report()
@@ -77,64 +85,69 @@ def faults(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     from thorvaldc.backends import DEFAULT_TARGETS
     from thorvaldc.compiler.pipeline import compile_file, emit
 
-    done = compile_file(entry)
-    if how == "emit" and done.model is not None:
-        emit(done.model, case.get("targets", DEFAULT_TARGETS), done.report)
-    if how == "pin":
+    compilation = compile_file(entry)
+    if command == "emit" and compilation.model is not None:
+        emit(compilation.model, case.get("targets", DEFAULT_TARGETS), compilation.report)
+    if command == "pin":
         from thorvaldc.compiler.writer import write_locks
 
         os.chmod(".", 0o555 if case.get("read_only") else 0o755)
         try:
-            write_locks(done.locks, done.report)
+            write_locks(compilation.locks, compilation.report)
         finally:
             os.chmod(".", 0o755)
-    if how == "scenario" and done.scenario is not None:
+    if command == "scenario" and compilation.scenario is not None:
         from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
-        found = Report()
-        files = emit(done.scenario.fleet, ["mjcf"], found)
-        ScenarioSimulation(done.scenario, files).play(found)
-        done.report.extend(done.located(found))
-    if how == "sim" and done.model is not None:
+        report = Report()
+        files = emit(compilation.scenario.fleet, ["mjcf"], report)
+        ScenarioSimulation(compilation.scenario, files).play(report)
+        compilation.report.extend(compilation.located(report))
+    if command == "sim" and compilation.model is not None:
         from thorvaldc.diagnostics.error import DiagnosticError
         from thorvaldc.runtime.twist_text import parse_twist
         from thorvaldc.simulation.simulation_run import Simulation
 
         try:
-            files = emit(done.model, ["mjcf"], done.report)
-            simulation = Simulation(done.model, files, case.get("parameters"))
-            simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), done.report)
-        except DiagnosticError as fault:
-            done.report.put(fault.diagnostic)
-    if how == "bus" and isinstance(done.model, Robot):
-        run_on_a_bus(done.model, done.report)
-    if how == "drive" and isinstance(done.model, Robot):
-        drive_by_its_buses(done.model, case.get("devices"), done.report)
-    if how == "can" and isinstance(done.model, Robot):
+            files = emit(compilation.model, ["mjcf"], compilation.report)
+            simulation = Simulation(compilation.model, files, case.get("parameters"))
+            simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), compilation.report)
+        except DiagnosticError as error:
+            compilation.report.put(error.diagnostic)
+    if command == "bus" and isinstance(compilation.model, Robot):
+        run_on_a_bus(compilation.model, compilation.report)
+    if command == "drive" and isinstance(compilation.model, Robot):
+        drive_by_its_buses(compilation.model, case.get("devices"), compilation.report)
+    if command == "can" and isinstance(compilation.model, Robot):
         from tests.commissioning.situations import play
         from thorvaldc.diagnostics.error import DiagnosticError
 
         try:
-            play(done.model, case["situation"])
-        except DiagnosticError as fault:
-            done.report.put(fault.diagnostic)
-    if how == "port" and isinstance(done.model, Robot):
+            play(compilation.model, case["situation"])
+        except DiagnosticError as error:
+            compilation.report.put(error.diagnostic)
+    if command == "interface" and isinstance(compilation.model, Robot):
         from thorvaldc.can.open_interface import open_interface
         from thorvaldc.diagnostics.error import DiagnosticError
 
         try:
-            open_interface(case["bus"], done.model.buses[0]).close()
-        except DiagnosticError as fault:
-            done.report.put(fault.diagnostic)
-    if how == "replay" and isinstance(done.model, Robot):
+            open_interface(case["bus"], compilation.model.buses[0]).close()
+        except DiagnosticError as error:
+            compilation.report.put(error.diagnostic)
+    if command == "replay" and isinstance(compilation.model, Robot):
         from thorvaldc.cli.picturing import RunPictures
         from thorvaldc.cli.replaying import read_enough
 
         pictures = RunPictures(*case.get("options", [""]))
-        read_enough("record.csv", [(done.model.name, done.model)], pictures, done.report)
-    if how in ("log", "calibrate") and isinstance(done.model, Robot):
-        calibrate(done.model, case, done.report)
-    return list(done.report)
+        read_enough(
+            "record.csv",
+            [(compilation.model.name, compilation.model)],
+            pictures,
+            compilation.report,
+        )
+    if command in ("log", "calibrate") and isinstance(compilation.model, Robot):
+        calibrate(compilation.model, case, compilation.report)
+    return list(compilation.report)
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
@@ -146,8 +159,8 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
     script = read_faults("faults.yaml", robot, report)
     try:
         simulated = SimulatedRobot(robot)
-    except DiagnosticError as fault:
-        report.put(fault.diagnostic)
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
         return
     if script is not None:
         FaultInjector(simulated, script)
@@ -156,30 +169,30 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
 
 
 def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
-    """Start it and stand for a second, on the devices of the robot's file or of another."""
+    """Runs the base driver for a second on simulated devices of ``robot`` or of ``devices``."""
     from thorvaldc.cli.running import Session
     from thorvaldc.compiler.pipeline import compile_file, read_faults
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-    other = compile_file(devices).model if devices is not None else robot
-    assert isinstance(other, Robot)
-    simulated = SimulatedRobot(other)
+    simulated_model = compile_file(devices).model if devices is not None else robot
+    assert isinstance(simulated_model, Robot)
+    simulated = SimulatedRobot(simulated_model)
     if Path("faults.yaml").exists():
         script = read_faults("faults.yaml", robot, report)
         assert script is not None
         FaultInjector(simulated, script)
     simulated.power_on()
-    ports = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
+    interfaces = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
     try:
-        session = Session(robot, ports, simulated, "", None, 5.0, fast=True)
-    except DiagnosticError as fault:
-        report.put(fault.diagnostic)
+        session = Session(robot, interfaces, simulated, "", None, 5.0, fast=True)
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
         return
-    ended = session.play(False)
-    if ended is not None:
-        report.put(ended)
+    diagnostic = session.play(False)
+    if diagnostic is not None:
+        report.put(diagnostic)
 
 
 def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:
@@ -192,8 +205,8 @@ def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:
     if "record" in case:
         try:
             path.write_text(record(robot, **case["record"]), encoding="utf-8")
-        except DiagnosticError as fault:
-            report.put(fault.diagnostic)
+        except DiagnosticError as error:
+            report.put(error.diagnostic)
             return
     log = read_log(path, path.name, robot, report)
     if log is not None and case["run"] == "calibrate":
@@ -202,41 +215,43 @@ def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:
 
 @pytest.mark.parametrize("case", list(cases()))
 def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {key.removeprefix(OWN) for key in case} <= KEYS, "a case has no such key"
+    assert {key.removeprefix(NEIGHBOUR) for key in case} <= KEYS, "unknown key in a case"
     entry = case.get("entry", "robot.yaml")
     write(case["files"], tmp_path)
     monkeypatch.chdir(tmp_path)
-    found = faults(case, entry)
-    said = [(d.code.name, str(d.span), d.message) for d in found]
-    mine = [d for d in found if d.code.name == case["code"]]
-    assert mine, f"not raised; instead: {said}"
-    places = [(d.span.file, d.span.line) if d.span is not None else ("", 0) for d in mine]
+    diagnostics = run_case(case, entry)
+    shown = [(d.code.name, str(d.span), d.message) for d in diagnostics]
+    expected = [d for d in diagnostics if d.code.name == case["code"]]
+    assert expected, f"not raised; instead: {shown}"
+    lines = [(d.span.file, d.span.line) if d.span is not None else ("", 0) for d in expected]
     if "file" not in case:
-        places = [(case.get("file", ""), line) for _, line in places]
-    assert (case.get("file", ""), case["line"]) in places, f"raised elsewhere: {said}"
+        lines = [("", line) for _, line in lines]
+    assert (case.get("file", ""), case["line"]) in lines, f"raised at another line: {shown}"
 
 
 @pytest.mark.parametrize("case", list(cases()))
 def test_neighbour(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(case["neighbour"], tmp_path)
     monkeypatch.chdir(tmp_path)
-    case = {**case, **{k.removeprefix(OWN): v for k, v in case.items() if k.startswith(OWN)}}
-    found = faults(case, case.get("entry", "robot.yaml"))
-    wrong = [
+    case = {
+        **case,
+        **{k.removeprefix(NEIGHBOUR): v for k, v in case.items() if k.startswith(NEIGHBOUR)},
+    }
+    unexpected = [
         (d.code.name, str(d.span), d.message)
-        for d in found
+        for d in run_case(case, case.get("entry", "robot.yaml"))
         if d.code.name == case["code"] or d.code.severity == "error"
     ]
-    assert not wrong
+    assert not unexpected
 
 
 @pytest.mark.parametrize("code", list(CODES.values()), ids=lambda code: code.number)
 def test_every_code_has_cases_and_a_page(code: Any) -> None:
     path = HERE / f"{code.number}-{code.name}.yaml"
     assert path.is_file(), f"there is no case file {path.name}"
-    found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    assert found
-    for case in found:
+    cases = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert cases
+    for case in cases:
         assert case["code"] == code.name
         assert case["neighbour"]
     page = PAGES / f"{code.number}.md"

@@ -1,4 +1,4 @@
-"""Reports as text, json, github and sarif, and the pages of codes."""
+"""Tests of the text, JSON, GitHub and SARIF forms of a report, and of the pages of codes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thorvaldc.diagnostics.render import FORMATS, render, render_text
 
 
 def text(source: str | None, *spans: Span, **options: Any) -> str:
-    """One fault, rendered; the first span is its own, the others are labels."""
+    """Renders one diagnostic: the first span is its span, the others are labels."""
     report = Report()
     labels = [Label(span, "here too") for span in spans[1:]]
     report.add("can-id-duplicate", "both are 3", spans[0], hint="change one", labels=labels)
@@ -25,7 +25,7 @@ def text(source: str | None, *spans: Span, **options: Any) -> str:
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _work_in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
@@ -46,7 +46,7 @@ def test_text() -> None:
     )
 
 
-def test_labels_on_one_line_share_it_and_lines_between_are_left_out() -> None:
+def test_labels_on_one_line_share_it_and_lines_between_are_omitted() -> None:
     source = "a: {b: 1, c: 2}\n" + "\n" * 9 + "d: 3\n"
     shown = text(source, at(1, 5, 1, 6), at(1, 11, 1, 12), at(11, 1, 11, 2))
     assert shown.splitlines()[1:-1] == [
@@ -86,16 +86,16 @@ def test_without_the_source_there_is_no_excerpt() -> None:
         ("a: 😀 b", (6, 7), "a: 😀 b", "      ^"),
     ],
 )
-def test_carets_stand_under_what_is_seen(
+def test_carets_are_under_the_marked_characters(
     line: str, span: tuple[int, int], excerpt: str, marker: str
 ) -> None:
     shown = text(line + "\nb: 1\n", at(1, span[0], 1, span[1])).splitlines()
     assert shown[2] == f"1 | {excerpt}"
-    # A tab's column and a wide character's are found by what is before them.
+    # The column of a marker is the sum of the widths of the characters before it.
     assert shown[3] == f"  | {marker}"
 
 
-def test_of_a_span_of_many_lines_the_first_is_marked() -> None:
+def test_a_span_of_several_lines_is_marked_on_its_first_line() -> None:
     shown = text("a:\n  b: 1  \n  c: 2\n", at(2, 3, 3, 7)).splitlines()
     assert shown[2:4] == ["2 |   b: 1", "  |   ^^^^"]
 
@@ -110,7 +110,7 @@ def test_long_lines_are_cut_around_the_span(column: int) -> None:
     assert shown[2][begin : begin + 4] == line[column - 1 : column + 3]
 
 
-def test_colours_only_when_asked() -> None:
+def test_colours_only_if_requested() -> None:
     plain = text("a: 1\n", at(1, 1, 1, 2))
     colored = text("a: 1\n", at(1, 1, 1, 2), color=True)
     assert "\x1b" not in plain
@@ -121,14 +121,14 @@ def test_colours_only_when_asked() -> None:
     assert stripped == plain
 
 
-def test_what_a_document_says_cannot_steer_the_terminal() -> None:
+def test_text_of_a_document_cannot_control_the_terminal() -> None:
     report = Report()
     report.add("unknown-key", "no key `\x1b[2Ja\nb`", at(1, 1, 1, 2, "a\x07b"), hint="\x9b1m")
-    for form in FORMATS:
-        assert not {"\x1b", "\x07", "\x9b"} & set(render(report, form).replace("\n", ""))
+    for format in FORMATS:
+        assert not {"\x1b", "\x07", "\x9b"} & set(render(report, format).replace("\n", ""))
 
 
-def some() -> Report:
+def sample_report() -> Report:
     report = Report()
     report.add("can-id-duplicate", "50 %: both, 3", at(3, 10, 3, 11), hint="change one")
     report.add(
@@ -142,9 +142,9 @@ def some() -> Report:
 
 
 def test_json() -> None:
-    found = json.loads(render(some(), "json", builds=[{"file": "x"}]))
-    assert (found["errors"], found["warnings"], found["builds"]) == (2, 1, [{"file": "x"}])
-    assert found["diagnostics"][0] == {
+    document = json.loads(render(sample_report(), "json", builds=[{"file": "x"}]))
+    assert (document["errors"], document["warnings"], document["builds"]) == (2, 1, [{"file": "x"}])
+    assert document["diagnostics"][0] == {
         "code": "TV501",
         "name": "can-id-duplicate",
         "severity": "error",
@@ -153,12 +153,12 @@ def test_json() -> None:
         "span": {"file": "f.yaml", "line": 3, "column": 10, "end_line": 3, "end_column": 11},
         "labels": [],
     }
-    assert found["diagnostics"][2]["span"] is None
-    assert "builds" not in json.loads(render(some(), "json"))
+    assert document["diagnostics"][2]["span"] is None
+    assert "builds" not in json.loads(render(sample_report(), "json"))
 
 
 def test_github() -> None:
-    assert render(some(), "github").splitlines() == [
+    assert render(sample_report(), "github").splitlines() == [
         "::error file=f.yaml,line=3,endLine=3,col=10,endColumn=11,"
         "title=TV501 can-id-duplicate::50 %25: both, 3%0Ahint: change one",
         "::warning file=sub dir/ü%2C1%3A2.yaml,line=1,endLine=2,"
@@ -168,9 +168,9 @@ def test_github() -> None:
 
 
 def test_sarif() -> None:
-    found = json.loads(render(some(), "sarif"))
-    assert found["version"] == "2.1.0"
-    (run,) = found["runs"]
+    document = json.loads(render(sample_report(), "sarif"))
+    assert document["version"] == "2.1.0"
+    (run,) = document["runs"]
     rules = run["tool"]["driver"]["rules"]
     assert [rule["id"] for rule in rules] == ["TV104", "TV315", "TV501"]
     for rule in rules:
@@ -180,47 +180,47 @@ def test_sarif() -> None:
         assert rules[result["ruleIndex"]]["id"] == result["ruleId"]
         assert result["message"]["text"]
     first, second, third = run["results"]
-    place = first["locations"][0]["physicalLocation"]
-    assert place["artifactLocation"]["uri"] == "f.yaml"
-    assert place["region"] == {
+    location = first["locations"][0]["physicalLocation"]
+    assert location["artifactLocation"]["uri"] == "f.yaml"
+    assert location["region"] == {
         "startLine": 3,
         "startColumn": 10,
         "endLine": 3,
         "endColumn": 11,
     }
-    place = second["locations"][0]["physicalLocation"]
-    assert place["artifactLocation"]["uri"] == "sub%20dir/%C3%BC%2C1%3A2.yaml"
+    location = second["locations"][0]["physicalLocation"]
+    assert location["artifactLocation"]["uri"] == "sub%20dir/%C3%BC%2C1%3A2.yaml"
     (related,) = second["relatedLocations"]
     assert related["message"]["text"] == "here"
     assert related["physicalLocation"]["region"]["startLine"] == 9
     assert "locations" not in third
 
 
-@pytest.mark.parametrize("form", FORMATS)
-def test_a_report_without_faults(form: str) -> None:
-    shown = render(Report(), form)
-    if form in ("json", "sarif"):
+@pytest.mark.parametrize("format", FORMATS)
+def test_an_empty_report(format: str) -> None:
+    shown = render(Report(), format)
+    if format in ("json", "sarif"):
         json.loads(shown)
     else:
         assert shown == ""
 
 
-@pytest.mark.parametrize("asked", ["TV501", "tv501", "501", "can-id-duplicate", " TV501 "])
-def test_codes_are_found_by_number_and_by_name(asked: str) -> None:
-    assert find_code(asked) is CODES["can-id-duplicate"]
-    assert explain(asked).startswith("# TV501 can-id-duplicate\n")
+@pytest.mark.parametrize("number_or_name", ["TV501", "tv501", "501", "can-id-duplicate", " TV501 "])
+def test_codes_are_found_by_number_and_by_name(number_or_name: str) -> None:
+    assert find_code(number_or_name) is CODES["can-id-duplicate"]
+    assert explain(number_or_name).startswith("# TV501 can-id-duplicate\n")
 
 
 @pytest.mark.parametrize(
-    ("asked", "hint"),
+    ("name", "hint"),
     [
         ("can-id-duplicat", "`can-id-duplicate`"),
         ("Mount_Not_Fre", "`mount-not-free`"),
         ("zzzzzzzzz", None),
     ],
 )
-def test_unknown_codes_get_a_hint(asked: str, hint: str | None) -> None:
+def test_unknown_codes_get_a_hint(name: str, hint: str | None) -> None:
     with pytest.raises(UnknownCode) as caught:
-        explain(asked)
-    assert asked in str(caught.value)
+        explain(name)
+    assert name in str(caught.value)
     assert caught.value.hint == (f"did you mean {hint}?" if hint else None)

@@ -1,4 +1,4 @@
-"""Faults as values: codes, spans, the report that collects them, its renderers."""
+"""Diagnostics: codes, source spans, the report that collects them, and its renderers."""
 
 from thorvaldc.diagnostics.codes import CODES, Code
 from thorvaldc.diagnostics.report import Diagnostic, Label, Report, Severity, Span

@@ -1,8 +1,9 @@
-"""Every diagnostic code, in one table.
+"""Table of all diagnostic codes.
 
-1xx YAML, 2xx schema and units, 3xx references, 4xx geometry and physics,
-5xx bus, 6xx backends, 7xx library and extras, 8xx runtime, 9xx files and import.
-A number is never reused.  ``docs/diagnostics/<number>.md`` explains each.
+The first digit is the subject: 1 YAML, 2 schema and units, 3 references, 4 geometry and
+physics, 5 CAN bus, 6 backends, 7 library and extras, 8 runtime, simulation and
+commissioning, 9 files and import.  A number is never reused.
+``docs/diagnostics/<number>.md`` explains each code.
 """
 
 from __future__ import annotations
@@ -12,431 +13,416 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Stable number (``TV501``), name (``can-id-duplicate``), severity and meaning.
+    """A diagnostic code: stable number (``TV501``), name (``can-id-duplicate``) and summary.
 
-    ``outside``: nothing in a file is wrong but something in the world; the exit status is 3.
+    ``outside``: the cause is outside the input files (bus, other programs); the exit
+    status is then 3.
     """
 
     number: str
     name: str
     severity: str  # "error", "warning" or "note"
-    meaning: str
+    summary: str
     outside: bool = False
 
 
+def _error(number: str, name: str, summary: str, outside: bool = False) -> Code:
+    return Code(number, name, "error", summary, outside)
+
+
+def _warning(number: str, name: str, summary: str) -> Code:
+    return Code(number, name, "warning", summary)
+
+
+def _note(number: str, name: str, summary: str) -> Code:
+    return Code(number, name, "note", summary)
+
+
 _TABLE: tuple[Code, ...] = (
-    # -- 1xx: YAML -----------------------------------------------------------
-    Code("TV101", "yaml-syntax", "error", "the text is not YAML"),
-    Code("TV102", "yaml-encoding", "error", "the file is not UTF-8 text"),
-    Code("TV103", "yaml-character", "error", "the text has a character that YAML does not allow"),
-    Code("TV104", "yaml-empty", "error", "the document says nothing"),
-    Code("TV105", "yaml-several-documents", "error", "the file holds more than one document"),
-    Code("TV106", "yaml-duplicate-key", "error", "a key occurs twice in one mapping"),
-    Code("TV107", "yaml-key-not-text", "error", "a key of a mapping is not text"),
-    Code("TV108", "yaml-merge-key", "error", "a merge key (<<) is used; YAML 1.2 has none"),
-    Code("TV109", "yaml-tag", "error", "a value carries a YAML tag"),
-    Code(
+    # 1xx: YAML
+    _error("TV101", "yaml-syntax", "the text is not YAML"),
+    _error("TV102", "yaml-encoding", "the file is not encoded in UTF-8"),
+    _error("TV103", "yaml-character", "the text contains a character that YAML does not allow"),
+    _error("TV104", "yaml-empty", "the document is empty"),
+    _error("TV105", "yaml-several-documents", "the file contains more than one document"),
+    _error("TV106", "yaml-duplicate-key", "a mapping contains the same key twice"),
+    _error("TV107", "yaml-key-not-text", "a key of a mapping is not text"),
+    _error(
+        "TV108",
+        "yaml-merge-key",
+        "the document uses a merge key (<<), which YAML 1.2 does not have",
+    ),
+    _error("TV109", "yaml-tag", "a value has a YAML tag"),
+    _error(
         "TV110",
         "yaml-ambiguous-word",
-        "error",
-        "an unquoted on, off, yes or no: a truth value to some readers, text to others",
+        "an unquoted on, off, yes or no: YAML readers disagree on its meaning",
     ),
-    Code(
+    _error(
         "TV111",
         "yaml-leading-zero",
-        "error",
-        "a number starts with 0: octal to some readers, decimal to others",
+        "a number starts with 0: YAML readers disagree whether it is octal",
     ),
-    Code("TV112", "yaml-not-finite", "error", "a number is infinite or not a number"),
-    Code("TV113", "yaml-number-range", "error", "a number is too large to be represented"),
-    Code("TV114", "yaml-too-deep", "error", "the document is nested too deeply"),
-    Code(
-        "TV115",
-        "yaml-too-many-values",
-        "error",
-        "the document has too many values, aliases expanded",
+    _error("TV112", "yaml-not-finite", "a number is infinite or not a number"),
+    _error("TV113", "yaml-number-range", "a number is too large for 64 bits"),
+    _error("TV114", "yaml-too-deep", "the document is nested too deeply"),
+    _error(
+        "TV115", "yaml-too-many-values", "the document contains too many values, aliases expanded"
     ),
-    Code("TV116", "yaml-recursive-alias", "error", "an alias refers to a value that contains it"),
-    Code("TV117", "yaml-tab", "error", "a tab stands where only spaces may indent"),
-    Code("TV118", "yaml-file-too-large", "error", "the file is larger than a document may be"),
-    # -- 2xx: schema and units -----------------------------------------------
-    Code("TV201", "unknown-key", "error", "a key that the document's schema does not have"),
-    Code("TV202", "missing-key", "error", "a required key is missing"),
-    Code(
-        "TV203",
-        "wrong-type",
-        "error",
-        "a value of the wrong kind, such as a list in place of a mapping",
+    _error("TV116", "yaml-recursive-alias", "an alias refers to a value that contains the alias"),
+    _error("TV117", "yaml-tab", "a tab is used for indentation; YAML allows only spaces"),
+    _error("TV118", "yaml-file-too-large", "the file exceeds the size limit of a document"),
+    # 2xx: schema and units
+    _error("TV201", "unknown-key", "the schema does not define a key"),
+    _error("TV202", "missing-key", "a required key is missing"),
+    _error(
+        "TV203", "wrong-type", "a value has the wrong type, such as a list instead of a mapping"
     ),
-    Code("TV204", "bad-id", "error", "a name that is not a lower-case id"),
-    Code("TV205", "unknown-value", "error", "a value that is not one of those allowed"),
-    Code("TV206", "out-of-range", "error", "a number outside the range that is allowed"),
-    Code("TV207", "wrong-length", "error", "a list with the wrong number of elements"),
-    Code(
+    _error("TV204", "bad-id", "a name is not a valid id (lower-case letters, digits, `_`)"),
+    _error("TV205", "unknown-value", "a value is not one of the allowed values"),
+    _error("TV206", "out-of-range", "a number is outside the allowed range"),
+    _error("TV207", "wrong-length", "a list has the wrong number of elements"),
+    _error(
         "TV208",
         "conflicting-keys",
-        "error",
-        "keys that exclude each other, or none where one is needed",
+        "keys exclude each other, or none of a required choice is set",
     ),
-    Code(
-        "TV209",
-        "language-version",
-        "error",
-        "a version of the language that this compiler does not know",
+    _error(
+        "TV209", "language-version", "the compiler does not support this version of the language"
     ),
-    Code("TV210", "bad-quantity", "error", "text that is not a number with a unit"),
-    Code("TV211", "wrong-dimension", "error", "a quantity of the wrong dimension"),
-    Code(
-        "TV212",
-        "expression-not-allowed",
-        "error",
-        "an expression where the document must give a value",
+    _error("TV210", "bad-quantity", "a text is not a number with a unit"),
+    _error("TV211", "wrong-dimension", "a quantity has the wrong dimension"),
+    _error("TV212", "expression-not-allowed", "this kind of document does not allow expressions"),
+    _error("TV213", "expression-syntax", "an expression has a syntax error"),
+    _error("TV214", "expression-name", "an expression uses an unknown name"),
+    _error(
+        "TV215", "expression-value", "an expression has no valid result, such as a division by zero"
     ),
-    Code("TV213", "expression-syntax", "error", "an expression that cannot be read"),
-    Code("TV214", "expression-name", "error", "an expression uses a name that is not known"),
-    Code(
-        "TV215",
-        "expression-value",
-        "error",
-        "an expression has no usable value, such as a division by zero",
-    ),
-    Code("TV216", "expression-cycle", "error", "a value needs itself"),
-    Code(
+    _error("TV216", "expression-cycle", "a value depends on itself"),
+    _warning(
         "TV217",
         "angle-in-radians",
-        "warning",
-        "an angle without a unit is more than a full turn: degrees may be meant",
+        "an angle without a unit exceeds a full turn: degrees may be meant",
     ),
-    Code("TV218", "other-document", "error", "the document is of another kind"),
-    # -- 3xx: references -----------------------------------------------------
-    Code("TV301", "module-type-unknown", "error", "a module has a type that no library has"),
-    Code("TV302", "module-unknown", "error", "a reference names a module that is not there"),
-    Code("TV303", "port-unknown", "error", "a reference names a port that a module does not have"),
-    Code(
-        "TV304", "motor-unknown", "error", "a reference names a motor that a module does not have"
+    _error("TV218", "other-document", "the file is another kind of document"),
+    # 3xx: references
+    _error("TV301", "module-type-unknown", "no library contains the type of a module"),
+    _error("TV302", "module-unknown", "a reference names an unknown module"),
+    _error("TV303", "port-unknown", "a reference names an unknown port of a module"),
+    _error("TV304", "motor-unknown", "a reference names an unknown motor of a module"),
+    _error("TV305", "port-kind", "a module does not fit the kind of port that it is mounted on"),
+    _error("TV306", "root-missing", "a robot or an assembly has no root module"),
+    _error("TV307", "root-ambiguous", "more than one module has no mount"),
+    _error("TV308", "mount-cycle", "modules are mounted on each other in a cycle"),
+    _error(
+        "TV309",
+        "mount-not-free",
+        "a module is mounted without a port on one that requires a port",
     ),
-    Code(
-        "TV305",
-        "port-kind",
-        "error",
-        "a module is mounted on a port of a kind that it does not fit",
+    _error(
+        "TV310",
+        "mount-without-hardware",
+        "a module without links is mounted",
     ),
-    Code("TV306", "root-missing", "error", "no module of a robot or an assembly is its root"),
-    Code("TV307", "root-ambiguous", "error", "more than one module has no mount"),
-    Code(
-        "TV308", "mount-cycle", "error", "modules are mounted on one another and not on the frame"
+    _error("TV311", "param-unknown", "a parameter is set that the module does not have"),
+    _error("TV312", "param-missing", "a required parameter is not set"),
+    _error("TV313", "param-range", "a parameter is outside its range or its choices"),
+    _error("TV314", "module-category", "a selected module has the wrong category"),
+    _warning(
+        "TV315", "default-unused", "defaults are set for a category that the robot does not use"
     ),
-    Code(
-        "TV309", "mount-not-free", "error", "a module is placed freely on one that has only ports"
-    ),
-    Code("TV310", "mount-without-hardware", "error", "something that has no body is mounted"),
-    Code("TV311", "param-unknown", "error", "a parameter is set that the module does not have"),
-    Code("TV312", "param-missing", "error", "a parameter without a default is not set"),
-    Code("TV313", "param-range", "error", "a parameter is outside of its range or choices"),
-    Code(
-        "TV314", "module-category", "error", "a chosen module is of another category than is wanted"
-    ),
-    Code(
-        "TV315",
-        "default-unused",
-        "warning",
-        "defaults are given for a category that the robot does not have",
-    ),
-    Code(
+    _error(
         "TV316",
         "can-without-device",
-        "error",
-        "an address or channels are given to what is no device",
+        "a module that is not a CAN device has an address or channels",
     ),
-    Code("TV317", "name-twice", "error", "two links or joints come out with one name"),
-    Code("TV318", "assembly-recursive", "error", "an assembly contains itself"),
-    Code("TV319", "link-unknown", "error", "a module names a link that it does not have"),
-    Code("TV320", "joint-unknown", "error", "a motor names a joint that its module does not have"),
-    Code("TV321", "link-two-parents", "error", "a link is the child of two joints"),
-    Code("TV322", "link-unconnected", "error", "a link hangs on nothing"),
-    Code("TV323", "calculator-unknown", "error", "there is no base calculator of that name"),
-    Code("TV324", "fleet-robot-missing", "error", "a fleet names a robot file that is not there"),
-    Code("TV325", "fleet-in-fleet", "error", "a fleet names another fleet as a robot"),
-    Code("TV326", "too-many-parts", "error", "a module or a robot has more parts than are read"),
-    Code("TV327", "parameter-set-radii", "error", "a parameter set names radii no wheel has"),
-    Code("TV328", "fleet-name-twice", "error", "two robots of a fleet have one name"),
-    Code("TV340", "calibration-missing", "error", "a robot names a calibration that is not there"),
-    Code("TV341", "calibration-wheel", "error", "a calibration is of a wheel the robot lacks"),
-    Code("TV342", "calibration-robot", "warning", "a calibration is of a robot of another name"),
-    Code("TV350", "scenario-robots-missing", "error", "a scenario has no robots"),
-    Code("TV351", "scenario-robot-unknown", "error", "a scenario names a robot it does not have"),
-    Code("TV352", "scenario-wheel-unknown", "error", "a fault is of a wheel the robot lacks"),
-    # -- 4xx: geometry and physics -------------------------------------------
-    Code("TV401", "link-massless", "error", "a link that moves has no mass"),
-    Code("TV402", "inertia-impossible", "error", "an inertia is that of no body"),
-    Code("TV403", "no-wheels", "error", "a robot has no wheels"),
-    Code("TV404", "no-drive", "warning", "no wheel is driven"),
-    Code("TV405", "wheel-off-ground", "error", "a wheel does not reach the ground"),
-    Code("TV406", "wheels-overlap", "error", "two wheels are in one place"),
-    Code("TV407", "unstable", "error", "the robot falls over by itself"),
-    Code(
-        "TV408", "tip-over", "warning", "the robot tips over at a smaller angle than is asked for"
+    _error("TV317", "name-twice", "two links or two joints have the same name"),
+    _error("TV318", "assembly-recursive", "an assembly contains itself"),
+    _error("TV319", "link-unknown", "a module names a link that it does not have"),
+    _error("TV320", "joint-unknown", "a motor names a joint that its module does not have"),
+    _error("TV321", "link-two-parents", "a link is the child of two joints"),
+    _error("TV322", "link-unconnected", "a link is not connected to the root link of its module"),
+    _error("TV323", "calculator-unknown", "no base calculator has this name"),
+    _error("TV324", "fleet-robot-missing", "a fleet names a robot file that does not exist"),
+    _error("TV325", "fleet-in-fleet", "a fleet names another fleet as a robot"),
+    _error(
+        "TV326", "too-many-parts", "a module or a robot exceeds the limit for its number of parts"
     ),
-    Code("TV409", "wheel-unloaded", "warning", "a wheel carries no load"),
-    Code("TV410", "steering-range", "warning", "a steering cannot reach every direction"),
-    Code("TV411", "no-free-motion", "error", "fixed wheels block one another"),
-    Code("TV412", "twist-uncontrolled", "error", "the wheels do not determine the robot's motion"),
-    Code("TV413", "skid-steering", "warning", "the robot can turn only by skidding"),
-    Code(
+    _error("TV327", "parameter-set-radii", "a parameter set names radii that no wheel has"),
+    _error("TV328", "fleet-name-twice", "two robots of a fleet have the same name"),
+    _error("TV340", "calibration-missing", "a robot names a calibration file that does not exist"),
+    _error(
+        "TV341", "calibration-wheel", "a calibration names a wheel that the robot does not have"
+    ),
+    _warning("TV342", "calibration-robot", "a calibration names another robot"),
+    _error("TV350", "scenario-robots-missing", "a scenario has no robots"),
+    _error(
+        "TV351", "scenario-robot-unknown", "a scenario refers to a robot that it does not contain"
+    ),
+    _error(
+        "TV352",
+        "scenario-wheel-unknown",
+        "an injected fault names a wheel that the robot does not have",
+    ),
+    # 4xx: geometry and physics
+    _error("TV401", "link-massless", "a moving link has no mass"),
+    _error("TV402", "inertia-impossible", "no rigid body can have this inertia"),
+    _error("TV403", "no-wheels", "a robot has no wheels"),
+    _warning("TV404", "no-drive", "no wheel has a drive motor"),
+    _error("TV405", "wheel-off-ground", "a wheel does not reach the ground"),
+    _error("TV406", "wheels-overlap", "two wheels overlap"),
+    _error("TV407", "unstable", "the robot falls over on level ground"),
+    _warning("TV408", "tip-over", "the robot tips over below the required slope angle"),
+    _warning("TV409", "wheel-unloaded", "a wheel carries no load"),
+    _warning("TV410", "steering-range", "a steering joint cannot reach every direction"),
+    _error("TV411", "no-free-motion", "the fixed wheels block each other"),
+    _error("TV412", "twist-uncontrolled", "the wheels do not determine the robot's motion"),
+    _warning("TV413", "skid-steering", "the robot can turn only by skidding"),
+    _error(
         "TV414",
         "slope-too-steep",
-        "error",
-        "the motors or the grip are too weak for the stated slope",
+        "motors or wheel friction are too weak for the required slope",
     ),
-    Code(
+    _error(
         "TV415",
         "frame-height",
-        "error",
-        "the stated height of the frame is not what the wheels give",
+        "the given frame height differs from the height that the wheels give",
     ),
-    Code(
+    _warning(
         "TV416",
         "driver-limit-too-high",
-        "warning",
-        "a limit of the driver is above what the modules allow",
+        "a limit of the base driver exceeds what the modules allow",
     ),
-    Code("TV417", "mass-negative", "error", "a mass is negative"),
-    Code("TV418", "inertia-unknown", "error", "a mass has no shape to have an inertia from"),
-    Code("TV419", "size-not-positive", "error", "a size, a speed or a ratio is not positive"),
-    Code("TV420", "axis-zero", "error", "the axis of a joint has no direction"),
-    Code("TV421", "joint-limit-missing", "error", "a revolute or prismatic joint lacks a limit"),
-    Code(
-        "TV422",
-        "joint-limits-reversed",
-        "error",
-        "the lower limit of a joint is not below the upper",
+    _error("TV417", "mass-negative", "a mass is negative"),
+    _error("TV418", "inertia-unknown", "a mass has no shape from which an inertia can be computed"),
+    _error("TV419", "size-not-positive", "a size, a speed or a ratio is not positive"),
+    _error("TV420", "axis-zero", "the axis of a joint has length zero"),
+    _error("TV421", "joint-limit-missing", "a revolute or prismatic joint has no limit"),
+    _error(
+        "TV422", "joint-limits-reversed", "the lower limit of a joint is not below the upper limit"
     ),
-    Code("TV423", "wheel-does-not-spin", "error", "a wheel hangs on no joint that turns it"),
-    Code("TV424", "wheel-lies-flat", "error", "a wheel spins about a vertical axis"),
-    Code("TV425", "steering-axis-tilted", "error", "a steering axis is far off the vertical"),
-    Code(
-        "TV426",
-        "color-unknown",
-        "error",
-        "a colour is neither in the palette nor of the form #rrggbb",
+    _error("TV423", "wheel-does-not-spin", "no joint turns a wheel about its axis"),
+    _error("TV424", "wheel-lies-flat", "a wheel spins about a vertical axis"),
+    _error("TV425", "steering-axis-tilted", "a steering axis is far from vertical"),
+    _error("TV426", "color-unknown", "a colour is neither in the palette nor of the form #rrggbb"),
+    _error("TV427", "number-out-of-range", "a number is outside the range that a robot can have"),
+    _error("TV428", "motor-joint", "a motor cannot drive its joint"),
+    _warning("TV429", "part-below-ground", "a part of the robot is below the ground"),
+    _warning("TV430", "fleet-overlap", "two robots of a fleet overlap at the start"),
+    _error("TV431", "driver-cycle", "the cycle or time-out of the base driver is not possible"),
+    _error("TV440", "calibration-value", "a calibration contains an impossible value"),
+    # 5xx: CAN bus
+    _error(
+        "TV501", "can-id-duplicate", "two devices of the same id space use the same id on a bus"
     ),
-    Code("TV427", "number-out-of-range", "error", "a number is beyond what a robot can have"),
-    Code("TV428", "motor-joint", "error", "a motor is on a joint that it cannot drive"),
-    Code("TV429", "part-below-ground", "warning", "a part of the robot reaches below the ground"),
-    Code("TV430", "fleet-overlap", "warning", "two robots of a fleet stand in one place"),
-    Code("TV431", "driver-cycle", "error", "the base driver's cycle or time-out cannot be kept"),
-    Code("TV440", "calibration-value", "error", "a calibration holds an impossible value"),
-    # -- 5xx: bus ------------------------------------------------------------
-    Code(
-        "TV501",
-        "can-id-duplicate",
-        "error",
-        "two devices of one id space have the same id on a bus",
-    ),
-    Code("TV502", "can-id-range", "error", "an id is not among those that the device can have"),
-    Code(
-        "TV503",
-        "can-ids-exhausted",
-        "error",
-        "no id is left for a device whose id is chosen automatically",
-    ),
-    Code("TV504", "can-bus-unknown", "error", "a device is on a bus that the robot does not have"),
-    Code(
-        "TV505",
-        "can-address-unused",
-        "warning",
-        "a module has an address, but no device on the bus",
-    ),
-    Code("TV506", "can-serial-duplicate", "error", "two devices have the same serial number"),
-    Code(
+    _error("TV502", "can-id-range", "an id is outside the range of the device"),
+    _error("TV503", "can-ids-exhausted", "no id is free for a device with an automatic id"),
+    _error("TV504", "can-bus-unknown", "a device is on a bus that the robot does not have"),
+    _warning("TV505", "can-address-unused", "a module has an address, but no device on the bus"),
+    _error("TV506", "can-serial-duplicate", "two devices have the same serial number"),
+    _error(
         "TV507",
         "can-serial-format",
-        "error",
-        "the serial number of a device with LSS is no number of 32 bits",
+        "the serial number of a device with LSS is not a 32-bit number",
     ),
-    Code("TV508", "can-lock-invalid", "error", "a lock file is not one, or was damaged"),
-    Code("TV509", "can-lock-conflict", "error", "an id in the lock file cannot be"),
-    Code("TV510", "can-cob-id-conflict", "error", "two frames on a bus have the same COB-ID"),
-    Code(
-        "TV511",
-        "can-cob-id-restricted",
-        "error",
-        "a frame has a COB-ID that CANopen keeps for itself",
+    _error("TV508", "can-lock-invalid", "a lock file is invalid"),
+    _error("TV509", "can-lock-conflict", "an id in the lock file is not possible"),
+    _error("TV510", "can-cob-id-conflict", "two frames on a bus have the same COB-ID"),
+    _error("TV511", "can-cob-id-restricted", "a frame uses a COB-ID that CANopen reserves"),
+    _error("TV512", "can-cob-id-range", "a COB-ID does not fit into 11 bits"),
+    _error("TV513", "can-name-conflict", "two frames or two devices on a bus have the same name"),
+    _warning(
+        "TV514", "can-lock-unused", "the lock file and the robot file give a device different ids"
     ),
-    Code("TV512", "can-cob-id-range", "error", "a COB-ID does not fit into 11 bits"),
-    Code(
-        "TV513",
-        "can-name-conflict",
-        "error",
-        "two frames or devices on a bus have the same name",
-    ),
-    Code(
-        "TV514",
-        "can-lock-unused",
-        "warning",
-        "the lock file has another id for a device than the robot's file",
-    ),
-    Code("TV515", "can-lock-unwritable", "warning", "the lock file cannot be written"),
-    Code("TV520", "can-frame-length", "error", "a frame is longer than 8 bytes"),
-    Code("TV521", "can-signal-bounds", "error", "a signal lies outside its frame"),
-    Code("TV522", "can-signal-overlap", "error", "two signals of a frame share bits"),
-    Code("TV523", "can-multiplexer", "error", "the multiplexing of a frame does not work out"),
-    Code("TV524", "can-choice-range", "error", "a named value does not fit into its signal"),
-    Code("TV525", "can-scale", "error", "a signal cannot carry the whole range of its joint"),
-    Code("TV526", "can-period", "error", "the period of a frame is not positive"),
-    Code(
-        "TV527",
-        "can-pdo-mapping",
-        "error",
-        "the objects in a PDO do not make up its frame",
-    ),
-    Code("TV528", "can-object-range", "error", "a value does not fit into its object"),
-    Code("TV529", "can-object-duplicate", "error", "an object of a node is given twice"),
-    Code(
+    _warning("TV515", "can-lock-unwritable", "the lock file cannot be written"),
+    _error("TV520", "can-frame-length", "a frame is longer than 8 bytes"),
+    _error("TV521", "can-signal-bounds", "a signal is outside its frame"),
+    _error("TV522", "can-signal-overlap", "two signals of a frame overlap"),
+    _error("TV523", "can-multiplexer", "the multiplexing of a frame is inconsistent"),
+    _error("TV524", "can-choice-range", "a named value does not fit into its signal"),
+    _error("TV525", "can-scale", "a signal cannot represent the whole range of its joint"),
+    _error("TV526", "can-period", "the period of a frame is not positive"),
+    _error("TV527", "can-pdo-mapping", "the mapped objects of a PDO do not match its frame"),
+    _error("TV528", "can-object-range", "a value does not fit into its object"),
+    _error("TV529", "can-object-duplicate", "an object of a node is defined twice"),
+    _error(
         "TV530",
         "can-bitrate",
-        "error",
-        "a bus has a bitrate that a device on it cannot do, or none",
+        "a device does not support the bitrate of its bus",
     ),
-    Code(
-        "TV531",
-        "can-overload",
-        "error",
-        "the periodic frames take more of the bus than is safe",
+    _error(
+        "TV531", "can-overload", "the load of the periodic frames exceeds the safe limit of the bus"
     ),
-    Code("TV532", "can-load", "warning", "the periodic frames take more than half of the bus"),
-    Code("TV533", "can-deadline", "error", "a frame can come later than its deadline"),
-    Code(
-        "TV534",
-        "can-heartbeat-consumer",
-        "error",
-        "a CiA 402 drive does not watch the master's heartbeat",
+    _warning("TV532", "can-load", "the periodic frames use more than half of the bus"),
+    _error("TV533", "can-deadline", "a frame can arrive after its deadline"),
+    _error(
+        "TV534", "can-heartbeat-consumer", "a CiA 402 drive does not monitor the master's heartbeat"
     ),
-    Code(
-        "TV535",
-        "can-heartbeat-time",
-        "error",
-        "a heartbeat is waited for less than twice as long as its period",
+    _error(
+        "TV535", "can-heartbeat-time", "the time-out of a heartbeat is less than twice its period"
     ),
-    Code("TV536", "can-bitrate-chosen", "note", "a bus gets a higher bitrate than the default"),
-    Code("TV540", "channel-unknown", "error", "a controller has no channel of that name"),
-    Code("TV542", "motor-conflict", "error", "one motor is on two channels"),
-    Code("TV543", "channel-role", "error", "a channel is for another kind of motor"),
-    Code("TV544", "motor-without-controller", "warning", "a motor is on no controller's channel"),
-    Code("TV545", "robot-without-controller", "note", "no motor of the robot has a controller"),
-    Code("TV546", "controller-without-motor", "warning", "a controller drives no motor"),
-    # -- 6xx: backends -------------------------------------------------------
-    Code("TV601", "urdf-only-element", "note", "an element of an extra goes to URDF only"),
-    Code("TV602", "mjcf-name-reserved", "warning", "MuJoCo keeps the name of a link for itself"),
-    Code("TV620", "dbc-text", "warning", "a text has characters that a DBC file cannot hold"),
-    # -- 7xx: library and extras ---------------------------------------------
-    Code("TV701", "library-missing", "error", "a library folder is not there"),
-    Code("TV730", "mesh-missing", "error", "a mesh file does not exist or cannot be read"),
-    Code("TV731", "mesh-format", "error", "a mesh file has a format that is not read"),
-    Code("TV732", "mesh-invalid", "error", "a mesh file is broken, empty or not finite"),
-    Code("TV733", "mesh-size", "warning", "a mesh is so large that its unit must be wrong"),
-    Code("TV734", "mesh-large", "error", "a mesh has more triangles or bytes than are read"),
-    Code("TV740", "extra-missing", "error", "a xacro file does not exist"),
-    Code("TV741", "extra-xml", "error", "a xacro file is not well-formed XML or no robot"),
-    Code("TV742", "extra-expansion", "error", "xacro cannot expand a file"),
-    Code("TV743", "extra-limit", "error", "a xacro file takes too much time, memory or room"),
-    Code("TV744", "extra-package", "error", "a ROS package that an extra asks for is not found"),
-    Code("TV745", "extra-empty", "warning", "a xacro file adds nothing"),
-    Code("TV746", "extra-argument", "error", "an extra lacks an argument that its file needs"),
-    Code("TV747", "extra-argument-unused", "warning", "an extra gives an argument nobody asks for"),
-    Code("TV748", "extra-element", "error", "an element of an extra lacks what URDF requires"),
-    Code("TV749", "extra-number", "error", "a number in an extra is not one or out of range"),
-    Code("TV750", "extra-name-duplicate", "error", "a link or joint of an extra exists already"),
-    Code("TV751", "extra-link-unknown", "error", "a joint of an extra names what does not exist"),
-    Code("TV752", "extra-two-parents", "error", "a link of an extra has two parents"),
-    Code("TV753", "extra-cycle", "error", "links of an extra hang on one another"),
-    Code("TV754", "extra-joint-type", "error", "a joint of an extra has a type the model lacks"),
-    Code("TV755", "extra-joint-limits", "error", "a joint of an extra has impossible limits"),
-    Code("TV756", "extra-inertia", "error", "a link of an extra has an impossible mass or inertia"),
-    Code("TV757", "extra-massless", "error", "a moving link of an extra has no mass"),
-    Code("TV758", "extra-left-out", "warning", "an element or attribute of an extra is left out"),
-    Code("TV759", "extra-parent", "error", "an extra hangs on what does not exist"),
-    Code(
-        "TV760", "extra-placement-unused", "warning", "an extra's parent, xyz, rpy have no effect"
+    _note("TV536", "can-bitrate-chosen", "the compiler selected a bitrate above the default"),
+    _error("TV540", "channel-unknown", "a controller has no channel with this name"),
+    _error("TV542", "motor-conflict", "one motor is connected to two channels"),
+    _error("TV543", "channel-role", "a channel is for another kind of motor"),
+    _warning("TV544", "motor-without-controller", "a motor is not connected to a controller"),
+    _note(
+        "TV545", "robot-without-controller", "no motor of the robot is connected to a controller"
     ),
-    Code("TV761", "extra-material", "warning", "an extra uses a material that is not defined"),
-    Code("TV762", "extra-warning", "warning", "xacro warns about an extra"),
-    # -- 8xx: runtime --------------------------------------------------------
-    Code("TV801", "calculator-unsuited", "error", "the base calculator cannot drive such a robot"),
-    Code("TV802", "calculator-option", "error", "an option of the base calculator is wrong"),
-    Code("TV803", "simulation-scene", "error", "the generated scene cannot be simulated"),
-    Code("TV804", "simulation-tipped", "error", "the robot fell over in the simulation"),
-    Code("TV805", "simulation-diverged", "error", "the simulation left all bounds"),
-    Code("TV806", "twist-invalid", "error", "a velocity command is not a finite motion"),
-    Code(
-        "TV807",
-        "steering-unreachable",
-        "warning",
-        "wheels could not be steered to the asked motion",
+    _warning("TV546", "controller-without-motor", "a controller drives no motor"),
+    # 6xx: backends
+    _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
+    _warning("TV602", "mjcf-name-reserved", "the name of a link is reserved in MJCF"),
+    _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),
+    # 7xx: library and extras
+    _error("TV701", "library-missing", "a library folder does not exist"),
+    _error("TV730", "mesh-missing", "a mesh file does not exist or cannot be read"),
+    _error("TV731", "mesh-format", "the format of a mesh file is not supported"),
+    _error("TV732", "mesh-invalid", "a mesh file is broken, empty or not finite"),
+    _warning("TV733", "mesh-size", "a mesh is very large: its unit is probably wrong"),
+    _error("TV734", "mesh-large", "a mesh exceeds the limit for triangles or bytes"),
+    _error("TV740", "extra-missing", "a xacro file does not exist"),
+    _error("TV741", "extra-xml", "a xacro file is not well-formed XML, or has no <robot> element"),
+    _error("TV742", "extra-expansion", "xacro cannot expand a file"),
+    _error(
+        "TV743",
+        "extra-limit",
+        "the expansion of a xacro file exceeds a limit on time, memory or size",
     ),
-    Code("TV808", "twist-infeasible", "warning", "fixed wheels do not allow the asked motion"),
-    Code("TV809", "model-unreadable", "error", "a model file cannot be read"),
-    Code("TV810", "parameter-set-unknown", "error", "there is no parameter set of that name"),
-    Code("TV811", "parameter-set-scene", "warning", "a scene's wheels have other radii"),
-    Code("TV820", "expectation-failed", "error", "a run is not as its scenario expects"),
-    Code("TV821", "record-unreadable", "error", "a file is no record of a run, or broken"),
-    Code("TV822", "record-robot", "error", "a record is of other robots"),
-    Code("TV823", "record-value", "error", "a value of a record is no number, or its time is odd"),
-    Code("TV824", "record-truncated", "warning", "a record breaks off"),
-    Code("TV825", "record-incomplete", "error", "a record lacks what is to be made of it"),
-    Code("TV826", "script-log", "error", "a log holds no velocities for a script"),
-    Code("TV830", "joint-log-header", "error", "a file's first line is none of a joint log"),
-    Code("TV831", "joint-log-joint", "error", "a joint log has other joints than the robot"),
-    Code("TV832", "joint-log-value", "error", "a value of a joint log is not a finite number"),
-    Code("TV833", "joint-log-time", "error", "the time of a joint log does not go forward"),
-    Code("TV834", "joint-log-gap", "warning", "a joint log has gaps"),
-    Code("TV835", "joint-log-short", "error", "the robot hardly moves in a joint log"),
-    Code("TV836", "calibration-forced", "warning", "the wheels of a log only did as commanded"),
-    Code("TV837", "calibration-undetermined", "warning", "a log leaves open what wheels measure"),
-    Code("TV838", "calibration-distance", "error", "a measured distance does not fit the log"),
-    Code("TV839", "calibration-fit", "error", "no errors of the wheels explain a log"),
-    Code(
-        "TV841", "calibration-steering", "note", "a log's steering only confirms the robot's file"
+    _error("TV744", "extra-package", "a ROS package that an extra uses cannot be found"),
+    _warning("TV745", "extra-empty", "a xacro file adds nothing to the robot"),
+    _error("TV746", "extra-argument", "a required argument of a xacro file is missing"),
+    _warning(
+        "TV747", "extra-argument-unused", "an extra sets an argument that its file does not use"
     ),
-    Code("TV840", "hidden-error", "error", "a simulated wheel shall have an impossible error"),
-    Code("TV846", "variation-path", "error", "what shall vary is not in the scenario"),
-    Code("TV847", "variation-value", "error", "values to vary by cannot be understood"),
-    Code("TV848", "scenario-imu-missing", "warning", "a gyro has errors, and no robot has one"),
-    Code("TV849", "zone-under-robot", "error", "a robot starts within ground that rises"),
-    Code("TV850", "bus-missing", "error", "a robot without a bus is to be run on one"),
-    Code("TV851", "bus-fault-node", "error", "a fault is that of a device that is not there"),
-    Code("TV852", "bus-fault-unsuited", "error", "a device cannot have such a fault"),
-    Code("TV860", "bus-error", "error", "frames do not get through on a bus", outside=True),
-    Code("TV861", "bus-other-master", "error", "another master is on the bus", outside=True),
-    Code("TV862", "bus-wrong-robot", "error", "the devices on a bus are not the file's"),
-    Code("TV863", "bus-drive-enabled", "error", "a drive may move while the bus is set up"),
-    Code("TV864", "plan-impossible", "error", "there is no safe way to what is wanted of a bus"),
-    Code("TV865", "plan-changed", "error", "the bus is not as it was when it was planned"),
-    Code("TV866", "journal-mismatch", "error", "a journal is not that of what is asked for"),
-    Code("TV867", "journal-unreadable", "error", "a file is no journal, or cannot be written"),
-    Code("TV868", "flash-stopped", "error", "a step of a flash did not succeed", outside=True),
-    Code("TV869", "flash-ambiguous", "error", "a bus was changed by others during a flash"),
-    Code("TV870", "bus-locked", "error", "another program sets the bus up", outside=True),
-    Code("TV875", "bus-interface", "error", "the interface to a bus cannot be used", outside=True),
-    Code("TV876", "bus-driver-unknown", "error", "no driver knows how to talk to a controller"),
-    Code("TV877", "bus-motor-unconnected", "error", "a motor of the base is on no controller"),
-    Code("TV878", "bus-start", "error", "the robot on a bus cannot be started", outside=True),
-    Code("TV879", "bus-mismatch", "error", "what is on a bus is not what the robot's file says"),
-    Code("TV880", "bus-stopped", "error", "a fault has stopped the robot", outside=True),
-    Code("TV890", "twist-priority-duplicate", "error", "two sources of twists have one priority"),
-    # -- 9xx: files and import -----------------------------------------------
-    Code("TV901", "file-not-found", "error", "a file does not exist"),
-    Code("TV902", "file-is-a-directory", "error", "a folder was given where a file is wanted"),
-    Code("TV903", "file-unreadable", "error", "a file cannot be read"),
-    Code("TV930", "import-not-original", "error", "a file is none of the original system's"),
-    Code("TV931", "import-value", "error", "a value of an original file is not what it must be"),
-    Code("TV932", "import-missing", "error", "an original file lacks what is needed"),
-    Code("TV933", "import-node-duplicate", "error", "an original file gives a node id twice"),
-    Code("TV934", "import-reference", "error", "an original file names a drive that is not there"),
-    Code("TV935", "import-unknown-key", "warning", "a key of an original file is not known"),
-    Code("TV936", "import-left-out", "note", "a value of an original file has no place"),
-    Code("TV937", "import-assumed", "warning", "an original file left something open"),
-    Code("TV938", "import-duplicate-key", "warning", "a key occurs twice in an original file"),
+    _error(
+        "TV748",
+        "extra-element",
+        "an element of an extra lacks an element or attribute that URDF requires",
+    ),
+    _error("TV749", "extra-number", "a number in an extra is invalid or out of range"),
+    _error(
+        "TV750",
+        "extra-name-duplicate",
+        "a link or joint of an extra has a name that is already used",
+    ),
+    _error(
+        "TV751",
+        "extra-link-unknown",
+        "a joint of an extra refers to a link or joint that does not exist",
+    ),
+    _error("TV752", "extra-two-parents", "a link of an extra has two parents"),
+    _error("TV753", "extra-cycle", "the links of an extra form a cycle"),
+    _error(
+        "TV754", "extra-joint-type", "the model does not support the type of a joint of an extra"
+    ),
+    _error("TV755", "extra-joint-limits", "a joint of an extra has impossible limits"),
+    _error("TV756", "extra-inertia", "a link of an extra has an impossible mass or inertia"),
+    _error("TV757", "extra-massless", "a moving link of an extra has no mass"),
+    _warning("TV758", "extra-left-out", "an element or attribute of an extra is ignored"),
+    _error("TV759", "extra-parent", "the parent of an extra does not exist"),
+    _warning("TV760", "extra-placement-unused", "parent, xyz and rpy of an extra have no effect"),
+    _warning("TV761", "extra-material", "an extra uses an undefined material"),
+    _warning("TV762", "extra-warning", "xacro reports a warning about an extra"),
+    # 8xx: runtime, simulation and commissioning
+    _error("TV801", "calculator-unsuited", "the base calculator cannot drive this robot"),
+    _error("TV802", "calculator-option", "an option of the base calculator is invalid"),
+    _error("TV803", "simulation-scene", "the generated scene cannot be simulated"),
+    _error("TV804", "simulation-tipped", "the robot fell over in the simulation"),
+    _error("TV805", "simulation-diverged", "the simulation diverged"),
+    _error("TV806", "twist-invalid", "a velocity command is not finite"),
+    _warning("TV807", "steering-unreachable", "wheels cannot be steered to the commanded twist"),
+    _warning("TV808", "twist-infeasible", "fixed wheels do not allow the commanded twist"),
+    _error("TV809", "model-unreadable", "a model file cannot be read"),
+    _error("TV810", "parameter-set-unknown", "no parameter set has this name"),
+    _warning(
+        "TV811",
+        "parameter-set-scene",
+        "a parameter set and the scene have different wheel radii",
+    ),
+    _error("TV820", "expectation-failed", "a run does not meet an expectation of its scenario"),
+    _error("TV821", "record-unreadable", "a file is not a record of a run, or is damaged"),
+    _error("TV822", "record-robot", "a record is from other robots"),
+    _error(
+        "TV823",
+        "record-value",
+        "a value of a record is not a number, or its time does not increase",
+    ),
+    _warning("TV824", "record-truncated", "a record ends in the middle of a line"),
+    _error("TV825", "record-incomplete", "a record lacks the data for the requested output"),
+    _error("TV826", "script-log", "a log contains no velocities for a script"),
+    _error(
+        "TV830", "joint-log-header", "the first line of a file is not the header of a joint log"
+    ),
+    _error("TV831", "joint-log-joint", "the joints of a joint log differ from those of the robot"),
+    _error("TV832", "joint-log-value", "a value of a joint log is not a finite number"),
+    _error("TV833", "joint-log-time", "the time of a joint log does not increase"),
+    _warning("TV834", "joint-log-gap", "a joint log has gaps"),
+    _error("TV835", "joint-log-short", "the robot hardly moves in a joint log"),
+    _warning(
+        "TV836",
+        "calibration-forced",
+        "the controllers forced the wheels of a log to their commands",
+    ),
+    _warning(
+        "TV837",
+        "calibration-undetermined",
+        "a log does not determine some dimensions of the wheels",
+    ),
+    _error("TV838", "calibration-distance", "a measured distance does not agree with the log"),
+    _error("TV839", "calibration-fit", "no wheel errors explain a log"),
+    _error("TV840", "hidden-error", "the hidden error of a simulated wheel is impossible"),
+    _note("TV841", "calibration-steering", "the steering of a log only confirms the robot file"),
+    _error("TV846", "variation-path", "the scenario does not contain the value to vary"),
+    _error("TV847", "variation-value", "the values of a variation are invalid"),
+    _warning(
+        "TV848", "scenario-imu-missing", "a scenario sets gyro errors, but no robot has a gyro"
+    ),
+    _error("TV849", "zone-under-robot", "a robot starts inside raised ground"),
+    _error("TV850", "bus-missing", "a robot without a bus cannot run on a bus"),
+    _error("TV851", "bus-fault-node", "an injected fault names a device that does not exist"),
+    _error("TV852", "bus-fault-unsuited", "a device does not support an injected fault"),
+    _error("TV860", "bus-error", "CAN frames are not transmitted on a bus", outside=True),
+    _error("TV861", "bus-other-master", "another master is active on the bus", outside=True),
+    _error("TV862", "bus-wrong-robot", "the devices on a bus differ from the robot file"),
+    _error("TV863", "bus-drive-enabled", "a drive can move during the configuration of the bus"),
+    _error(
+        "TV864", "plan-impossible", "no safe sequence of steps leads to the requested configuration"
+    ),
+    _error("TV865", "plan-changed", "the bus changed after the plan was made"),
+    _error("TV866", "journal-mismatch", "a journal belongs to another operation"),
+    _error(
+        "TV867", "journal-unreadable", "a file is not a journal, or the journal cannot be written"
+    ),
+    _error("TV868", "flash-stopped", "a step of a flash failed", outside=True),
+    _error("TV869", "flash-ambiguous", "another program changed the bus during a flash"),
+    _error("TV870", "bus-locked", "another program is configuring the bus", outside=True),
+    _error("TV875", "bus-interface", "the CAN interface cannot be used", outside=True),
+    _error("TV876", "bus-driver-unknown", "no driver supports the protocol of a controller"),
+    _error(
+        "TV877", "bus-motor-unconnected", "a motor of the base is not connected to a controller"
+    ),
+    _error("TV878", "bus-start", "the robot on a bus cannot start", outside=True),
+    _error("TV879", "bus-mismatch", "the devices on a bus do not match the robot file"),
+    _error("TV880", "bus-stopped", "a fault stopped the robot", outside=True),
+    _error("TV890", "twist-priority-duplicate", "two twist sources have the same priority"),
+    # 9xx: files and import
+    _error("TV901", "file-not-found", "a file does not exist"),
+    _error("TV902", "file-is-a-directory", "a folder is given instead of a file"),
+    _error("TV903", "file-unreadable", "a file cannot be read"),
+    _error(
+        "TV930", "import-not-original", "a file is not a configuration file of the original system"
+    ),
+    _error("TV931", "import-value", "a value of an original file is invalid"),
+    _error("TV932", "import-missing", "an original file lacks a required value"),
+    _error("TV933", "import-node-duplicate", "an original file uses a node id twice"),
+    _error("TV934", "import-reference", "an original file refers to a drive that does not exist"),
+    _warning("TV935", "import-unknown-key", "an original file contains an unknown key"),
+    _note("TV936", "import-left-out", "a value of an original file cannot be converted"),
+    _warning(
+        "TV937", "import-assumed", "the import assumes a value that an original file does not give"
+    ),
+    _warning("TV938", "import-duplicate-key", "an original file contains the same key twice"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

@@ -1,4 +1,4 @@
-"""The exception that carries a diagnostic to whoever reports it."""
+"""An exception that carries a diagnostic."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from thorvaldc.diagnostics.report import Diagnostic, Span
 
 
 class DiagnosticError(Exception):
-    """Something cannot be run; ``diagnostic`` says what, and what to do.
+    """An operation is not possible; ``diagnostic`` holds the reason and a hint.
 
-    Raised where there is no report at hand; whoever has one adds the
-    diagnostic to it.
+    Raised by code that has no ``Report``.  A caller that has one adds ``diagnostic`` to it.
     """
 
     def __init__(

@@ -1,4 +1,8 @@
-"""Lines of source text as they look on a terminal, and where a span lies in them."""
+"""Lines of source text as a terminal shows them, with the columns of a source span.
+
+A character can take 0 columns (combining marks), 1, 2 (East Asian wide characters) or more
+(a tab).  Markers under a line are therefore placed by terminal columns, not by characters.
+"""
 
 from __future__ import annotations
 
@@ -16,26 +20,26 @@ from thorvaldc.diagnostics.report import Span
 TAB = 4
 _ELLIPSIS = "…"
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
-# Controls, and the marks that reorder text: shown as such they would deceive.
+# Control characters, and marks that reorder text: both could hide what a line contains.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-_LATE_CONTROLS = re.compile("[\x7f-\x9f\u2028\u2029]")
+_HIGH_CONTROLS = re.compile("[\x7f-\x9f\u2028\u2029]")
 
 
 def printable(text: str) -> str:
-    """Text in one line that cannot steer a terminal."""
-    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    """Escapes line breaks and control characters, so that the text cannot control a terminal."""
+    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def json_text(document: Any) -> str:
-    """JSON that a person can read, on a terminal as well."""
+    """Returns indented JSON that is safe to print on a terminal."""
     text = json.dumps(document, indent=2, ensure_ascii=False)
-    # The other controls are escaped already; these occur in strings only.
-    return _LATE_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    # `json` escapes the C0 controls only; the others can occur in strings only.
+    return _HIGH_CONTROLS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """A line, trimmed; ``start`` and ``length`` of the span in columns of the terminal."""
+    """A source line, cut to the width; ``start`` and ``length`` of the span in terminal columns."""
 
     text: str
     start: int
@@ -43,20 +47,24 @@ class Excerpt:
 
 
 class Excerpts:
-    """Excerpts of the files in ``sources``, each read once, lines at most ``width`` wide."""
+    """Source lines with the columns of a span.
+
+    ``sources`` maps the file names of spans to paths.  Each file is read once.  Lines are at
+    most ``width`` terminal columns wide.
+    """
 
     def __init__(self, sources: Mapping[str, Path], width: int = 100) -> None:
         self._sources = sources
         self._width = width
         self._lines: dict[str, list[str]] = {}
-        self._shown: dict[tuple[str, int], _Line | None] = {}
+        self._laid_out: dict[tuple[str, int], _Line | None] = {}
 
     def gutter(self, spans: Sequence[Span]) -> int:
-        """Width of the column with the line numbers."""
+        """Returns the width of the line numbers."""
         return max([len(str(span.line)) for span in spans], default=1)
 
     def show(self, span: Span, gutter: int) -> Excerpt | None:
-        """The first line of the span, or ``None`` where there is no text for it."""
+        """Returns the first line of the span, or ``None`` if its text is not available."""
         line = self._line(span)
         if line is None:
             return None
@@ -68,13 +76,13 @@ class Excerpts:
 
     def _line(self, span: Span) -> _Line | None:
         key = (span.file, span.line)
-        if key not in self._shown:
-            lines = self._of(span.file)
-            there = 1 <= span.line <= len(lines) and (len(lines) > 1 or lines[0].strip())
-            self._shown[key] = _lay_out(lines[span.line - 1]) if there else None
-        return self._shown[key]
+        if key not in self._laid_out:
+            lines = self._file_lines(span.file)
+            exists = 1 <= span.line <= len(lines) and (len(lines) > 1 or lines[0].strip())
+            self._laid_out[key] = _lay_out(lines[span.line - 1]) if exists else None
+        return self._laid_out[key]
 
-    def _of(self, file: str) -> list[str]:
+    def _file_lines(self, file: str) -> list[str]:
         if file not in self._lines:
             self._lines[file] = self._read(file)
         return self._lines[file]
@@ -92,11 +100,14 @@ class Excerpts:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """What is shown for each character, and the columns where they begin and the last ends."""
+    """The text shown for each character (``cells``) and the column where it starts.
+
+    ``starts`` has one more element: the column after the last character.
+    """
 
     cells: list[str]
     starts: list[int]
-    stripped: int  # characters without the blanks at the end
+    stripped: int  # number of characters without trailing blanks
 
     @property
     def length(self) -> int:
@@ -120,7 +131,7 @@ def _lay_out(text: str) -> _Line:
 
 
 def _cell(character: str) -> tuple[str, int]:
-    """How a character is shown, and in how many columns."""
+    """Returns the text shown for a character, and its width in columns."""
     if " " <= character <= "~":
         return character, 1
     if character == "\t":
@@ -133,14 +144,14 @@ def _cell(character: str) -> tuple[str, int]:
 
 
 def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
-    """The line from ``begin`` to ``end`` and what fits around it."""
+    """Cuts the line to ``width`` columns around the columns ``begin`` to ``end``."""
     total = line.starts[-1]
     if max(total, end) <= width:
         return Excerpt("".join(line.cells).rstrip(), begin, end - begin)
     length = min(end - begin, width - 2)
     left = max(0, min(begin - (width - length) // 2, total - width + 1))
     right = left + width
-    # Whole characters only, with room for a mark where the line is cut.
+    # Keep whole characters only, and one column for `…` at each cut.
     first = bisect.bisect_left(line.starts, left + (left > 0))
     last = bisect.bisect_right(line.starts, right - (right < total)) - 1
     text = "".join(line.cells[first:last]).rstrip()

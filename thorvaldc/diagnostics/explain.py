@@ -1,4 +1,4 @@
-"""The page of a diagnostic code."""
+"""Finds a diagnostic code and its documentation page."""
 
 from __future__ import annotations
 
@@ -11,46 +11,44 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 class UnknownCode(LookupError):
-    """There is no such code; ``hint`` names the nearest."""
+    """No code has this number or name; ``hint`` names the most similar code."""
 
-    def __init__(self, asked: str, hint: str | None) -> None:
-        super().__init__(f"there is no code `{asked}`")
+    def __init__(self, number_or_name: str, hint: str | None) -> None:
+        super().__init__(f"there is no code `{number_or_name}`")
         self.hint = hint
 
 
-def find_code(asked: str) -> Code:
-    """The code for ``TV501``, ``501`` or ``can-id-duplicate``.  Raises UnknownCode."""
-    text = asked.strip()
-    found = CODES.get(text.lower())
-    if found is not None:
-        return found
+def find_code(number_or_name: str) -> Code:
+    """Returns the code for ``TV501``, ``501`` or ``can-id-duplicate``.  Raises UnknownCode."""
+    text = number_or_name.strip()
+    if text.lower() in CODES:
+        return CODES[text.lower()]
     number = text.upper() if text.upper().startswith("TV") else f"TV{text}"
     for code in CODES.values():
         if code.number == number:
             return code
     numbers = [code.number for code in CODES.values()]
     looks_like_number = text.isdigit() or text.upper().startswith("TV")
-    raise UnknownCode(
-        asked, did_you_mean(number if looks_like_number else text, [*CODES, *numbers])
-    )
+    hint = did_you_mean(number if looks_like_number else text, [*CODES, *numbers])
+    raise UnknownCode(number_or_name, hint)
 
 
 def page(code: Code) -> str:
-    """The code's page in Markdown; its meaning alone where the page is not installed."""
+    """Returns the code's page in Markdown, or its summary if the page is not installed."""
     path = _folder() / f"{code.number}.md"
     try:
         return path.read_text(encoding="utf-8")
     except OSError:
-        return f"# {code.number} {code.name}\n\n{code.meaning}\n"
+        return f"# {code.number} {code.name}\n\n{code.summary}\n"
 
 
-def explain(asked: str) -> str:
-    """The page of the code that was asked for.  Raises UnknownCode."""
-    return page(find_code(asked))
+def explain(number_or_name: str) -> str:
+    """Returns the page of a code in Markdown.  Raises UnknownCode."""
+    return page(find_code(number_or_name))
 
 
 def _folder() -> Path:
-    """In a checkout its own pages, which may be newer than an installed copy."""
+    """Returns the folder of the pages; a checkout uses its own, which may be newer."""
     root = _PACKAGE.parent
     if (root / "pyproject.toml").is_file():
         return root / "docs" / "diagnostics"

@@ -1,7 +1,7 @@
-"""Reports for people and for machines: text, json, github, sarif.
+"""Renders a report as text, JSON, GitHub workflow commands or SARIF.
 
-``sources`` maps the names of files in spans to where they lie; a file that is
-not there is shown without an excerpt.
+``sources`` maps the file names of spans to paths.  For a file that is missing there, the
+text form shows no source line.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _STYLES = {
     Severity.WARNING: "1;33",
     Severity.NOTE: "1;36",
 }
-_QUIET = "1;34"
+_LABEL_STYLE = "1;34"
 
 
 def render(
@@ -31,9 +31,9 @@ def render(
     *,
     builds: Sequence[Mapping[str, Any]] | None = None,
 ) -> str:
-    """The report in one of FORMATS, without colours.
+    """Returns the report in one of FORMATS, without colours.
 
-    ``builds`` are results that the JSON form carries along.
+    The JSON form contains ``builds``, a description of each build result.
     """
     if format == "json":
         return render_json(report, builds=builds)
@@ -52,7 +52,7 @@ def render(
 def render_text(
     report: Report, sources: Mapping[str, Path], *, color: bool = False, width: int = 100
 ) -> str:
-    """``file:line:col: error[TV501] name: message`` with the place and the hint below."""
+    """Returns ``file:line:col: error[TV501] name: message``, the source lines and the hint."""
     excerpts = Excerpts(sources, width)
     paint = _painter(color)
     return "\n".join(_text(d, excerpts, paint) for d in report.sorted())
@@ -73,47 +73,52 @@ class _Mark:
 
 
 def _marks(diagnostic: Diagnostic, style: str) -> list[_Mark]:
-    """The places to show: those in the fault's own file by line, then the others."""
-    own = diagnostic.span
-    marks = [_Mark(own, "^", "", style)] if own is not None else []
-    marks += [_Mark(label.span, "-", printable(label.text), _QUIET) for label in diagnostic.labels]
-    here = [mark for mark in marks if own is not None and mark.span.file == own.file]
-    return sorted(here, key=lambda mark: mark.span.line) + [m for m in marks if m not in here]
+    """Returns the spans to show: first those in the diagnostic's file by line, then the others."""
+    span = diagnostic.span
+    marks = [_Mark(span, "^", "", style)] if span is not None else []
+    marks += [
+        _Mark(label.span, "-", printable(label.text), _LABEL_STYLE) for label in diagnostic.labels
+    ]
+    same_file = [mark for mark in marks if span is not None and mark.span.file == span.file]
+    same_file.sort(key=lambda mark: mark.span.line)
+    return same_file + [mark for mark in marks if mark not in same_file]
 
 
 def _text(diagnostic: Diagnostic, excerpts: Excerpts, paint: Any) -> str:
     style = _STYLES[diagnostic.severity]
-    place = f"{printable(str(diagnostic.span))}: " if diagnostic.span is not None else ""
+    location = f"{printable(str(diagnostic.span))}: " if diagnostic.span is not None else ""
     code = diagnostic.code
     head = paint(style, f"{diagnostic.severity.value}[{code.number}]")
-    lines = [f"{place}{head} {code.name}: {paint('1', printable(diagnostic.message))}"]
+    lines = [f"{location}{head} {code.name}: {paint('1', printable(diagnostic.message))}"]
 
     marks = _marks(diagnostic, style)
     gutter = excerpts.gutter([mark.span for mark in marks])
-    blank = " " * gutter + paint(_QUIET, " |")
-    shown: tuple[str, int, str] | None = None  # file, line and text of the line shown last
+    blank = " " * gutter + paint(_LABEL_STYLE, " |")
+    previous: tuple[str, int, str] | None = None  # file, line number and text of the last line
     for mark in marks:
-        span, said = mark.span, f" {mark.text}" if mark.text else ""
+        span, label = mark.span, f" {mark.text}" if mark.text else ""
         excerpt = excerpts.show(span, gutter)
-        elsewhere = diagnostic.span is None or span.file != diagnostic.span.file
-        if elsewhere or (excerpt is None and mark.text):
-            arrow = paint(_QUIET, "-->")
-            text = f":{said}" if excerpt is None else ""
+        other_file = diagnostic.span is None or span.file != diagnostic.span.file
+        if other_file or (excerpt is None and mark.text):
+            arrow = paint(_LABEL_STYLE, "-->")
+            text = f":{label}" if excerpt is None else ""
             lines.append(f"{' ' * gutter} {arrow} {printable(str(span))}{text}")
         if excerpt is None:
             continue
-        if shown is None:
+        if previous is None:
             lines.append(blank)
-        elif shown[0] == span.file and span.line > shown[1] + 1:
-            lines.append(paint(_QUIET, "..."))
-        if shown != (span.file, span.line, excerpt.text):
-            number = paint(_QUIET, f"{span.line:>{gutter}} |")
+        elif previous[0] == span.file and span.line > previous[1] + 1:
+            lines.append(paint(_LABEL_STYLE, "..."))
+        if previous != (span.file, span.line, excerpt.text):
+            number = paint(_LABEL_STYLE, f"{span.line:>{gutter}} |")
             lines.append(f"{number} {excerpt.text}".rstrip())
-        shown = (span.file, span.line, excerpt.text)
-        marker = paint(mark.style, mark.sign * excerpt.length + said)
+        previous = (span.file, span.line, excerpt.text)
+        marker = paint(mark.style, mark.sign * excerpt.length + label)
         lines.append(f"{blank} {' ' * excerpt.start}{marker}")
     if diagnostic.hint:
-        lines.append(f"{' ' * gutter} {paint(_QUIET, '=')} hint: {printable(diagnostic.hint)}")
+        lines.append(
+            f"{' ' * gutter} {paint(_LABEL_STYLE, '=')} hint: {printable(diagnostic.hint)}"
+        )
     lines.append("")
     return "\n".join(lines)
 
@@ -122,7 +127,7 @@ def _text(diagnostic: Diagnostic, excerpts: Excerpts, paint: Any) -> str:
 
 
 def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = None) -> str:
-    """One object: ``errors`` and ``warnings`` (counts), ``diagnostics`` in order of place."""
+    """Returns one object: ``errors`` and ``warnings`` (counts) and ``diagnostics`` by location."""
     document: dict[str, Any] = {
         "errors": len(report.errors),
         "warnings": len(report.warnings),
@@ -165,7 +170,7 @@ _GITHUB_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity
 
 
 def render_github(report: Report) -> str:
-    """Workflow commands, which GitHub shows beside the lines of a change."""
+    """Returns workflow commands, which GitHub shows as annotations of the changed lines."""
     return "\n".join(_github(d) for d in report.sorted())
 
 
@@ -176,7 +181,7 @@ def _github(diagnostic: Diagnostic) -> str:
         properties["file"] = printable(span.file)
         properties["line"] = str(span.line)
         properties["endLine"] = str(span.end_line)
-        if span.end_line == span.line:  # columns of other spans are refused
+        if span.end_line == span.line:  # GitHub accepts columns only within one line
             properties["col"] = str(span.column)
             properties["endColumn"] = str(max(span.end_column, span.column))
     properties["title"] = f"{diagnostic.code.number} {diagnostic.code.name}"
@@ -186,7 +191,7 @@ def _github(diagnostic: Diagnostic) -> str:
 
 
 def _lines(diagnostic: Diagnostic) -> list[str]:
-    """Message, labels and hint as lines of plain text."""
+    """Returns message, labels and hint as lines of plain text."""
     lines = [diagnostic.message]
     lines += [f"{label.span}: {label.text}" for label in diagnostic.labels]
     if diagnostic.hint:

@@ -1,4 +1,4 @@
-"""Spans, diagnostics and the report that collects them."""
+"""Source spans, diagnostics and the report that collects them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ class Severity(enum.Enum):
     NOTE = "note"
 
 
-class Span(NamedTuple):  # which is made in half the time of a dataclass, and made a lot
-    """A stretch of text in a file; lines and columns count from 1, the end is exclusive.
+# A named tuple: it is created in half the time of a frozen dataclass, and every YAML value has one.
+class Span(NamedTuple):
+    """A range of text in a file.  Lines and columns count from 1; the end is exclusive.
 
-    ``file`` is the path as the user gave it (or relative to what they gave), so
-    that messages and outputs do not depend on where a checkout lies.
+    ``file`` is the path as the user gave it, or relative to that path: messages and
+    outputs do not depend on the folder of a checkout.
     """
 
     file: str
@@ -36,7 +37,7 @@ class Span(NamedTuple):  # which is made in half the time of a dataclass, and ma
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A second place that belongs to a fault, with what is to be seen there."""
+    """A secondary span of a diagnostic, with a text such as ``first used here``."""
 
     span: Span
     text: str
@@ -44,7 +45,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One fault: what is wrong (with value, limit and unit), where, and what to do."""
+    """A message about an input: code, text (with value, limit and unit), span and hint."""
 
     code: Code
     message: str
@@ -58,10 +59,11 @@ class Diagnostic:
 
 
 class Report:
-    """All faults of a run, in the order of discovery; ``sorted()`` orders by place."""
+    """All diagnostics of a run in the order of detection; ``sorted()`` orders them by span."""
 
     def __init__(self) -> None:
-        self._diagnostics: dict[Diagnostic, Diagnostic] = {}  # as said, and as kept
+        # As reported, to detect repetitions -> with the label of `used_by`.
+        self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
 
     def add(
@@ -73,35 +75,36 @@ class Report:
         hint: str | None = None,
         labels: Iterable[Label] = (),
     ) -> None:
-        """Record a fault under the code named ``code`` (``"can-id-duplicate"``).
+        """Adds a diagnostic with the code of that name (``"can-id-duplicate"``).
 
-        An exact repetition is dropped: one mistake in a library module that is
-        used nine times is one mistake.
+        An exact repetition is dropped: a mistake in a library module that is used nine
+        times is reported once.
         """
         self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels)))
 
     def put(self, diagnostic: Diagnostic) -> None:
-        """Record a fault that is there as a value."""
-        kept, user, span = diagnostic, self._user, diagnostic.span
+        """Adds a diagnostic; an exact repetition is dropped."""
+        labelled, user, span = diagnostic, self._user, diagnostic.span
         if user is not None and span is not None and span.file != user.span.file:
-            if span.file.startswith("<"):  # not a file of the user's own
-                labels = (Label(span, "found here"), *kept.labels)
-                kept = replace(kept, span=user.span, labels=labels)
+            if span.file.startswith("<"):  # the project's library: the user cannot change it
+                labels = (Label(span, "found here"), *labelled.labels)
+                labelled = replace(labelled, span=user.span, labels=labels)
             else:
-                kept = replace(kept, labels=(*kept.labels, user))
-        self._diagnostics.setdefault(diagnostic, kept)
+                labelled = replace(labelled, labels=(*labelled.labels, user))
+        self._diagnostics.setdefault(diagnostic, labelled)
 
-    def extend(self, other: Report) -> None:
-        for diagnostic in other:
+    def extend(self, diagnostics: Iterable[Diagnostic]) -> None:
+        """Adds diagnostics in their order."""
+        for diagnostic in diagnostics:
             self.put(diagnostic)
 
     @contextlib.contextmanager
     def used_by(self, user: Label) -> Iterator[None]:
-        """Faults found meanwhile in files other than ``user``'s get it as a label.
+        """Adds the label ``user`` to diagnostics in other files than that of ``user``.
 
-        So a fault in a module says who uses that module with such parameters.  One in
-        the project's own library is put to the user's place, with a label where it was
-        found: that is what the user can change.
+        A diagnostic in a module then names the module instance whose parameters cause it.
+        A diagnostic in the project's library gets the span of ``user``, which the user can
+        change, and a label at its original span.
         """
         outer, self._user = self._user, user
         try:
@@ -128,12 +131,12 @@ class Report:
         return any(d.severity is Severity.ERROR for d in self._diagnostics)
 
     def sorted(self) -> list[Diagnostic]:
-        """By file, line and column; faults without a place last."""
+        """Returns the diagnostics by file, line and column; those without a span come last."""
         last = Span("\U0010ffff")
         return sorted(self, key=lambda d: (d.span or last, d.code.number))
 
     def has_error_in(self, span: Span) -> bool:
-        """Whether a value in that place is at fault; a key that is too many is none."""
+        """Returns whether an error starts inside the span.  An unknown key does not count."""
         start, end = (span.line, span.column), (span.end_line, span.end_column)
         return any(
             d.span is not None
@@ -143,10 +146,8 @@ class Report:
         )
 
     def excluding_spans_of(self, earlier: Report) -> Report:
-        """What is said of places that ``earlier`` had no errors in."""
+        """Returns the diagnostics at spans where ``earlier`` has no error."""
         known = {d.span for d in earlier.errors if d.span is not None}
-        out = Report()
-        for diagnostic in self:
-            if diagnostic.span not in known:
-                out.put(diagnostic)
-        return out
+        remaining = Report()
+        remaining.extend(d for d in self if d.span not in known)
+        return remaining

@@ -1,4 +1,4 @@
-"""SARIF 2.1.0, for code scanning services and editors."""
+"""Renders a report as SARIF 2.1.0, for code scanning services and editors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
 
 def render_sarif(report: Report) -> str:
-    """One run; the rules are the codes that occur, with their pages as help."""
+    """Returns one SARIF run.  Its rules are the codes that occur, with their pages as help."""
     diagnostics = report.sorted()
     codes = sorted({d.code.number: d.code for d in diagnostics}.values(), key=lambda c: c.number)
     index = {code.number: i for i, code in enumerate(codes)}
@@ -45,7 +45,7 @@ def _rule(code: Code) -> dict[str, Any]:
     return {
         "id": code.number,
         "name": "".join(word.capitalize() for word in code.name.split("-")),
-        "shortDescription": {"text": f"{code.name}: {code.meaning}"},
+        "shortDescription": {"text": f"{code.name}: {code.summary}"},
         "help": {"text": page, "markdown": page},
         "defaultConfiguration": {"level": code.severity},
     }
@@ -62,12 +62,12 @@ def _result(diagnostic: Diagnostic, index: dict[str, int]) -> dict[str, Any]:
         "message": {"text": message},
     }
     if diagnostic.span is not None:
-        result["locations"] = [{"physicalLocation": _place(diagnostic.span)}]
+        result["locations"] = [{"physicalLocation": _physical_location(diagnostic.span)}]
     if diagnostic.labels:
         result["relatedLocations"] = [
             {
                 "id": number,
-                "physicalLocation": _place(label.span),
+                "physicalLocation": _physical_location(label.span),
                 "message": {"text": label.text},
             }
             for number, label in enumerate(diagnostic.labels, 1)
@@ -75,7 +75,7 @@ def _result(diagnostic: Diagnostic, index: dict[str, int]) -> dict[str, Any]:
     return result
 
 
-def _place(span: Span) -> dict[str, Any]:
+def _physical_location(span: Span) -> dict[str, Any]:
     return {
         "artifactLocation": {"uri": _uri(span.file)},
         "region": {

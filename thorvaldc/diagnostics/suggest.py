@@ -1,4 +1,4 @@
-"""The nearest known word to an unknown one, for hints."""
+"""Finds the known word that is most similar to an unknown word, for hints."""
 
 from __future__ import annotations
 
@@ -6,28 +6,28 @@ from collections.abc import Iterable
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that ``word`` was probably meant to be, or ``None``.
+    """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
 
-    Case and the choice of ``-``, ``_`` or a space do not count as differences.
+    Upper and lower case are equal, and so are ``-``, ``_`` and a space.
     """
     candidates = list(dict.fromkeys(known))
-    by_plain = {_plain(candidate): candidate for candidate in reversed(candidates)}
-    plain = _plain(word)
-    if plain in by_plain:
-        return by_plain[plain]
-    if len(plain) > 100:
+    by_normal = {_normal(candidate): candidate for candidate in reversed(candidates)}
+    normal = _normal(word)
+    if normal in by_normal:
+        return by_normal[normal]
+    if len(normal) > 100:
         return None
     import difflib
 
-    close = difflib.get_close_matches(plain, list(by_plain), n=1, cutoff=0.6)
-    return by_plain[close[0]] if close else None
+    close = difflib.get_close_matches(normal, list(by_normal), n=1, cutoff=0.6)
+    return by_normal[close[0]] if close else None
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str | None = None) -> str | None:
-    """``did you mean `x`?`` where a known word is near, else ``otherwise``."""
-    found = nearest(word, known)
-    return f"did you mean `{found}`?" if found is not None else otherwise
+    """Returns ``did you mean `x`?`` if a known word is similar, else ``otherwise``."""
+    known_word = nearest(word, known)
+    return f"did you mean `{known_word}`?" if known_word is not None else otherwise
 
 
-def _plain(word: str) -> str:
+def _normal(word: str) -> str:
     return word.casefold().replace("-", "_").replace(" ", "_")
