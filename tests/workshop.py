@@ -5,7 +5,8 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-from thorvaldc.compiler.pipeline import Compilation, compile_file
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.workshop import CART, TETRAHEDRON, Workshop
-from thorvaldc.compiler.library import OWN, Library
+from thorvaldc.compiler.library import BUILTIN_LIBRARY, Library
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
@@ -63,7 +63,7 @@ def test_the_users_type_comes_before_ours_and_the_first_before_the_next(tmp_path
         "drive/standard": "first",
         "x/y": "first",
         "x/z": "second",
-        "steering/standard": OWN,
+        "steering/standard": BUILTIN_LIBRARY,
     }
 
 

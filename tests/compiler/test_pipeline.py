@@ -13,7 +13,8 @@ import pytest
 from tests.examples import FOLDER
 from tests.workshop import CART, Workshop
 from thorvaldc.backends import DEFAULT_TARGETS
-from thorvaldc.compiler.pipeline import MODEL_FILE, Compilation, compile_file, emit
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import MODEL_FILE, compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.serialize import from_json

@@ -15,7 +15,8 @@ import pytest
 import trimesh
 import yaml
 
-from thorvaldc.compiler.pipeline import check_library, compile_file
+from thorvaldc.compiler.modules.library_check import check_library
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 
 ROOT = Path(__file__).resolve().parent.parent.parent

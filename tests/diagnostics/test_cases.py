@@ -151,7 +151,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
-    from thorvaldc.compiler.pipeline import read_faults
+    from thorvaldc.compiler.injected_fault_file import read_faults
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -171,7 +171,8 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
 def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
     """Runs the base driver for a second on simulated devices of ``robot`` or of ``devices``."""
     from thorvaldc.cli.running import Session
-    from thorvaldc.compiler.pipeline import compile_file, read_faults
+    from thorvaldc.compiler.injected_fault_file import read_faults
+    from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

@@ -46,7 +46,8 @@ def run_bus(
         )
     number = _seed(seed)
     done = compile_one(file, library)
-    from thorvaldc.compiler.pipeline import emit, read_faults
+    from thorvaldc.compiler.injected_fault_file import read_faults
+    from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model import Robot

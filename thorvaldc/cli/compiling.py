@@ -14,7 +14,7 @@ from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.faults import Faults, check_format, count
 
 if TYPE_CHECKING:
-    from thorvaldc.compiler.pipeline import Compilation
+    from thorvaldc.compiler.compilation import Compilation
     from thorvaldc.compiler.scenario.variations import Change
     from thorvaldc.model import Fleet, Robot
 
@@ -79,7 +79,7 @@ def build_files(
 
 def check_modules(folders: Sequence[str], format: str, strict: bool) -> int:
     check_format(format)
-    from thorvaldc.compiler.pipeline import check_library
+    from thorvaldc.compiler.modules.library_check import check_library
 
     faults = Faults(format, sys.stdout)
     wanted: list[Path | None] = [*library_folders(folders, "DIR")]

@@ -15,7 +15,7 @@ from thorvaldc.cli.picturing import RunPictures
 from thorvaldc.cli.recording import Robots, open_recorder, recorded, writing
 
 if TYPE_CHECKING:
-    from thorvaldc.compiler.pipeline import Compilation
+    from thorvaldc.compiler.compilation import Compilation
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.runtime.base_interface import JointCommands

@@ -385,7 +385,7 @@ def ports_of(
         from thorvaldc.can.open_interface import open_interfaces
 
         return None, open_interfaces(bus, robot)
-    from thorvaldc.compiler.pipeline import read_faults
+    from thorvaldc.compiler.injected_fault_file import read_faults
     from thorvaldc.simulation.bus import fault_injection as bus_faults
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 

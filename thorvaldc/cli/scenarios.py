@@ -16,7 +16,7 @@ from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.recording import each, open_logs, open_recorder, recorded
 
 if TYPE_CHECKING:
-    from thorvaldc.compiler.pipeline import Compilation
+    from thorvaldc.compiler.compilation import Compilation
     from thorvaldc.model.scenario import Scenario
     from thorvaldc.simulation.control_loop import TickCallback
     from thorvaldc.simulation.scenario_run import ScenarioResult

@@ -23,7 +23,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 _PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
 PALETTE = "palette.yaml"
-OWN = "<library>"  # how spans show the project's own library, wherever it is installed
+BUILTIN_LIBRARY = "<library>"  # how spans show the project's own library, wherever it is installed
 
 
 @cache
@@ -99,7 +99,7 @@ class Library:
     """The library folders of one compilation, each with the name spans show for it."""
 
     def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
-        self.folders = [*folders, (data_folder("modules"), OWN)]
+        self.folders = [*folders, (data_folder("modules"), BUILTIN_LIBRARY)]
         self._found: dict[str, ModuleType | None] = {}
         self._files: dict[str, Path] = {}
         self._palette: dict[str, str] | None = None

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.pipeline import Compilation, compile_file, emit
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.scenario.variations import (
     Change,
     Variations,

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.modules.driver_settings import LIMITS, NOISE
-from thorvaldc.compiler.pipeline import Compilation, compile_file
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.serialize import from_json, to_json
 from thorvaldc.runtime import driver_parameters as parameters

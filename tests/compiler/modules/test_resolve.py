@@ -8,7 +8,7 @@ import pytest
 
 from tests.workshop import CART, EXPECTED, Workshop, said
 from thorvaldc.compiler.geometry.static_loads import Tree
-from thorvaldc.compiler.pipeline import check_library
+from thorvaldc.compiler.modules.library_check import check_library
 from thorvaldc.model import Robot
 
 SOURCE = 'source: "chosen: for a test"'

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD
-from thorvaldc.compiler.pipeline import Compilation, compile_file, emit
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import TwistInput
 from thorvaldc.model.serialize import from_json, to_json

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from thorvaldc.compiler.pipeline import Compilation, compile_file
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Box, Cylinder, Ground
 from thorvaldc.model.scenario import Command, Noise, Scenario
 

@@ -11,7 +11,8 @@ from rosbags.rosbag1 import Writer as FirstWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from thorvaldc.compiler.pipeline import Compilation, compile_file, emit
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.scenario import Command
 from thorvaldc.simulation.records.csv_record import CsvRecorder

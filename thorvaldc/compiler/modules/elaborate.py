@@ -20,6 +20,7 @@ from thorvaldc.compiler.geometry.static_loads import (
     spring_reference,
     static_loads,
 )
+from thorvaldc.compiler.modules.calculator_choice import read_calculator
 from thorvaldc.compiler.modules.driver_settings import DEFAULT_RATE, DriverParameters
 from thorvaldc.compiler.modules.hardware import Hardware, hardware_of
 from thorvaldc.compiler.modules.resolve import Instance, Resolver, flat, used_by
@@ -37,7 +38,6 @@ from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
-    CalculatorChoice,
     Collision,
     Cylinder,
     Joint,
@@ -169,7 +169,7 @@ class Elaborator:
             batteries=tuple(parts.batteries),
             buses=buses,
             meshes=tuple(parts.meshes.values()),
-            calculator=self._calculator(),
+            calculator=read_calculator(self.document, self.scope),
             driver=driver,
             inertial=body.clean(),
             span=self.span,
@@ -418,24 +418,6 @@ class Elaborator:
             return joint
         return replace(
             joint, spring_reference=spring_reference(joint, tree, wheels, [w.load for w in wheels])
-        )
-
-    def _calculator(self) -> CalculatorChoice:
-        node = self.document.get("base_calculator")
-        if node is None:
-            return CalculatorChoice()
-        default = CalculatorChoice().name
-        if not isinstance(node.value, dict):
-            return CalculatorChoice(self.scope.text(node, default))
-        options = node.get("options")
-        entries = options.value if options is not None and isinstance(options.value, dict) else {}
-        return CalculatorChoice(
-            self.scope.text(node.get("name"), default),
-            tuple(
-                (key, n.value)
-                for key, n in entries.items()
-                if isinstance(n.value, bool | int | float | str)
-            ),
         )
 
 

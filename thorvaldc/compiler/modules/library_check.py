@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from pathlib import Path
+
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, build_buses
 from thorvaldc.compiler.library import Library, ModuleType
 from thorvaldc.compiler.modules.hardware import hardware_of
@@ -9,6 +12,28 @@ from thorvaldc.compiler.modules.resolve import Instance, Resolver
 from thorvaldc.compiler.modules.scope import Scope, nearest
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
+
+
+@dataclass
+class LibraryCheck:
+    """The module types of a library folder and their diagnostics.
+
+    ``sources`` maps file names in ``report`` to files.
+    """
+
+    names: list[str] = field(default_factory=list)
+    report: Report = field(default_factory=Report)
+    sources: dict[str, Path] = field(default_factory=dict)
+
+
+def check_library(folder: Path | None) -> LibraryCheck:
+    """Checks every module type of a folder; ``None``: of the built-in library."""
+    library = Library([(folder, str(folder))] if folder is not None else [])
+    check = LibraryCheck(library.names_in(folder) if folder is not None else library.names())
+    for name in check.names:
+        check_module(name, library, check.report)
+    check.sources = library.files
+    return check
 
 
 def check_module(name: str, library: Library, report: Report) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from thorvaldc.compiler.compilation import SETTING
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
@@ -158,7 +159,7 @@ def _varied(path: str, node: Node, report: Report) -> Varied | None:
 
 
 def _setting(path: str, text: str, report: Report) -> Varied | None:
-    name = f"--set {path}"
+    name = f"{SETTING}{path}"
     ends = _RANGE.fullmatch(text)
     if ends is not None:
         return _range(path, ends[1], ends[2], Span(name), report)

@@ -1,0 +1,72 @@
+"""Compiles fleet files: every robot file that the fleet names, and the pose of each robot."""
+
+from __future__ import annotations
+
+import os
+
+from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
+from thorvaldc.compiler.library import Library
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.scenario.fleet_placement import Placements
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Fleet, Robot
+
+
+def compile_fleet(source: SourceFile, compile_robot: Compile) -> Compilation:
+    """Compiles a fleet file; ``compile_robot`` compiles the robot files that it names."""
+    compilation, report = Compilation.of(source), Report()
+    parts: dict[str, Compilation] = {}
+    if source.document is not None:
+        document = source.check_shape(source.document)
+        compilation.model = read_fleet(document, source, compile_robot, report, parts)
+    return compilation.complete(source, report, parts)
+
+
+def read_fleet(
+    document: Node,
+    source: SourceFile,
+    compile_robot: Compile,
+    report: Report,
+    parts: dict[str, Compilation],
+) -> Fleet:
+    """Returns the fleet of the document's ``robots``, without the robots that have errors.
+
+    Adds the compilation of each robot file to ``parts``, by the name in the document.
+    """
+    scope = Scope(None, {}, Library(), report, None)
+    placements = Placements(report)
+    robots = document.get("robots")
+    entries = robots.value if robots is not None and isinstance(robots.value, dict) else {}
+    for name, entry in entries.items():
+        file_node = entry.get("robot")
+        if file_node is None:
+            continue
+        file_name = str(file_node.value)
+        if file_name not in parts:
+            robot_source = open_named_file(source, file_node, report)
+            if robot_source is None:
+                continue
+            if robot_source.kind != "robot":  # A fleet might name itself.
+                report.add(
+                    "fleet-in-fleet",
+                    f"`{file_name}` is a {robot_source.kind}; a robot is needed",
+                    file_node.span,
+                )
+                continue
+            parts[file_name] = compile_robot(robot_source)
+        robot = parts[file_name].model
+        if isinstance(robot, Robot):
+            placements.add(name, entry, robot)
+    title, description = (scope.text(document.get(key)) for key in ("name", "description"))
+    return Fleet(title, description, tuple(placements.placed))
+
+
+def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFile | None:
+    """Opens the file whose path, relative to ``source``, is the value of ``node``."""
+    name = str(node.value)
+    path = source.path.parent / name
+    if not os.path.isfile(path):
+        report.add("fleet-robot-missing", f"there is no file `{name}`", node.span)
+        return None
+    return SourceFile(path, name, source.path.parent)

@@ -1,0 +1,37 @@
+"""Reads the lock file beside a robot file, and finds out whether a build must write it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_path, lock_text, read_lock
+from thorvaldc.compiler.compilation import Compilation, SourceFile
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+
+
+def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report) -> Lock | None:
+    """Returns the ids in the robot's lock file; ``None`` if there is no lock file."""
+    path = lock_path(source.path)
+    if not os.path.lexists(path):
+        return None
+    compilation.sources[os.path.normpath(path)] = path
+    document = read_file(path, lock_path(Path(source.name)).as_posix(), report)
+    return read_lock(document, report) if document is not None else {}
+
+
+def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation) -> str:
+    """Returns the text that the lock file must contain; empty if the robot needs none.
+
+    If the file on the disk differs, ``compilation.locks`` gets the text.
+    """
+    path = lock_path(source.path)
+    was_read = os.path.normpath(path) in compilation.sources
+    if not was_read and not has_pins(robot):
+        return ""
+    text = lock_text(robot, source.path.name)
+    if not was_read or path.read_bytes() != text.encode():
+        compilation.locks[path] = text
+    return text

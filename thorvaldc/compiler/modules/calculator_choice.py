@@ -1,0 +1,45 @@
+"""The base calculator that a robot document chooses: its name and options."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.robot import CalculatorChoice, Robot
+
+
+def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
+    """Returns the document's ``base_calculator``, by default the general calculator."""
+    node = document.get("base_calculator")
+    if node is None:
+        return CalculatorChoice()
+    default = CalculatorChoice().name
+    if not isinstance(node.value, dict):
+        return CalculatorChoice(scope.text(node, default))
+    options = node.get("options")
+    entries = options.value if options is not None and isinstance(options.value, dict) else {}
+    return CalculatorChoice(
+        scope.text(node.get("name"), default),
+        tuple(
+            (key, option.value)
+            for key, option in entries.items()
+            if isinstance(option.value, bool | int | float | str)
+        ),
+    )
+
+
+def check_calculator(robot: Robot, document: Node, report: Report) -> None:
+    """Checks that the calculator exists, accepts its options and suits the robot's wheels."""
+    if robot.calculator == CalculatorChoice():
+        return  # The general calculator suits every robot.
+    from thorvaldc.runtime import calculators  # rarely needed
+
+    choice = document.get("base_calculator")
+    name = choice.get("name") if choice is not None else None
+    options = choice.get("options") if choice is not None else None
+    for problem in calculators.calculator_errors(robot):
+        option = options.get(problem.option) if options is not None and problem.option else None
+        span = (option or name or choice or document).span
+        report.put(replace(problem.diagnostic, span=span))

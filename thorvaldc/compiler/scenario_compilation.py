@@ -1,0 +1,130 @@
+"""Compiles scenario files: robots, world, script, injected faults and expectations."""
+
+from __future__ import annotations
+
+import os
+import posixpath
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
+from thorvaldc.compiler.fleet_compilation import open_named_file, read_fleet
+from thorvaldc.compiler.scenario.fleet_placement import Placements, robots_of
+from thorvaldc.compiler.scenario.scenario_reader import read_scenario
+from thorvaldc.compiler.scenario.twist_log import read_twists
+from thorvaldc.compiler.scenario.variations import Change, changed, without_variations
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Fleet, Placement, Pose, Robot
+from thorvaldc.model.scenario import Scenario
+
+
+def compile_scenario(
+    source: SourceFile,
+    compile_part: Compile,
+    robot: Path | str | None,
+    changes: Sequence[Change],
+) -> Compilation:
+    """Compiles a scenario file with ``changes`` to its document.
+
+    ``compile_part`` compiles the robot and fleet files that the scenario names.  ``robot`` is a
+    robot or fleet file that replaces the scenario's robots.
+    """
+    compilation, report = Compilation.of(source), Report()
+    parts: dict[str, Compilation] = {}
+    document = source.document
+    if document is not None:
+        if changes:
+            document = without_variations(changed(document, changes, source.shape))
+        document = source.check_shape(document)
+        fleet = _read_robots(document, source, compile_part, report, parts, robot)
+        if fleet is not None:
+            scenario = read_scenario(document, fleet, report)
+            scenario = _with_log(document, scenario, source, compilation.files, report)
+            compilation.scenario, compilation.model = scenario, scenario.fleet
+    return compilation.complete(source, report, parts)
+
+
+def _read_robots(
+    document: Node,
+    source: SourceFile,
+    compile_part: Compile,
+    report: Report,
+    parts: dict[str, Compilation],
+    robot: Path | str | None,
+) -> Fleet | None:
+    """Returns the fleet of the scenario; ``None`` if a robot is missing or has errors."""
+    fleet_node, robots = document.get("fleet"), document.get("robots")
+    if robot is None and fleet_node is None and robots is not None:
+        fleet = read_fleet(document, source, compile_part, report, parts)
+        entries = robots.value.values() if isinstance(robots.value, dict) else ()
+        # If a robot is missing, checks of the scenario would report errors that do not exist.
+        return fleet if len(fleet.placements) == sum(map(robots_of, entries)) else None
+    if robot is not None:
+        folder, span = source.path.parent, document.span
+        part: SourceFile | None = SourceFile(Path(robot), os.path.relpath(robot, folder), folder)
+    elif fleet_node is not None:
+        part, span = open_named_file(source, fleet_node, report), fleet_node.span
+    else:
+        report.add(
+            "scenario-robots-missing",
+            "the scenario has neither `robots` nor a `fleet`",
+            document.span,
+            hint="add one of them, or name a robot: thorvaldc sim robot.yaml --scenario FILE",
+        )
+        return None
+    if part is None:
+        return None
+    if part.kind == "scenario":
+        report.add(
+            "fleet-in-fleet", f"`{part.name}` is a scenario; a robot or a fleet is needed", span
+        )
+        return None
+    parts[part.name] = compile_part(part)
+    model = parts[part.name].model
+    if isinstance(model, Robot):
+        return Fleet(model.name, "", _place_single_robot(model, robots, report))
+    return model
+
+
+def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:
+    """Places the robot with the name and pose of the scenario's only entry, else at the origin."""
+    entries = robots.value if robots is not None else None
+    if not isinstance(entries, dict) or len(entries) != 1:
+        return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
+    placements = Placements(report)
+    for name, entry in entries.items():
+        placements.add(name, entry, robot)
+    return tuple(placements.placed)
+
+
+def _with_log(
+    document: Node, scenario: Scenario, source: SourceFile, files: dict[str, Path], report: Report
+) -> Scenario:
+    """Returns the scenario with the twists of the log that its script names, if it names one."""
+    script = document.get("script")
+    log = script.get("log") if script is not None else None
+    if script is None or log is None:
+        return scenario
+    robot, topic = script.get("robot"), script.get("topic")
+    driven_robots = [
+        (placement.name, placement.robot)
+        for placement in scenario.fleet.placements
+        if robot is None or placement.name == robot.value
+    ]
+    log_files: dict[str, Path] = {}
+    commands_by_robot = read_twists(
+        source.path.parent / str(log.value),
+        posixpath.normpath(posixpath.join(posixpath.dirname(log.span.file), str(log.value))),
+        log.span,
+        driven_robots,
+        str(topic.value) if topic is not None else "",
+        log_files,
+        report,
+    )
+    files.update(log_files)
+    commands = (
+        (name, commands_by_robot.get(name, scripted)) for name, scripted in scenario.commands
+    )
+    return replace(scenario, commands=tuple(commands))
