@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import cantools
 
 from bench.figure import EXAMPLE, Figure, least_times
-from thorvaldc.backends.can import Can
-from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
@@ -19,7 +18,7 @@ def figures() -> Iterator[Figure]:
     robot = compile_file(EXAMPLE).model
     if not isinstance(robot, Robot):
         raise RuntimeError("the example does not compile")
-    text = Can().emit(robot)["can/robot.dbc"].decode("cp1252")
+    text = emit(robot, ["can"])["can/robot.dbc"].decode("cp1252")
     database = cantools.database.load_string(text, "dbc")
     frames = {f.name: f for f in robot.buses[0].frames}
     node = robot.buses[0].nodes[0].name

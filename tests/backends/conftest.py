@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backend_files import files_of
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Fleet, Robot
@@ -27,7 +28,7 @@ def written(tmp_path: Path) -> Callable[[Robot], Path]:
     """Writes URDF and MJCF of a robot to a folder of its own and returns that."""
 
     def run(robot: Robot) -> Path:
-        return write({**Urdf().emit(robot), **Mjcf().emit(robot)}, tmp_path / robot.name)
+        return write({**files_of(Urdf, robot), **files_of(Mjcf, robot)}, tmp_path / robot.name)
 
     return run
 
@@ -35,7 +36,7 @@ def written(tmp_path: Path) -> Callable[[Robot], Path]:
 @pytest.fixture
 def written_fleet(tmp_path: Path) -> Callable[[Fleet], Path]:
     def run(fleet: Fleet) -> Path:
-        return write({**Urdf().emit_fleet(fleet), **Mjcf().emit_fleet(fleet)}, tmp_path)
+        return write({**files_of(Urdf, fleet), **files_of(Mjcf, fleet)}, tmp_path)
 
     return run
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.backends.agreement import differences
 from tests.backends.conftest import write
 from tests.backends.faults import FAULTS, Fault
@@ -63,7 +64,7 @@ def victim() -> Robot:
 @pytest.fixture(scope="session")
 def sound(victim: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sound")
-    return write({**Urdf().emit(victim), **Mjcf().emit(victim)}, folder)
+    return write({**files_of(Urdf, victim), **files_of(Mjcf, victim)}, folder)
 
 
 def test_victim_is_sound(victim: Robot, sound: Path) -> None:

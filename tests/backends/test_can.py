@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_bus
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
@@ -24,7 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 @pytest.fixture(scope="module")
 def files() -> dict[str, bytes]:
-    return Can().emit(robot_with_bus())
+    return files_of(Can, robot_with_bus())
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +172,7 @@ def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
         "odd", 0x101, "relay", "master", ("battery",), 1, None, None, (signal,), SPAN, "\u0394"
     )
     robot = with_frame(frame)
-    message = read_dbc(Can().emit(robot)["can/robot.dbc"]).get_message_by_name("odd")
+    message = read_dbc(files_of(Can, robot)["can/robot.dbc"]).get_message_by_name("odd")
     assert message.comment == "?"
     assert str(message.signals[0].choices[1]) == "a 'b'"
     assert message.signals[0].comment == "ends with / and 'quotes' and ; ?"
@@ -194,7 +195,7 @@ def test_limits_of_a_signal(given: dict[str, float], read: tuple[float, float]) 
     frame = FrameDefinition(
         "odd", 0x181, "pdo", "master", ("battery",), 1, None, None, (signal,), SPAN
     )
-    message = read_dbc(Can().emit(with_frame(frame))["can/robot.dbc"]).get_message_by_name("odd")
+    message = read_dbc(files_of(Can, with_frame(frame))["can/robot.dbc"]).get_message_by_name("odd")
     (found,) = message.signals
     assert (found.minimum, found.maximum) == (
         read if read[0] is None else pytest.approx(read, rel=1e-12)
@@ -207,7 +208,7 @@ def test_long_names_survive() -> None:
     frame = FrameDefinition(
         f"{name}_tpdo1", 0x189, "pdo", name, ("master",), 8, 90.0, 1.0, (), SPAN
     )
-    database = read_dbc(Can().emit(with_frame(frame, node))["can/robot.dbc"])
+    database = read_dbc(files_of(Can, with_frame(frame, node))["can/robot.dbc"])
     message = database.get_message_by_frame_id(0x189)
     assert (message.name, message.senders) == (f"{name}_tpdo1", [name])
 
@@ -215,13 +216,13 @@ def test_long_names_survive() -> None:
 def test_every_bus_has_its_dbc() -> None:
     robot = robot_with_bus()
     second = Bus("implement", 250_000, 0.02, (), (), SPAN)
-    files = Can().emit(dataclasses.replace(robot, buses=(*robot.buses, second)))
+    files = files_of(Can, dataclasses.replace(robot, buses=(*robot.buses, second)))
     assert sorted(p for p in files if p.endswith(".dbc")) == ["can/implement.dbc", "can/main.dbc"]
     assert read_dbc(files["can/implement.dbc"]).buses[0].baudrate == 250_000
 
 
 def test_a_robot_without_a_bus_has_an_empty_map() -> None:
-    files = Can().emit(make_robot(FOUR_STEERED))
+    files = files_of(Can, make_robot(FOUR_STEERED))
     assert list(files) == ["can/canmap.json"]
     assert json.loads(files["can/canmap.json"])["buses"] == []
 
@@ -231,7 +232,7 @@ def test_examples(path: Path) -> None:
     """Every example's frames are decoded by cantools to what the model's scalings say."""
     robot = compile_file(path).model
     assert isinstance(robot, Robot)
-    files = Can().emit(robot)
+    files = files_of(Can, robot)
     assert not list(Can().unsupported(robot))
     (bus,) = robot.buses
     database = read_dbc(files["can/robot.dbc"])
@@ -263,10 +264,11 @@ def test_examples(path: Path) -> None:
 def test_output_repeats_and_neither_bus_library_nor_numpy_is_loaded() -> None:
     script = (
         "import hashlib, sys\n"
+        "from tests.backend_files import files_of\n"
         "from tests.buses import robot_with_bus\n"
         "from thorvaldc.backends.can import Can\n"
-        "out = Can().emit(robot_with_bus())\n"
-        "assert out == Can().emit(robot_with_bus())\n"
+        "out = files_of(Can, robot_with_bus())\n"
+        "assert out == files_of(Can, robot_with_bus())\n"
         "assert not {'can', 'numpy', 'asyncio'} & set(sys.modules), 'a heavy import'\n"
         "import cantools\n"  # the package is whole for who wants it
         "assert cantools.database.load_string and cantools.tester.Tester and cantools.__version__\n"

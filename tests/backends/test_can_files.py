@@ -14,6 +14,7 @@ import canopen
 import pytest
 import yaml
 
+from tests.backend_files import files_of
 from tests.buses import robot_with_bus
 from tests.examples import ROBOTS, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
@@ -52,7 +53,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 @pytest.fixture(scope="module")
 def files(drives: Robot) -> dict[str, bytes]:
-    return Can().emit(drives)
+    return files_of(Can, drives)
 
 
 # -- DCF ----------------------------------------------------------------------------------
@@ -150,7 +151,7 @@ def test_canopen_reads_limits_in_the_drives_own_unit(
 
 def test_what_cia_402_names_is_only_in_a_cia_402_drive() -> None:
     robot = example_robot("4wd4ws_slim")
-    text = Can().emit(robot)["can/dcf/fl_controller.dcf"].decode()
+    text = files_of(Can, robot)["can/dcf/fl_controller.dcf"].decode()
     indices = {int(i, 16) for i in re.findall(r"^\[([0-9A-F]{4})\]", text, re.M)}
     assert {0x1017, 0x1018, 0x1400, 0x1603, 0x1803, 0x1A00, 0x2005, 0x2106} <= indices
     assert not [i for i in indices if i >= 0x6000]
@@ -159,7 +160,7 @@ def test_what_cia_402_names_is_only_in_a_cia_402_drive() -> None:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_canopen_reads_every_dcf_of_the_examples(name: str, tmp_path: Path) -> None:
-    files = Can().emit(example_robot(name))
+    files = files_of(Can, example_robot(name))
     found = [p for p in files if p.startswith("can/dcf/")]
     assert found
     for path in found:
@@ -212,7 +213,7 @@ def test_names_and_texts_that_would_break_a_header(tmp_path: Path, cc: str) -> N
                   (Signal("start", 0, 8), Signal("is_start", 0, 8)), SPAN)  # fmt: skip
     robot = robot_with_bus()
     bus = dataclasses.replace(robot.buses[0], frames=(odd, clash))
-    header = Can().emit(dataclasses.replace(robot, buses=(bus,)))["can/robot_can.h"]
+    header = files_of(Can, dataclasses.replace(robot, buses=(bus,)))["can/robot_can.h"]
     main = 'int main(void) { printf("%g %g %d\\n", ROBOT_CAN_MAIN_A_B_IS_OFFSET, \
         ROBOT_CAN_MAIN_A_B_IS_SCALE_2, ROBOT_CAN_MAIN_A_B_IS_START); return 0; }\n'
     assert compiled(header, main, tmp_path, cc) == ["-3 -0.5 -1"]
@@ -220,7 +221,7 @@ def test_names_and_texts_that_would_break_a_header(tmp_path: Path, cc: str) -> N
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_header_of_an_example_compiles(name: str, tmp_path: Path, cc: str) -> None:
-    header = Can().emit(example_robot(name))["can/robot_can.h"]
+    header = files_of(Can, example_robot(name))["can/robot_can.h"]
     main = 'int main(void) { printf("%lu\\n", ROBOT_CAN_MAIN_BITRATE); return 0; }\n'
     assert compiled(header, main, tmp_path, cc) == ["500000"]
 
@@ -262,7 +263,7 @@ def test_ros2_canopen_knows_axes_and_scales(drives: Robot, files: dict[str, byte
 
 
 def test_drives_of_another_profile_get_a_proxy() -> None:
-    bus = yaml.safe_load(Can().emit(example_robot("4wd4ws_slim"))["can/bus.yml"])
+    bus = yaml.safe_load(files_of(Can, example_robot("4wd4ws_slim"))["can/bus.yml"])
     node = bus["nodes"]["fl_controller"]
     assert node["driver"] == "ros2_canopen::ProxyDriver"
     assert node["heartbeat_multiplier"] == 20  # 2 s
@@ -355,7 +356,7 @@ def test_bring_up_is_clean(files: dict[str, bytes], tmp_path: Path, shellcheck: 
 def test_several_buses(files: dict[str, bytes], tmp_path: Path) -> None:
     robot = example_robot("4wd4ws_slim")
     second = Bus("implement", 250_000, 0.02, (), (), SPAN)
-    made = Can().emit(dataclasses.replace(robot, buses=(*robot.buses, second)))
+    made = files_of(Can, dataclasses.replace(robot, buses=(*robot.buses, second)))
     assert {"can/main.bus.yml", "can/main.dbc", "can/implement.dbc"} <= set(made)
     assert "can/implement.bus.yml" not in made  # nothing on it that ros2_canopen could talk to
     assert [b["name"] for b in json.loads(made["can/budget.json"])["buses"]] == [
@@ -367,4 +368,4 @@ def test_several_buses(files: dict[str, bytes], tmp_path: Path) -> None:
 
 
 def test_a_robot_without_a_bus_has_only_a_map() -> None:
-    assert list(Can().emit(make_robot(FOUR_STEERED))) == ["can/canmap.json"]
+    assert list(files_of(Can, make_robot(FOUR_STEERED))) == ["can/canmap.json"]

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS, grafted, stl
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.model import Fleet, Inertial, Mesh, MeshShape, Placement, Pose, Robot, Visual
@@ -167,7 +168,7 @@ def test_long_drives_do_not_saturate(written: Written) -> None:
 
 
 def test_emission_repeats_itself() -> None:
-    assert Mjcf().emit(grafted(3)) == Mjcf().emit(grafted(3))
+    assert files_of(Mjcf, grafted(3)) == files_of(Mjcf, grafted(3))
 
 
 @pytest.mark.parametrize("seed", range(20))

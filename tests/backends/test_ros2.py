@@ -15,6 +15,7 @@ import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tests.backend_files import files_of
 from tests.backends.rcl_parameters import RclError, read, value_of
 from tests.buses import robot_with_bus
 from tests.robots import FOUR_STEERED, SPAN, make_robot
@@ -32,7 +33,7 @@ FILES = ("base_driver", "twist_mux", "teleop_twist_joy", "robot_state_publisher"
 def emit(robot: Robot) -> dict[str, dict[str, Any]]:
     """The parameters of each node, as rcl has them."""
     found: dict[str, dict[str, Any]] = {}
-    for data in Ros2().emit(robot).values():
+    for data in files_of(Ros2, robot).values():
         for node, parameters in read(data.decode()).items():
             assert node not in found
             found[node] = parameters
@@ -54,7 +55,7 @@ def nodes() -> dict[str, dict[str, Any]]:
 
 
 def test_files_and_nodes(nodes: dict[str, dict[str, Any]]) -> None:
-    assert list(Ros2().emit(robot_with_bus())) == [f"ros2/config/{f}.yaml" for f in FILES]
+    assert list(files_of(Ros2, robot_with_bus())) == [f"ros2/config/{f}.yaml" for f in FILES]
     assert list(nodes) == [
         "/base_driver",
         "/twist_mux",
@@ -64,7 +65,7 @@ def test_files_and_nodes(nodes: dict[str, dict[str, Any]]) -> None:
 
 
 def test_rcl_and_pyyaml_read_the_same(nodes: dict[str, dict[str, Any]]) -> None:
-    for data in Ros2().emit(robot_with_bus()).values():
+    for data in files_of(Ros2, robot_with_bus()).values():
         for node, content in yaml.safe_load(data).items():
             plain = flat(content["ros__parameters"])
             assert plain == nodes["/" + node]
@@ -156,7 +157,7 @@ def test_teleop_scales_reach_the_robots_limits(nodes: dict[str, dict[str, Any]])
 def test_description_is_the_urdf_itself(nodes: dict[str, dict[str, Any]]) -> None:
     robot = robot_with_bus()
     publisher = nodes["/robot_state_publisher"]
-    assert publisher["robot_description"].encode() == Urdf().emit(robot)["urdf/robot.urdf"]
+    assert publisher["robot_description"].encode() == files_of(Urdf, robot)["urdf/robot.urdf"]
     assert publisher["frame_prefix"] == ""
 
 
@@ -302,9 +303,10 @@ def test_reader_refuses_as_rcl_does(text: str) -> None:
 def test_output_repeats_and_loads_nothing_heavy() -> None:
     script = (
         "import hashlib, sys\n"
+        "from tests.backend_files import files_of\n"
         "from tests.buses import robot_with_bus\n"
         "from thorvaldc.backends.ros2 import Ros2\n"
-        "out = Ros2().emit(robot_with_bus())\n"
+        "out = files_of(Ros2, robot_with_bus())\n"
         "assert not {'numpy', 'jinja2', 'yaml'} & set(sys.modules)\n"
         "print(hashlib.sha256(b''.join(out.values())).hexdigest())\n"
     )

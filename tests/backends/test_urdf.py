@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS, grafted
 from tests.examples import ROBOTS as EXAMPLES
 from tests.examples import example_robot
@@ -51,7 +52,7 @@ def test_springs_reach_sdformat(written: Written, ign: str) -> None:
 def test_extensions_of_extras_go_along() -> None:
     text = '<gazebo reference="frame_body"><sensor type="ray" name="a&amp;b"/></gazebo>'
     robot = replace(ROBOTS["square"], urdf_extensions=(text,))
-    root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])
+    root = ET.fromstring(files_of(Urdf, robot)["urdf/robot.urdf"])
     found = root.find("gazebo[@reference='frame_body']/sensor")
     assert found is not None
     assert found.get("name") == "a&b"
@@ -64,7 +65,7 @@ def test_extensions_of_extras_carry_the_name_space() -> None:
     )
     joint = '<transmission name="t"><joint name="frame_mount"/><joint name="other"/></transmission>'
     robot = replace(ROBOTS["square"], urdf_extensions=(text, joint), namespace="r7")
-    root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])
+    root = ET.fromstring(files_of(Urdf, robot)["urdf/robot.urdf"])
     gazebo = root.find("gazebo[@reference='r7/frame_body']")
     assert gazebo is not None
     assert gazebo.find("sensor[@name='frame_body']") is not None
@@ -76,7 +77,7 @@ def test_extensions_of_extras_carry_the_name_space() -> None:
 
 def test_names_carry_the_name_space() -> None:
     robot = replace(grafted(1), namespace="r7")
-    root = ET.fromstring(Urdf().emit(robot)["urdf/robot.urdf"])
+    root = ET.fromstring(files_of(Urdf, robot)["urdf/robot.urdf"])
     links = {link.get("name") for link in root.findall("link")}
     assert all(str(name).startswith("r7/") for name in links)
     for tag, key in (("parent", "link"), ("child", "link")):
@@ -88,4 +89,4 @@ def test_names_carry_the_name_space() -> None:
 
 
 def test_emission_repeats_itself() -> None:
-    assert Urdf().emit(grafted(3)) == Urdf().emit(grafted(3))
+    assert files_of(Urdf, grafted(3)) == files_of(Urdf, grafted(3))

@@ -11,6 +11,7 @@ import canopen
 import cantools
 import pytest
 
+from tests.backend_files import files_of
 from tests.examples import ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot
@@ -33,7 +34,7 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 
 @pytest.fixture(scope="module")
 def files(robot: Robot) -> dict[str, bytes]:
-    return Can().emit(robot)
+    return files_of(Can, robot)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +129,7 @@ def test_cantools_decodes_what_the_driver_sends_to_what_it_wants(name: str) -> N
     """The driver's frames on the wire, by our DBC; and the reports to what the motors do."""
     rig = Rig(cia402_robot() if name == "cia402" else example_robot(name))
     read = cantools.database.load_string(
-        Can().emit(rig.robot)["can/robot.dbc"].decode("cp1252"), "dbc"
+        files_of(Can, rig.robot)["can/robot.dbc"].decode("cp1252"), "dbc"
     )
     rig.drive(Twist(0.4, 0.0, 0.2), 4.0)
     last = {frame.id: frame.data for _, frame in rig.frames}

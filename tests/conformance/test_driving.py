@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.backend_files import files_of
 from tests.backends.conftest import write
 from tests.backends.plans import ROBOTS as PLANNED
 from tests.conformance.driving import can_turn, drive
@@ -26,7 +27,7 @@ def robot_of(name: str) -> Robot:
 
 
 def scene_of(robot: Robot, folder: Path) -> Path:
-    return write(Mjcf().emit(robot), folder) / "mjcf" / "scene.xml"
+    return write(files_of(Mjcf, robot), folder) / "mjcf" / "scene.xml"
 
 
 @pytest.mark.parametrize("name", UPRIGHT)
@@ -121,7 +122,7 @@ def test_wheels_on_rockers_carry_what_the_model_says(workshop: Workshop, tmp_pat
 
 @pytest.mark.parametrize("name", FLEETS)
 def test_fleets_stand_still(name: str, tmp_path: Path) -> None:
-    write(Mjcf().emit_fleet(example_fleet(name)), tmp_path)
+    write(files_of(Mjcf, example_fleet(name)), tmp_path)
     m = mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf" / "scene.xml"))
     d = mujoco.MjData(m)
     mujoco.mj_resetDataKeyframe(m, d, 0)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.backend_files import files_of
 from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import cia402_robot
@@ -239,7 +240,7 @@ def test_drives_stop_by_themselves_when_the_driver_hangs() -> None:
 
 def test_heartbeats_are_on_for_ros2_canopen() -> None:
     """They are off by default there."""
-    nodes = yaml.safe_load(Can().emit(cia402_robot())["can/bus.yml"])
+    nodes = yaml.safe_load(files_of(Can, cia402_robot())["can/bus.yml"])
     assert nodes["master"]["heartbeat_producer"] > 0
     for name, node in nodes["nodes"].items():
         if name.endswith("_controller"):

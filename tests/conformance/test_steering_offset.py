@@ -11,6 +11,7 @@ import cantools
 import pytest
 import yaml
 
+from tests.backend_files import files_of
 from tests.examples import FOLDER
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import CIA402
@@ -80,7 +81,7 @@ def test_the_offset_is_in_the_angles_of_the_calibrated_joints_alone(
 
 def test_every_file_for_the_bus_has_it(pair: tuple[Robot, Robot]) -> None:
     _, robot = pair
-    files = {path: data.decode("cp1252") for path, data in Can().emit(robot).items()}
+    files = {path: data.decode("cp1252") for path, data in files_of(Can, robot).items()}
     database = cantools.database.load_string(files["can/robot.dbc"], "dbc")
     canmap = json.loads(files["can/canmap.json"])
     nodes = yaml.safe_load(files["can/bus.yml"])["nodes"]

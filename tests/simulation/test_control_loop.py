@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.runtime.se2 import Twist
@@ -38,7 +39,7 @@ def test_each_tick_is_seen_once() -> None:
 
 def test_truth_is_the_physics_and_yaw_is_counted() -> None:
     pytest.importorskip("mujoco")
-    seen = samples(Simulation(ROBOT, Mjcf().emit(ROBOT)), 8.0)
+    seen = samples(Simulation(ROBOT, files_of(Mjcf, ROBOT)), 8.0)
     last = seen[-1]
     assert last.true != last.estimated
     assert last.true == pytest.approx(last.limited, abs=0.02)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
@@ -43,7 +44,7 @@ EXAMPLES = sorted(
 @cache
 def simulation(name: str) -> Simulation:
     if name in MADE:
-        return Simulation(MADE[name], Mjcf().emit(MADE[name]))
+        return Simulation(MADE[name], files_of(Mjcf, MADE[name]))
     root = Path(__file__).resolve().parents[2] / "examples" / name
     done = compile_file(root / "robot.yaml")
     assert isinstance(done.model, Robot), [d.message for d in done.report.errors]
@@ -91,7 +92,7 @@ def test_skid_steering_turns_as_asked(
     middle: tuple[tuple[float, float], ...], bound: float
 ) -> None:
     robot = make_robot([(x, y, F) for x, y in (*SQUARE, *middle)])
-    made = Simulation(robot, Mjcf().emit(robot))
+    made = Simulation(robot, files_of(Mjcf, robot))
     for twist in (Twist(0.0, 0.0, 0.4), Twist(0.5, 0.0, 0.3)):
         run = made.run(9.5, [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]).robots[0]
         assert run.pose_true.yaw == pytest.approx(twist.wz * 8.0, rel=bound)
@@ -152,6 +153,6 @@ def test_wheels_that_lean_turn_the_robot_as_their_encoders_say(twist: Twist) -> 
     """Wheels tilted by 6 and 9 deg; what is left is their torsional friction."""
     robot = ROBOTS["cambered"]
     plan = [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]
-    run = Simulation(robot, Mjcf().emit(robot)).run(10.0, plan).robots[0]
+    run = Simulation(robot, files_of(Mjcf, robot)).run(10.0, plan).robots[0]
     assert abs(run.pose_odometry.yaw) > 2.0
     assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-3)

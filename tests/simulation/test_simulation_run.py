@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics import Report
@@ -30,7 +31,7 @@ def codes(report: Report) -> list[str]:
 
 
 def write_build(folder: Path, robot: Robot) -> Path:
-    for name, data in Mjcf().emit(robot).items():
+    for name, data in files_of(Mjcf, robot).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
     (folder / "model.json").write_text(to_json(robot), encoding="utf-8")
@@ -40,14 +41,14 @@ def write_build(folder: Path, robot: Robot) -> Path:
 def test_a_run_on_ideal_joints_and_one_in_mujoco_agree() -> None:
     twist = Twist(0.5, 0.1, 0.2)
     ideal = Simulation(ROBOT).run(4.0, twist)
-    real = Simulation(ROBOT, Mjcf().emit(ROBOT)).run(4.0, twist)
+    real = Simulation(ROBOT, files_of(Mjcf, ROBOT)).run(4.0, twist)
     assert (ideal.physics, real.physics) == ("ideal", "mujoco")
     assert ideal.robots[0].end_error == 0.0
     assert real.robots[0].pose_true == pytest.approx(ideal.robots[0].pose_true, abs=0.05)
 
 
 def test_same_run_gives_the_same_numbers() -> None:
-    made = Simulation(ROBOT, Mjcf().emit(ROBOT))
+    made = Simulation(ROBOT, files_of(Mjcf, ROBOT))
     assert made.run(2.0, Twist(0.5, 0.0, 0.3)).robots == made.run(2.0, Twist(0.5, 0.0, 0.3)).robots
 
 
@@ -88,17 +89,17 @@ def test_falling_over_ends_the_run_and_is_told() -> None:
     settings = replace(robot.driver, max_linear_acceleration=5.0, max_angular_acceleration=20.0)
     robot = replace(robot, driver=settings)
     report = Report()
-    result = Simulation(robot, Mjcf().emit(robot)).run(8.0, Twist(1.5, 0.0, 1.5), report)
+    result = Simulation(robot, files_of(Mjcf, robot)).run(8.0, Twist(1.5, 0.0, 1.5), report)
     assert codes(report) == ["simulation-tipped"]
     assert result.robots[0].tipped
     assert result.simulated < 8.0
     upright = Report()
-    Simulation(robot, Mjcf().emit(robot)).run(4.0, Twist(0.3, 0.0, 0.0), upright)
+    Simulation(robot, files_of(Mjcf, robot)).run(4.0, Twist(0.3, 0.0, 0.0), upright)
     assert codes(upright) == []
 
 
 def test_divergence_ends_the_run_and_is_told() -> None:
-    made = Simulation(ROBOT, Mjcf().emit(ROBOT))
+    made = Simulation(ROBOT, files_of(Mjcf, ROBOT))
     assert made.scene is not None
     made.scene.model.body_mass[2] = 1e-12
     made.scene.model.body_inertia[2] = 1e-15

@@ -10,7 +10,7 @@ stands on slopes as it should at steps of 1 to 5 ms: elliptic cones, a first
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TypeGuard
 
 from thorvaldc.backends import Backend
@@ -38,8 +38,8 @@ from thorvaldc.model import (
     Wheel,
 )
 from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
-from thorvaldc.model.statics.joint_tree import Tree
-from thorvaldc.model.statics.standing_pose import Rest, rest, spin_axis
+from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.standing_pose import Statics
 from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF, WheelContact
 
 TIMESTEP = 0.005
@@ -96,36 +96,34 @@ class Mjcf(Backend):
                     "rename it in the extra, or give the robot a `namespace`",
                 )
 
-    def emit(self, robot: Robot) -> dict[str, bytes]:
-        tree = Tree(robot)
-        settled = rest(tree)
+    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
+        tree = JointTree(robot.links, robot.joints)
         writer = _Writer(robot.name, [robot], ["../meshes"])
-        writer.add_robot(tree, 0, settled, None)
+        writer.add_robot(robot, tree, 0, statics, None)
         scene = Element("mujoco", model=f"{robot.name} scene")
         scene.add("include", file="robot.xml")
         add_surroundings(scene, [robot], [Pose()])
-        add_home(scene, [tree], [settled], [Pose()])
+        add_home(scene, [robot], [tree], [statics], [Pose()])
         return {
             "mjcf/robot.xml": to_bytes(writer.root()),
             "mjcf/scene.xml": to_bytes(scene),
             **mesh_files(robot),
         }
 
-    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
-        files = super().emit_fleet(fleet)
+    def emit_fleet(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
+        files = super().emit_fleet(fleet, statics)
         robots = [placement.robot for placement in fleet.placements]
         poses = [placement.pose for placement in fleet.placements]
         folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
         writer = _Writer(fleet.name, robots, folders)
-        trees = [Tree(robot) for robot in robots]
-        settled = [rest(tree) for tree in trees]
-        for i, tree in enumerate(trees):
-            writer.add_robot(tree, i, settled[i], poses[i])
+        trees = [JointTree(robot.links, robot.joints) for robot in robots]
+        for i, robot in enumerate(robots):
+            writer.add_robot(robot, trees[i], i, statics[i], poses[i])
         scene = writer.root()
         add_surroundings(scene, robots, poses, fleet.world)
         if fleet.world is not None:
             files.update(add_world(scene, fleet.world, poses))
-        add_home(scene, trees, settled, poses)
+        add_home(scene, robots, trees, statics, poses)
         files["mjcf/scene.xml"] = to_bytes(scene)
         return files
 
@@ -209,9 +207,11 @@ class _Writer:
         root.children += [section for section in sections if section.children]
         return root
 
-    def add_robot(self, tree: Tree, number: int, settled: Rest, pose: Pose | None) -> None:
+    def add_robot(
+        self, robot: Robot, tree: JointTree, number: int, statics: Statics, pose: Pose | None
+    ) -> None:
         """Add a robot, its base at ``pose``; ``number`` tells robots of a scene apart."""
-        _RobotWriter(self, tree, number, settled).write(pose)
+        _RobotWriter(self, robot, tree, number, statics).write(pose)
 
     def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
         """Name of the asset for a mesh at a scale; equal files are one asset."""
@@ -238,12 +238,13 @@ class _Writer:
 
 
 class _RobotWriter:
-    def __init__(self, writer: _Writer, tree: Tree, number: int, settled: Rest) -> None:
-        robot = tree.robot
+    def __init__(
+        self, writer: _Writer, robot: Robot, tree: JointTree, number: int, statics: Statics
+    ) -> None:
         self.writer = writer
         self.robot = robot
         self.number = number
-        self.settled = settled
+        self.statics = statics
         self.prefix = _prefix(robot)
         self.tree = tree
         self.meshes = {mesh.name: mesh for mesh in robot.meshes}
@@ -259,14 +260,14 @@ class _RobotWriter:
         robot, prefix = self.robot, self.prefix
         bodies: dict[str, Element] = {}
         names = _body_names(robot)
-        for index in self.tree.order:
-            link = robot.links[index]
-            joint = self.tree.above[index]
+        for name in self.tree.order:
+            link = self.tree.links[name]
+            joint = self.tree.parent_joint.get(name)
             if joint is None:
                 body = self.writer.worldbody.add("body", name=names[link.name])
                 if pose is not None:
                     _place(body, pose)
-                base = _free("floating_base", self.tree.joint)
+                base = _free("floating_base", self.tree.joints)
                 body.add("freejoint", name=prefix + base)
             else:
                 body = bodies[joint.parent].add("body", name=names[link.name])
@@ -292,7 +293,7 @@ class _RobotWriter:
         friction = joint.friction
         wheel = self.wheel_of_joint.get(joint.name)
         if wheel is not None:
-            force = self.settled.wheels[wheel.name].force
+            force = self.statics.wheels[wheel.name].force
             friction = clean(friction + wheel.rolling_resistance * force * wheel.radius)
         limits = None
         if joint.lower is not None and joint.upper is not None:
@@ -334,7 +335,7 @@ class _RobotWriter:
             body.append(geom)
         wheel = self.wheel_of_link.get(link.name)
         if wheel is not None:
-            self._add_tread(body, wheel, self.settled.wheels[wheel.name])
+            self._add_tread(body, wheel, self.statics.wheels[wheel.name])
             return
         for i, collision in enumerate(link.collisions):
             name = f"{self.prefix}{link.name}_collision_{i}"
@@ -356,7 +357,7 @@ class _RobotWriter:
 
     def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
         """The ellipsoid that rolls like the wheel, in place of the link's collision shapes."""
-        axis = spin_axis(self.tree, wheel)
+        axis = contact.axis
         x, y, z = axis
         shift = contact.offset
         geom = body.add("geom", name=f"{self.prefix}{wheel.link}_tread", class_="wheel")
@@ -367,11 +368,9 @@ class _RobotWriter:
         mu = wheel.friction
         geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
         for tread in wheel.treads:
-            self._add_ring(body, wheel, tread, axis, contact)
+            self._add_ring(body, wheel, tread, contact)
 
-    def _add_ring(
-        self, body: Element, wheel: Wheel, tread: Tread, axis: Vec3, contact: WheelContact
-    ) -> None:
+    def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
         """A ring beside the tyre, and its flanges, along which a rail slides."""
         radius = wheel.radius_named(tread.name)
         name = f"{self.prefix}{wheel.link}_{tread.name}"
@@ -379,11 +378,11 @@ class _RobotWriter:
         ring = body.add("geom", name=name, class_="wheel", **self.bits)
         ring.set(type="cylinder", size=(clean(radius + contact.penetration / 2), half))
         ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
-        turned = _z_to(axis)
+        turned = _z_to(contact.axis)
         _place(ring, Pose(tread.center, turned).clean())
         for side in (1, -1) if tread.flange else ():
             shift = side * (half + FLANGE / 2)
-            center = tuple(c + shift * a for c, a in zip(tread.center, axis, strict=True))
+            center = tuple(c + shift * a for c, a in zip(tread.center, contact.axis, strict=True))
             flange = body.add(
                 "geom", name=f"{name}_flange_{'left' if side > 0 else 'right'}", class_="wheel"
             )
@@ -411,10 +410,10 @@ class _RobotWriter:
                 camera.set(resolution=(int(width), int(height)))
 
     def _add_actuator(self, actuator: Actuator, driven: int) -> None:
-        joint = self.tree.joint[actuator.joint]
+        joint = self.tree.joints[actuator.joint]
         torque, speed = actuator.max_torque, actuator.max_velocity
         names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
-        own = self.settled.carried[actuator.joint] + joint.armature
+        own = self.statics.inertias[actuator.joint] + joint.armature
         if actuator.role == "steering":
             limits = None
             if joint.lower is not None and joint.upper is not None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from thorvaldc.backends.mjcf_world import lowest
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import Pose, Robot, Vec3, World
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.joint_tree import Tree
-from thorvaldc.model.statics.standing_pose import Rest
+from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.standing_pose import Statics
 
 
 def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
@@ -90,17 +90,23 @@ def add_surroundings(
     )
 
 
-def add_home(scene: Element, trees: list[Tree], settled: list[Rest], poses: list[Pose]) -> None:
-    """The key frame in which every robot stands still, with its servos at their targets."""
+def add_home(
+    scene: Element,
+    robots: Sequence[Robot],
+    trees: Sequence[JointTree],
+    statics: Sequence[Statics],
+    poses: Sequence[Pose],
+) -> None:
+    """Add the key frame in which every robot stands still, with its servos at their targets."""
     qpos: list[float] = []
     ctrl: list[float] = []
     act: list[float] = []
-    for tree, stance, pose in zip(trees, settled, poses, strict=True):
-        base = (pose * stance.base).clean()
+    for robot, tree, standing, pose in zip(robots, trees, statics, poses, strict=True):
+        base = (pose * standing.base).clean()
         qpos += [*base.xyz, *base.quat]
-        qpos += [stance.positions[joint.name] for joint in tree.moving]
-        for actuator in tree.robot.actuators:
-            position = stance.positions[actuator.joint]
+        qpos += [standing.positions[joint.name] for joint in tree.moving]
+        for actuator in robot.actuators:
+            position = standing.positions[actuator.joint]
             if actuator.role == "steering":
                 ctrl.append(position)
             else:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import Box, Cylinder, Ground, MeshShape, Pose, Sphere, World, Zone
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.standing_pose import GRAVITY
+from thorvaldc.model.statics.gravity import GRAVITY
 
 TERRAIN = "terrain.bin"
 _DEPTH = 0.5  # m, of the ground below its lowest point

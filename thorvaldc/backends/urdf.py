@@ -9,6 +9,7 @@ from thorvaldc.backends.appearance import Palette, mesh_files
 from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_bytes
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Visual, Wheel
 from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.standing_pose import Statics
 
 # URDF has no word for "no limit" on revolute and prismatic joints.
 UNLIMITED = 1e9
@@ -18,7 +19,7 @@ class Urdf(Backend):
     name = "urdf"
     summary = "robot description for ROS 2 (urdf/robot.urdf) with its meshes"
 
-    def emit(self, robot: Robot) -> dict[str, bytes]:
+    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
         files = {"urdf/robot.urdf": urdf_text(robot).encode()}
         files.update(mesh_files(robot))
         return files

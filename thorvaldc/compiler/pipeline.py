@@ -108,15 +108,21 @@ def emit(
     Raises ``KeyError`` for an unknown target.  Elements of the model that a format cannot
     express are reported, with spans as in the model.
     """
+    from thorvaldc.model.statics.standing_pose import solve_statics  # `check` does not need it
+
     files = {MODEL_FILE: to_json(model).encode()}
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
+    statics = [solve_statics(robot) for robot in robots]
     for target in dict.fromkeys(targets):
         backend = backends.load(target)
         if report is not None:
             for robot in robots:
                 for diagnostic in backend.unsupported(robot):
                     report.put(diagnostic)
-        files.update(backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model))
+        if isinstance(model, Fleet):
+            files.update(backend.emit_fleet(model, statics))
+        else:
+            files.update(backend.emit(model, statics[0]))
     return files
 
 

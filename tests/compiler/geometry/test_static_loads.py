@@ -11,8 +11,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.robots import SPAN
-from thorvaldc.compiler.geometry.static_loads import Pivot, Tree, lowest_point, static_loads
+from thorvaldc.compiler.geometry.static_loads import Pivot, lowest_point, static_loads
 from thorvaldc.model import Inertial, Joint, Link, Pose
+from thorvaldc.model.statics.joint_tree import JointTree
 
 G = 9.81
 coordinate = st.floats(-3.0, 3.0).map(lambda v: round(v, 3))
@@ -143,10 +144,10 @@ def test_the_lowest_point_is_on_the_middle_circle(yaw: float, camber: float, rad
 # -- the tree --------------------------------------------------------------------------------
 
 
-def chain(*links: str) -> Tree:
+def chain(*links: str) -> JointTree:
     """Links one metre above one another, each of 1 kg."""
     own = Inertial(1.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.0, 0.0, 0.0))
-    return Tree(
+    return JointTree(
         [Link(name, "m", own, (), (), SPAN) for name in links],
         [
             Joint(f"{b}_j", "m", "fixed", a, b, Pose((0.0, 0.0, 1.0)), SPAN)

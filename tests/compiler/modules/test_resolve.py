@@ -7,9 +7,9 @@ import math
 import pytest
 
 from tests.workshop import CART, EXPECTED, Workshop, said
-from thorvaldc.compiler.geometry.static_loads import Tree
 from thorvaldc.compiler.modules.library_check import check_library
 from thorvaldc.model import Robot
+from thorvaldc.model.statics.joint_tree import JointTree
 
 SOURCE = 'source: "chosen: for a test"'
 ARM = f"""
@@ -23,7 +23,7 @@ ports:
 
 def place(robot: Robot, link: str) -> tuple[float, float, float]:
     """Where a link's origin is in base_link, rounded to a micrometre."""
-    x, y, z = Tree(robot.links, robot.joints).pose[link].xyz
+    x, y, z = JointTree(robot.links, robot.joints).pose[link].xyz
     return (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0)
 
 
@@ -52,7 +52,7 @@ def test_where_a_module_is_held_counts(workshop: Workshop) -> None:
         ARM.replace("link: base}", "link: base, xyz: [0.2, 0, 0], rpy: [0, 0, 90 deg]}", 1),
     )
     robot = workshop.robot(CART + "    hook: {type: t/hook, mount: body.front}")
-    pose = Tree(robot.links, robot.joints).pose["hook_base"]
+    pose = JointTree(robot.links, robot.joints).pose["hook_base"]
     # Held at (0.2, 0, 0), where its x points to the frame's -y.
     assert place(robot, "hook_base") == (0.5, 0.2, 0.6)
     assert pose.rpy()[2] == pytest.approx(-math.pi / 2)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -22,7 +23,7 @@ ROBOT = make_robot(FOUR_STEERED)
 
 @pytest.fixture(scope="module")
 def files() -> dict[str, bytes]:
-    return Mjcf().emit(ROBOT)
+    return files_of(Mjcf, ROBOT)
 
 
 def write(folder: Path, files: dict[str, bytes]) -> Path:
@@ -116,7 +117,7 @@ def test_two_robots_of_a_scene_are_told_apart() -> None:
             Placement("two", Pose((0.0, -3.0, 0.0)), two),
         ),
     )
-    scene = MujocoScene(Mjcf().emit_fleet(fleet))
+    scene = MujocoScene(files_of(Mjcf, fleet))
     a, b = MujocoBase(one, scene), MujocoBase(two, scene)
     for k in range(100):
         a.read(k * 0.02)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.robots import make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
@@ -22,7 +23,7 @@ def test_four_wheels_that_do_not_steer_turn_by_sliding(rate: float) -> None:
     robot = make_robot(CORNERS)
     motors = tuple(replace(a, max_velocity=50.0, max_torque=200.0) for a in robot.actuators)
     robot = replace(robot, actuators=motors)
-    scene = MujocoScene(Mjcf().emit(robot))
+    scene = MujocoScene(files_of(Mjcf, robot))
     base = MujocoBase(robot, scene)
     v = rate * (X * X + Y * Y) / Y
     for wheel in robot.wheels:
@@ -44,5 +45,5 @@ def test_wheels_that_slide_are_not_integrated_explicitly() -> None:
     """At 2 rad/s they chatter then; robots whose wheels roll are nearer to their encoders by it."""
     one_axle = [(0.0, Y, "fixed"), (0.0, -Y, "fixed"), (-X, 0.0, "swivel")]
     robots = [make_robot(wheels, body_mass=20.0) for wheels in (CORNERS, one_axle)]
-    texts = [Mjcf().emit(robot)["mjcf/robot.xml"] for robot in robots]
+    texts = [files_of(Mjcf, robot)["mjcf/robot.xml"] for robot in robots]
     assert [b'integrator="Euler"' in text for text in texts] == [False, True]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -92,7 +93,7 @@ def test_wheels_roll_and_point_as_the_ground_wants() -> None:
 @pytest.fixture(scope="module")
 def files() -> dict[str, bytes]:
     pytest.importorskip("mujoco")
-    return Mjcf().emit(ROBOT)
+    return files_of(Mjcf, ROBOT)
 
 
 def test_larger_wheels_go_farther_in_mujoco(files: dict[str, bytes]) -> None:

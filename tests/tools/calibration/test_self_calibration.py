@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.backend_files import files_of
 from tests.recording import TURNS, record
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
@@ -246,7 +247,7 @@ def test_drives_that_only_obey_tell_no_radii(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def files() -> dict[str, bytes]:
     pytest.importorskip("mujoco")
-    return Mjcf().emit(SIX)
+    return files_of(Mjcf, SIX)
 
 
 def test_radii_from_physics(files: dict[str, bytes], tmp_path: Path) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.compiler.geometry.static_loads import GRAVITY, Tree, contact_point
+from thorvaldc.compiler.geometry.static_loads import contact_point
 from thorvaldc.compiler.modules.design_requirements import Design
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Robot, Wheel
+from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.statics.joint_tree import JointTree
 
 WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
 
@@ -99,7 +101,7 @@ def check_parts_above_ground(robot: Robot, report: Report) -> None:
 
     Its centre of mass is what is asked about: a tool may well reach into the soil.
     """
-    pose = Tree(robot.links, robot.joints).pose
+    pose = JointTree(robot.links, robot.joints).pose
     for link in robot.links:
         if link.inertial is None or link.inertial.mass <= 0.0 or link.name not in pose:
             continue

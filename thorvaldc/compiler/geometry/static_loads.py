@@ -8,21 +8,20 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.modules.hardware import WheelPart
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.robot import Actuator, Joint, Link, Wheel
+from thorvaldc.model.robot import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import (
     Inertial,
-    Pose,
     Vec3,
     add,
     clean,
-    combine,
     cross,
     dot,
     norm,
     scale,
 )
+from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.statics.joint_tree import JointTree
 
-GRAVITY = 9.81
 UP: Vec3 = (0.0, 0.0, 1.0)
 
 
@@ -34,51 +33,6 @@ class PlacedWheel(NamedTuple):
     link: str
     part: WheelPart
     span: Span
-
-
-class Tree:
-    """Links and joints with the poses of all links in ``base_link`` at joint zero."""
-
-    def __init__(self, links: Sequence[Link], joints: Sequence[Joint]) -> None:
-        self.links = {link.name: link for link in links}
-        self.parent_joint = {joint.child: joint for joint in joints}
-        children: dict[str, list[Joint]] = {}
-        for joint in joints:
-            children.setdefault(joint.parent, []).append(joint)
-        self.children = children
-        self.pose: dict[str, Pose] = {}
-        stack = [(links[0].name, Pose())]
-        while stack:
-            name, pose = stack.pop()
-            self.pose[name] = pose
-            stack.extend((j.child, pose * j.pose) for j in children.get(name, ()))
-
-    def joints_above(self, link: str) -> list[Joint]:
-        """The joints from a link up to the root, nearest first."""
-        found: list[Joint] = []
-        while link in self.parent_joint:
-            joint = self.parent_joint[link]
-            found.append(joint)
-            link = joint.parent
-        return found
-
-    def links_below(self, link: str) -> list[str]:
-        """A link and all that hangs on it."""
-        found = [link]
-        for name in found:
-            found.extend(j.child for j in self.children.get(name, ()))
-        return found
-
-    def inertial(self, names: Sequence[str] | None = None, lift: float = 0.0) -> Inertial:
-        """Mass, centre and inertia of links (all of them) at zero, in ``base_link``."""
-        parts = []
-        for name in names if names is not None else self.links:
-            own = self.links[name].inertial
-            if own is not None and name in self.pose:
-                pose = self.pose[name]
-                lifted = Pose(add(pose.xyz, (0.0, 0.0, lift)), pose.quat)
-                parts.append(own.transformed(lifted))
-        return combine(parts)
 
 
 def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
@@ -99,7 +53,7 @@ class _Chain(NamedTuple):
     axis: Vec3
 
 
-def _chain(tree: Tree, wheel: PlacedWheel, report: Report) -> _Chain | None:
+def _chain(tree: JointTree, wheel: PlacedWheel, report: Report) -> _Chain | None:
     above = tree.joints_above(wheel.link)
     moving = [j for j in above if j.type != "fixed"]
     if not moving or moving[0].type not in ("continuous", "revolute"):
@@ -123,7 +77,7 @@ def _chain(tree: Tree, wheel: PlacedWheel, report: Report) -> _Chain | None:
     return _Chain(spin, steering, swivel, suspension, axis)
 
 
-def ground_height(tree: Tree, wheels: Sequence[PlacedWheel], report: Report) -> float:
+def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
     """How far ``base_link`` must be lifted so that the lowest wheel stands on z = 0."""
     heights = []
     for wheel in wheels:
@@ -135,7 +89,7 @@ def ground_height(tree: Tree, wheels: Sequence[PlacedWheel], report: Report) -> 
 
 
 def make_wheels(
-    tree: Tree,
+    tree: JointTree,
     placed: Sequence[PlacedWheel],
     actuators: Mapping[str, Actuator],
     report: Report,
@@ -229,7 +183,7 @@ class Pivot(NamedTuple):
     moment: float
 
 
-def free_pivots(tree: Tree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
+def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
     """The joints without spring and motor that wheels hang on, but for their own axles."""
     found: list[Pivot] = []
     own = {
@@ -337,7 +291,7 @@ def _plane(
 
 
 def spring_reference(
-    joint: Joint, tree: Tree, wheels: Sequence[Wheel], loads: Sequence[float]
+    joint: Joint, tree: JointTree, wheels: Sequence[Wheel], loads: Sequence[float]
 ) -> float:
     """The rest position of a spring whose joint stands at zero under the static load.
 

@@ -12,7 +12,6 @@ from thorvaldc.compiler.bus.lock_file import Lock
 from thorvaldc.compiler.bus.wiring import Wiring
 from thorvaldc.compiler.geometry.static_loads import (
     PlacedWheel,
-    Tree,
     contact_point,
     free_pivots,
     ground_height,
@@ -48,6 +47,7 @@ from thorvaldc.model.robot import (
     Wheel,
 )
 from thorvaldc.model.spatial import Pose, Vec3, clean, cross, norm, scale
+from thorvaldc.model.statics.joint_tree import JointTree
 
 HEIGHT_TOLERANCE = 1e-3
 
@@ -125,15 +125,15 @@ class Elaborator:
         if self.report.has_errors:
             self._check_bus(robot, parts)
             return None
-        tree = Tree(parts.links, parts.joints)
+        tree = JointTree(parts.links, parts.joints)
         if calibration is not None:
             measured = calibrate_wheels(calibration, parts.wheels, self.report)
             raise_axles(parts.joints, tree, parts.wheels, measured)
             parts.wheels = measured
-            tree = Tree(parts.links, parts.joints)
+            tree = JointTree(parts.links, parts.joints)
         lift = clean(ground_height(tree, parts.wheels, self.report))
         self._lift(parts, lift, robot, hardware)
-        tree = Tree(parts.links, parts.joints)
+        tree = JointTree(parts.links, parts.joints)
         self._wheel_collisions(parts, tree)
         actuated = {a.joint: a for a in parts.actuators}
         wheels = make_wheels(tree, parts.wheels, actuated, self.report)
@@ -398,7 +398,7 @@ class Elaborator:
                         "or choose legs of another length",
                     )
 
-    def _wheel_collisions(self, parts: _Parts, tree: Tree) -> None:
+    def _wheel_collisions(self, parts: _Parts, tree: JointTree) -> None:
         """A wheel's link gets its cylinder, along the axis that it spins about."""
         index = {link.name: i for i, link in enumerate(parts.links)}
         for wheel in parts.wheels:
@@ -413,7 +413,7 @@ class Elaborator:
             others = parts.links[i].collisions
             parts.links[i] = replace(parts.links[i], collisions=(Collision(shape, pose), *others))
 
-    def _sprung(self, joint: Joint, tree: Tree, wheels: list[Wheel]) -> Joint:
+    def _sprung(self, joint: Joint, tree: JointTree, wheels: list[Wheel]) -> Joint:
         if joint.stiffness <= 0.0:
             return joint
         return replace(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from thorvaldc.compiler.geometry.static_loads import PlacedWheel, Tree
+from thorvaldc.compiler.geometry.static_loads import PlacedWheel
 from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
@@ -17,6 +17,7 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import add, clean
+from thorvaldc.model.statics.joint_tree import JointTree
 
 MOST_RADIUS = 0.2
 """Share by which a measured radius may differ from the module's: more is another wheel."""
@@ -157,7 +158,10 @@ def _radius(value: float, span: Span, nominal: float, wheel: str, report: Report
 
 
 def raise_axles(
-    joints: list[Joint], tree: Tree, before: Sequence[PlacedWheel], after: Sequence[PlacedWheel]
+    joints: list[Joint],
+    tree: JointTree,
+    before: Sequence[PlacedWheel],
+    after: Sequence[PlacedWheel],
 ) -> None:
     """Move the axles of wheels up by what their radii grew, in place.
 

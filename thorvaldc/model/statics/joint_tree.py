@@ -1,73 +1,100 @@
-"""The joint tree of a robot, walked once: order, parents, rigid lumps, link poses."""
+"""The tree of links and joints: order, parents, link poses, inertia of subtrees."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from thorvaldc.model import Joint, Pose, Robot
-from thorvaldc.model.spatial import quat_from_axis_angle
+from thorvaldc.model.robot import Joint, Link
+from thorvaldc.model.spatial import Inertial, Pose, add, combine, quat_from_axis_angle
 
 
-class Tree:
-    """Links by index in ``robot.links``, depth first from ``links[0]``.
+class JointTree:
+    """Links and joints below ``links[0]``, with the pose of every link in ``base_link``.
 
-    ``order`` lists the links, parents first, children in model order; ``above`` has
-    the joint over each link (``None`` for the root) and ``child`` the link under
-    each joint by its name.  ``moving`` lists the movable joints in that order,
-    counted from 1; ``lump`` tells which of them carries a link (0: the base) and
-    ``moving_parent`` which of them carries another.  ``poses`` are the links'
-    poses in ``base_link`` at the given joint positions (rad or m).
+    ``order`` lists the names of the connected links depth first, parents first, children in model
+    order.  ``parent_joint`` maps a link to the joint above it, ``children`` a link to
+    the joints below it.  ``pose`` maps a link to its pose at the given joint
+    ``positions`` (rad or m; a joint that is not named is at 0).
+
+    ``moving`` lists the movable joints in depth-first order; they are counted from 1, and
+    0 is the base.  ``carrier`` maps a link to the number of the nearest movable joint
+    above it: links with the same carrier move as one rigid body.  ``moving_parent[j]``
+    is the carrier of movable joint ``j`` itself.
     """
 
-    def __init__(self, robot: Robot, positions: Mapping[str, float] | None = None) -> None:
-        self.robot = robot
-        links = robot.links
-        self.index = {link.name: i for i, link in enumerate(links)}
-        self.joint = {joint.name: joint for joint in robot.joints}
-        below: dict[str, list[Joint]] = {}
-        for joint in robot.joints:
-            below.setdefault(joint.parent, []).append(joint)
-        self.child = {joint.name: self.index[joint.child] for joint in robot.joints}
-        self.order: list[int] = [0]
-        self.above: list[Joint | None] = [None] * len(links)
-        self.lump = [0] * len(links)
+    def __init__(
+        self,
+        links: Sequence[Link],
+        joints: Sequence[Joint],
+        positions: Mapping[str, float] | None = None,
+    ) -> None:
+        self.links = {link.name: link for link in links}
+        self.joints = {joint.name: joint for joint in joints}
+        self.parent_joint = {joint.child: joint for joint in joints}
+        self.children: dict[str, list[Joint]] = {}
+        for joint in joints:
+            self.children.setdefault(joint.parent, []).append(joint)
+        root = links[0].name
+        self.order = [root]
+        self.pose = {root: Pose()}
+        self.carrier = {root: 0}
         self.moving: list[Joint] = []
         self.moving_parent = [0]
-        todo = list(reversed(below.get(links[0].name, ())))
-        while todo:
-            joint = todo.pop()
-            i = self.child[joint.name]
-            self.order.append(i)
-            self.above[i] = joint
-            lump = self.lump[self.index[joint.parent]]
+        stack = list(reversed(self.children.get(root, ())))
+        while stack:
+            joint = stack.pop()
+            self.order.append(joint.child)
+            pose = self.pose[joint.parent] * joint.pose
+            position = positions.get(joint.name, 0.0) if positions else 0.0
+            if position != 0.0:
+                pose = pose * _joint_motion(joint, position)
+            self.pose[joint.child] = pose
+            carrier = self.carrier[joint.parent]
             if joint.type != "fixed":
                 self.moving.append(joint)
-                self.moving_parent.append(lump)
-                lump = len(self.moving)
-            self.lump[i] = lump
-            todo += reversed(below.get(joint.child, ()))
-        self.poses = self._poses(positions or {})
+                self.moving_parent.append(carrier)
+                carrier = len(self.moving)
+            self.carrier[joint.child] = carrier
+            stack += reversed(self.children.get(joint.child, ()))
 
-    def _poses(self, positions: Mapping[str, float]) -> list[Pose]:
-        poses = [Pose()] * len(self.robot.links)
-        for i in self.order[1:]:
-            joint = self.above[i]
-            if joint is None:
-                continue
-            pose = poses[self.index[joint.parent]] * joint.pose
-            q = positions.get(joint.name, 0.0)
-            if q != 0.0:
-                pose = pose * joint_motion(joint, q)
-            poses[i] = pose
-        return poses
+    def at(self, positions: Mapping[str, float]) -> JointTree:
+        """Return the tree of the same links and joints at other joint positions."""
+        return JointTree(list(self.links.values()), list(self.joints.values()), positions)
 
-    def at(self, positions: Mapping[str, float]) -> Tree:
-        """The same tree with poses at other joint positions; absent ones are 0."""
-        return Tree(self.robot, positions) if positions else self
+    def joints_above(self, link: str) -> list[Joint]:
+        """Return the joints from a link up to the root, nearest first."""
+        joints: list[Joint] = []
+        while link in self.parent_joint:
+            joint = self.parent_joint[link]
+            joints.append(joint)
+            link = joint.parent
+        return joints
+
+    def links_below(self, link: str) -> list[str]:
+        """Return a link and all its descendants, level by level."""
+        names = [link]
+        for name in names:
+            names.extend(joint.child for joint in self.children.get(name, ()))
+        return names
+
+    def inertial(self, names: Sequence[str] | None = None, lift: float = 0.0) -> Inertial:
+        """Return the inertia of links as one body, in ``base_link`` raised by ``lift`` m.
+
+        ``names`` are the links (default: all).  Links that are not connected to the root do
+        not count.
+        """
+        bodies = []
+        for name in names if names is not None else self.links:
+            inertial = self.links[name].inertial
+            if inertial is not None and name in self.pose:
+                pose = self.pose[name]
+                raised = Pose(add(pose.xyz, (0.0, 0.0, lift)), pose.quat)
+                bodies.append(inertial.transformed(raised))
+        return combine(bodies)
 
 
-def joint_motion(joint: Joint, position: float) -> Pose:
-    """Pose of the child relative to its place at position 0, in the child's frame."""
+def _joint_motion(joint: Joint, position: float) -> Pose:
+    """Return the pose of the child link relative to its pose at joint position 0."""
     x, y, z = joint.axis
     if joint.type == "prismatic":
         return Pose((position * x, position * y, position * z))

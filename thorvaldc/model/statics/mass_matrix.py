@@ -1,23 +1,35 @@
-"""MuJoCo's inverse weights, from the mass matrix over the joint tree.
+"""The joint-space mass matrix, its sparse factors, and MuJoCo's inverse weights.
 
-The mass matrix M at joint positions 0 is built from composite inertias and factored as
-L^T D L (Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 6); a row has
-entries for the freedoms above it only, so the cost grows linearly with the
-number of branches.
+The mass matrix M(q) at joint positions 0 is computed by composite rigid bodies (Featherstone,
+Rigid Body Dynamics Algorithms, 2008, section 6.2).  The degrees of freedom are three
+translations and three rotations of the base, then one for each movable joint.  For
+a degree of freedom i with motion s_i (angular velocity w and velocity v of the point at the origin
+for a unit joint velocity), and C_i the spatial inertia of everything that it carries,
+
+    M_ij = s_j . C_i s_i,   for each j on the path from the root to i,
+
+and M_ij = 0 if neither joint carries the other.  C_i is the sum of the inertias of all
+links below the joint.
+
+M is factored as L^T D L (section 6.5).  Row i has entries only for the degrees of freedom
+on its path, and the factors have no others.  The cost therefore grows linearly with the
+number of branches of the tree.
 """
 
 from __future__ import annotations
 
-from thorvaldc.model import Vec3
-from thorvaldc.model.spatial import add, clean, cross, dot, sub
-from thorvaldc.model.statics.joint_tree import Tree
+from collections.abc import Sequence
+
+from thorvaldc.model.robot import Link
+from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, sub
+from thorvaldc.model.statics.joint_tree import JointTree
 
 
 class BranchSparse:
     """A symmetric matrix over the degrees of freedom of a tree, and its L^T D L factors.
 
-    Row i holds the entries for the freedoms on the path from the root to i, i
-    last; the others of the upper triangle are zero.
+    ``paths[i]`` lists the degrees of freedom from the root to i, i last.  Row i holds the
+    entries of the matrix for them; the other entries left of the diagonal are zero.
     """
 
     def __init__(self, paths: list[list[int]]) -> None:
@@ -25,14 +37,17 @@ class BranchSparse:
         self.rows = [[0.0] * len(path) for path in paths]
 
     def factor(self) -> bool:
-        """Replace the rows by L, with 1/D last.  False where a pivot vanishes."""
-        good = True
+        """Replace each row by that of L, with 1/D last.
+
+        Returns false if a pivot vanishes: the matrix is singular.  Such a degree of freedom gets a
+        zero row: it is locked, instead of infinitely light.
+        """
+        regular = True
         for i in range(len(self.rows) - 1, -1, -1):
             row, path = self.rows[i], self.paths[i]
             pivot = row[-1]
             if pivot <= 1e-12:
-                # A freedom without inertia: held in place rather than infinitely light.
-                good = False
+                regular = False
                 self.rows[i] = [0.0] * len(row)
                 continue
             for k in range(len(path) - 2, -1, -1):
@@ -43,10 +58,10 @@ class BranchSparse:
                         upper[m] -= a * row[m]
                     row[k] = a
             row[-1] = 1.0 / pivot
-        return good
+        return regular
 
     def quadratic(self, path: list[int], column: list[float]) -> float:
-        """``j^T M^-1 j`` for a vector that is nonzero along ``path`` only."""
+        """Return ``j^T M^-1 j`` for a vector j that has entries along ``path`` only."""
         y = list(column)
         total = 0.0
         for k in range(len(path) - 1, -1, -1):
@@ -59,7 +74,7 @@ class BranchSparse:
         return total
 
     def solve(self, b: list[float]) -> list[float]:
-        """``M^-1 b`` for a full vector."""
+        """Return ``M^-1 b`` for a full vector."""
         y = list(b)
         for i in range(len(y) - 1, -1, -1):
             row, path = self.rows[i], self.paths[i]
@@ -73,16 +88,16 @@ class BranchSparse:
         return y
 
 
-# Moment of momentum and momentum of a body as linear functions of its motion:
-# (m, mcx, mcy, mcz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the common origin.
-_Spatial = list[float]
+# Spatial inertia about the common origin: (m, m cx, m cy, m cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz).
+# It is additive, and linear momentum and angular momentum are linear functions of it.
+_SpatialInertia = list[float]
 
 
-def _spatial(tree: Tree, link: int, origin: Vec3) -> _Spatial | None:
-    inertial = tree.robot.links[link].inertial
-    if inertial is None:
+def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | None:
+    """Return the spatial inertia of a link at a pose about ``origin``, in axes of ``base_link``."""
+    if link.inertial is None:
         return None
-    placed = inertial.transformed(tree.poses[link])
+    placed = link.inertial.transformed(pose)
     m = placed.mass
     x, y, z = sub(placed.com, origin)
     xx, yy, zz, xy, xz, yz = placed.inertia
@@ -100,7 +115,11 @@ def _spatial(tree: Tree, link: int, origin: Vec3) -> _Spatial | None:
     ]
 
 
-def _momentum(body: _Spatial, w: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
+def _momentum(body: _SpatialInertia, w: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
+    """Return C s: linear and angular momentum for angular velocity w and velocity v at the origin.
+
+    With h = m c: linear momentum m v + w x h, angular momentum I w + h x v.
+    """
     m, hx, hy, hz, xx, yy, zz, xy, xz, yz = body
     wx, wy, wz = w
     vx, vy, vz = v
@@ -118,41 +137,69 @@ _BASE_PATH = [0, 1, 2, 3, 4, 5]
 _UNIT: tuple[Vec3, Vec3, Vec3] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def inverse_weights(tree: Tree, links: list[int]) -> tuple[list[float], dict[str, float]]:
-    """MuJoCo's translational ``body_invweight0`` (1/kg), and the inertias that joints carry.
+def inverse_weights(
+    tree: JointTree, origin: Vec3, links: Sequence[str]
+) -> tuple[list[float], dict[str, float]]:
+    """Return MuJoCo's ``body_invweight0`` of links (1/kg), and the inertia on each joint.
 
-    ``tree.poses`` must be those at joint positions 0; ``links`` are indices in the model.
-    A body's inverse weight is a third of the trace of J M^-1 J^T, J the Jacobian
-    of its centre of mass.  The second value maps the name of each movable joint to the
-    inertia about its axis of all that it carries (kg m^2; a mass in kg where it slides).
+    ``tree.pose`` must be at joint positions 0.  ``origin`` is the common origin, best near
+    the centre of mass of the robot.
+
+    The translational inverse weight of a body is the mean over three directions of its
+    acceleration for a unit force at its centre of mass: trace(J M^-1 J^T) / 3, with J the
+    Jacobian of the centre of mass.  The second value maps the name of each movable joint to
+    the inertia of everything that it carries about its axis (kg m^2; for a prismatic joint the
+    mass in kg).
     """
-    robot = tree.robot
-    origin = robot.inertial.com
     parent_of = tree.moving_parent
     count = len(tree.moving)
-    composite: list[_Spatial] = [[0.0] * 10 for _ in range(count + 1)]
-    for index in tree.order:
-        body = _spatial(tree, index, origin)
+    composite: list[_SpatialInertia] = [[0.0] * 10 for _ in range(count + 1)]
+    for name in tree.order:
+        body = _spatial_inertia(tree.links[name], tree.pose[name], origin)
         if body is not None:
-            lump = composite[tree.lump[index]]
+            rigid_body = composite[tree.carrier[name]]
             for k in range(10):
-                lump[k] += body[k]
+                rigid_body[k] += body[k]
     for j in range(count, 0, -1):
-        mine, above = composite[j], composite[parent_of[j]]
+        carried, parent = composite[j], composite[parent_of[j]]
         for k in range(10):
-            above[k] += mine[k]
+            parent[k] += carried[k]
     motions: list[tuple[Vec3, Vec3]] = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
     paths = [_BASE_PATH[: k + 1] for k in range(6)]
     for j in range(1, count + 1):
         joint = tree.moving[j - 1]
-        pose = tree.poses[tree.child[joint.name]]
+        pose = tree.pose[joint.child]
         axis = pose.rotate(joint.axis)
         if joint.type == "prismatic":
             motions.append(((0.0, 0.0, 0.0), axis))
         else:
             motions.append((axis, cross(sub(pose.xyz, origin), axis)))
-        above_path = _BASE_PATH if parent_of[j] == 0 else paths[parent_of[j] + 5]
-        paths.append([*above_path, j + 5])
+        parent_path = _BASE_PATH if parent_of[j] == 0 else paths[parent_of[j] + 5]
+        paths.append([*parent_path, j + 5])
+    matrix, inertias = _mass_matrix(tree, paths, composite, motions)
+    matrix.factor()
+    weights = []
+    for name in links:
+        inertial, pose = tree.links[name].inertial, tree.pose[name]
+        point = sub(pose.xyz if inertial is None else pose.apply(inertial.com), origin)
+        carrier = tree.carrier[name]
+        path = _BASE_PATH if carrier == 0 else paths[carrier + 5]
+        columns = [*_UNIT, *(cross(unit, point) for unit in _UNIT)]
+        for freedom in path[6:]:
+            w, v = motions[freedom - 5]
+            columns.append(add(v, cross(w, point)))
+        trace = sum(matrix.quadratic(path, [c[axis] for c in columns]) for axis in range(3))
+        weights.append(trace / 3)
+    return weights, inertias
+
+
+def _mass_matrix(
+    tree: JointTree,
+    paths: list[list[int]],
+    composite: list[_SpatialInertia],
+    motions: list[tuple[Vec3, Vec3]],
+) -> tuple[BranchSparse, dict[str, float]]:
+    """Return the mass matrix with armatures, and its diagonal without them by joint names."""
     matrix = BranchSparse(paths)
     for k in range(3):
         unit = _UNIT[k]
@@ -160,27 +207,14 @@ def inverse_weights(tree: Tree, links: list[int]) -> tuple[list[float], dict[str
         matrix.rows[k] = list(linear[: k + 1])
         linear, angular = _momentum(composite[0], unit, (0.0, 0.0, 0.0))
         matrix.rows[k + 3] = [*linear, *angular[: k + 1]]
-    carried: dict[str, float] = {}
-    for j in range(1, count + 1):
+    inertias: dict[str, float] = {}
+    for j, joint in enumerate(tree.moving, 1):
         linear, angular = _momentum(composite[j], *motions[j])
         row = [*linear, *angular]
-        for dof in paths[j + 5][6:]:
-            w, v = motions[dof - 5]
+        for freedom in paths[j + 5][6:]:
+            w, v = motions[freedom - 5]
             row.append(dot(w, angular) + dot(v, linear))
-        carried[tree.moving[j - 1].name] = clean(row[-1])
-        row[-1] += tree.moving[j - 1].armature
+        inertias[joint.name] = clean(row[-1])
+        row[-1] += joint.armature
         matrix.rows[j + 5] = row
-    matrix.factor()
-    out = []
-    for index in links:
-        inertial = robot.links[index].inertial
-        pose = tree.poses[index]
-        point = sub(pose.xyz if inertial is None else pose.apply(inertial.com), origin)
-        lump_index = tree.lump[index]
-        path = _BASE_PATH if lump_index == 0 else paths[lump_index + 5]
-        columns = [*_UNIT, *(cross(unit, point) for unit in _UNIT)]
-        for dof in path[6:]:
-            w, v = motions[dof - 5]
-            columns.append(add(v, cross(w, point)))
-        out.append(sum(matrix.quadratic(path, [c[axis] for c in columns]) for axis in range(3)) / 3)
-    return out, carried
+    return matrix, inertias

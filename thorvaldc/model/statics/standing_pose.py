@@ -1,10 +1,25 @@
-"""The pose in which a robot stands at rest on level ground.
+"""The pose in which a robot stands at rest on level ground, and the load of each wheel.
 
-It is where the gravity of all links, the springs and the contact forces of the
-wheels balance, found by Newton's method over the base's height, roll and pitch and
-the joints with springs or free to turn under wheels.  The stiffness matrix has the
-shape of the joint tree and is factored like a mass matrix, so the cost grows linearly
-with the robot.
+The unknowns q are the height of the base, its rotation about the world's x and y axes, and the
+positions of the compliant joints: joints with a spring, and free joints that wheels
+hang on, such as that of a rocker.  In equilibrium the generalised force of each vanishes:
+
+    r(q) = sum over wheels f_w(q) l_w + weights - springs = 0,   l_w = dz_w / dq.
+
+f_w is the contact force of wheel w for its penetration p_w (``wheel_contact``), and l_w
+is the lift of its contact point for a unit of each unknown.  For the height l = 1, for the
+rotations about x and y at the base position b it is y - b_y and b_x - x, for a prismatic
+joint with axis a it is a_z, and for a hinge at o it is a_x (y - o_y) - a_y (x - o_x).
+
+A centre that rises by dz reduces the penetration by 2 dz, so the stiffness is
+
+    K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses),
+
+without the change of the levers l with q, which is small beside it.  The Newton step solves
+K dq = r.  K has entries only between unknowns that carry the same wheel, so it has the
+shape of the joint tree and is factored like a mass matrix; the cost grows linearly with
+the number of branches.  A step is limited to 0.05 (m or rad), and halved until the largest
+residual decreases.
 """
 
 from __future__ import annotations
@@ -12,8 +27,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from thorvaldc.model import Joint, Pose, Vec3, Wheel
+from thorvaldc.model.robot import Joint, Robot, Wheel
 from thorvaldc.model.spatial import (
+    Pose,
+    Vec3,
     clean,
     quat_from_axis_angle,
     quat_multiply,
@@ -21,39 +38,42 @@ from thorvaldc.model.spatial import (
     rotate,
     sub,
 )
-from thorvaldc.model.statics.joint_tree import Tree
+from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.wheel_contact import (
     WheelContact,
-    ellipsoid,
+    contact_ellipsoid,
+    contact_stiffness,
     normal_force,
     penetration_under,
-    slope,
 )
 
-GRAVITY = 9.81
 _MAX_ITERATIONS = 60
+_MAX_HALVINGS = 12
+_MAX_STEP = 0.05  # m or rad
 
 
-class Rest(NamedTuple):
-    """A robot at rest on level ground.
+class Statics(NamedTuple):
+    """A robot at rest on level ground: pose, wheel contacts, and the inertia on each joint.
 
-    ``base`` is the pose of ``base_link``; ``positions`` holds the position of every
-    movable joint in rad or m.  ``carried`` is the inertia about each movable joint's
-    axis of all that it carries (kg m^2; for a prismatic one its mass in kg).
-    ``settled`` is false where no equilibrium was found (a robot that falls
-    over): then ``base`` is where the file puts it.
+    ``base`` is the pose of ``base_link`` in the world; ``positions`` maps every movable
+    joint to its position in rad or m.  ``inertias`` maps every movable joint to the inertia
+    about its axis of everything that it carries (kg m^2; for a prismatic joint the mass in kg).
+    ``wheels`` maps each wheel to its contact.  ``settled`` is false if there is no
+    equilibrium, such as for a robot that tips over: then ``base`` is the identity and the
+    contacts are those under the loads of the model.
     """
 
     base: Pose
     positions: dict[str, float]
-    carried: dict[str, float]
+    inertias: dict[str, float]
     wheels: dict[str, WheelContact]
     settled: bool
 
 
 class _Footing(NamedTuple):
-    """A wheel in the common frame at home: which group carries it, where, and how it rolls."""
+    """A wheel in the home pose, in ``base_link``; ``group`` is the rigid group that carries it."""
 
     group: int
     centre: Vec3
@@ -62,36 +82,55 @@ class _Footing(NamedTuple):
     inverse_weight: float
 
 
-class _Stance:
-    """The robot as rigid groups on springs and pivots, the base free in height, roll and pitch.
+class _Forces(NamedTuple):
+    """The generalised forces at one pose, and the geometry that a Newton step needs.
 
-    Freedoms 0..2 are the base's height and its rotation about x and y of the
-    world; freedom 2 + g is the joint above group g.
+    ``depths`` (m), ``tilts`` (vertical component of the spin axis) and ``points`` (x and y of the
+    contact) are those of the footings; ``frames`` has origin and axis of each group's joint.
     """
 
-    def __init__(self, tree: Tree, compliant: list[Joint], footings: list[_Footing]) -> None:
-        self.footings = footings
+    residual: list[float]
+    depths: list[float]
+    tilts: list[float]
+    points: list[tuple[float, float]]
+    frames: list[tuple[Vec3, Vec3]]
+
+    def size(self) -> float:
+        """Return the largest residual, in N or N m."""
+        return max(abs(r) for r in self.residual)
+
+
+class _Stance:
+    """The robot as rigid groups of links, connected by its compliant joints.
+
+    Group 0 hangs on the base.  Unknowns 0 to 2 are the height of the base and its rotations
+    about the world's x and y axes; unknown 2 + g is the position of the joint above group g.
+    """
+
+    def __init__(
+        self, tree: JointTree, compliant: list[Joint], wheels: list[tuple[Wheel, Vec3, float]]
+    ) -> None:
+        """Group the links of ``tree``; ``wheels`` have their spin axis and inverse weight."""
         self.joints = compliant
         number = {joint.name: g for g, joint in enumerate(compliant, 1)}
-        group_of_lump = [0] * (len(tree.moving) + 1)
+        group_of_carrier = [0] * (len(tree.moving) + 1)
         self.parent = [0] * (len(compliant) + 1)
         for j, joint in enumerate(tree.moving, 1):
-            above = group_of_lump[tree.moving_parent[j]]
-            group_of_lump[j] = number.get(joint.name, above)
+            parent = group_of_carrier[tree.moving_parent[j]]
+            group_of_carrier[j] = number.get(joint.name, parent)
             if joint.name in number:
-                self.parent[number[joint.name]] = above
-        self.group_of_lump = group_of_lump
+                self.parent[number[joint.name]] = parent
         self.frames: list[tuple[Vec3, Vec3]] = [((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))]
         for joint in compliant:
-            pose = tree.poses[tree.child[joint.name]]
+            pose = tree.pose[joint.child]
             self.frames.append((pose.xyz, pose.rotate(joint.axis)))
         mass = [0.0] * len(self.parent)
         moment = [(0.0, 0.0, 0.0)] * len(self.parent)
-        for index in tree.order:
-            inertial = tree.robot.links[index].inertial
+        for name in tree.order:
+            inertial = tree.links[name].inertial
             if inertial is not None:
-                g = group_of_lump[tree.lump[index]]
-                x, y, z = tree.poses[index].apply(inertial.com)
+                g = group_of_carrier[tree.carrier[name]]
+                x, y, z = tree.pose[name].apply(inertial.com)
                 mx, my, mz = moment[g]
                 m = inertial.mass
                 mass[g] += m
@@ -105,25 +144,33 @@ class _Stance:
         self.paths = [[0], [0, 1], [0, 1, 2]]
         for g in range(1, len(self.parent)):
             self.paths.append([*self.paths[self.parent[g] + 2], g + 2])
+        self.footings: list[_Footing] = []
+        for wheel, axis, inverse_weight in wheels:
+            pose = tree.pose[wheel.link]
+            group = group_of_carrier[tree.carrier[wheel.link]]
+            self.footings.append(
+                _Footing(group, pose.xyz, pose.rotate(axis), wheel.radius, inverse_weight)
+            )
 
-    def evaluate(self, base: Pose, s: list[float]) -> _Forces:
-        """Generalised forces (N, N m) at that pose, and what a Newton step needs."""
+    def evaluate(self, base: Pose, positions: list[float]) -> _Forces:
+        """Return r(q) for a pose of the base and the positions of the compliant joints."""
         transforms = [base]
         frames: list[tuple[Vec3, Vec3]] = [(base.xyz, (0.0, 0.0, 1.0))]
         for g in range(1, len(self.parent)):
-            above = transforms[self.parent[g]]
+            parent = transforms[self.parent[g]]
             origin, axis = self.frames[g]
-            frames.append((above.apply(origin), above.rotate(axis)))
+            frames.append((parent.apply(origin), parent.rotate(axis)))
             if self.joints[g - 1].type == "prismatic":
                 x, y, z = axis
-                d = s[g - 1]
-                transforms.append(Pose(above.apply((d * x, d * y, d * z)), above.quat))
+                d = positions[g - 1]
+                transforms.append(Pose(parent.apply((d * x, d * y, d * z)), parent.quat))
             else:
-                q = quat_from_axis_angle(axis, s[g - 1])
+                q = quat_from_axis_angle(axis, positions[g - 1])
                 shift = sub(origin, rotate(q, origin))
                 transforms.append(
-                    Pose(above.apply(shift), quat_normalize(quat_multiply(above.quat, q)))
+                    Pose(parent.apply(shift), quat_normalize(quat_multiply(parent.quat, q)))
                 )
+        # Vertical force on each group, and its moments about x and y through the world's origin.
         vertical = [-m * GRAVITY for m in self.mass]
         about_x: list[float] = []
         about_y: list[float] = []
@@ -168,43 +215,62 @@ class _Stance:
                 force = az * vertical[g]
             else:
                 force = ax * (about_x[g] - oy * vertical[g]) + ay * (about_y[g] + ox * vertical[g])
-            residual.append(force - joint.stiffness * (s[g - 1] - joint.spring_reference))
+            residual.append(force - joint.stiffness * (positions[g - 1] - joint.spring_reference))
         return _Forces(residual, depths, tilts, points, frames)
 
     def step(self, forces: _Forces) -> list[float] | None:
-        """The Newton step; ``None`` where the stance has no stiffness in some direction."""
+        """Return the Newton step; ``None`` if the stance has no stiffness in some direction."""
         matrix = BranchSparse(self.paths)
         for g in range(1, len(self.parent)):
             matrix.rows[g + 2][-1] = self.joints[g - 1].stiffness
         bx, by, _ = forces.frames[0][0]
         for footing, p, (x, y) in zip(self.footings, forces.depths, forces.points, strict=True):
-            k = 2.0 * slope(p, footing.inverse_weight)
+            k = 2.0 * contact_stiffness(p, footing.inverse_weight)
             path = self.paths[footing.group + 2]
             lift = [1.0, y - by, bx - x]
-            for dof in path[3:]:
-                (ox, oy, _), (ax, ay, az) = forces.frames[dof - 2]
-                prismatic = self.joints[dof - 3].type == "prismatic"
+            for unknown in path[3:]:
+                (ox, oy, _), (ax, ay, az) = forces.frames[unknown - 2]
+                prismatic = self.joints[unknown - 3].type == "prismatic"
                 lift.append(az if prismatic else ax * (y - oy) - ay * (x - ox))
-            for i, dof in enumerate(path):
-                row = matrix.rows[dof]
+            for i, unknown in enumerate(path):
+                row = matrix.rows[unknown]
                 a = k * lift[i]
                 for m in range(i + 1):
                     row[m] += a * lift[m]
         return matrix.solve(forces.residual) if matrix.factor() else None
 
+    def settle(self, sink: float) -> tuple[Pose, list[float], _Forces] | None:
+        """Return the base, the positions of the compliant joints and the forces in equilibrium.
 
-class _Forces(NamedTuple):
-    residual: list[float]
-    depths: list[float]
-    tilts: list[float]
-    points: list[tuple[float, float]]
-    frames: list[tuple[Vec3, Vec3]]
-
-    def size(self) -> float:
-        return max(abs(r) for r in self.residual)
+        The search starts with the base ``sink`` m below the origin.  ``None``: the robot does not
+        stand.
+        """
+        base, positions = Pose((0.0, 0.0, -sink)), [_joint_home(joint) for joint in self.joints]
+        forces = self.evaluate(base, positions)
+        tolerance = 1e-10 * max(self.weight, 1.0)
+        for _ in range(_MAX_ITERATIONS):
+            if forces.size() < tolerance:
+                return base, positions, forces
+            step = self.step(forces)
+            if step is None or max(map(abs, step)) > 1e3:
+                return None
+            length = min(1.0, _MAX_STEP / max(max(map(abs, step)), 1e-12))
+            for _ in range(_MAX_HALVINGS):
+                shortened = [length * v for v in step]
+                new_base = _moved(base, shortened)
+                new_positions = [a + b for a, b in zip(positions, shortened[3:], strict=True)]
+                new_forces = self.evaluate(new_base, new_positions)
+                if new_forces.size() < forces.size():
+                    break
+                length /= 2
+            else:  # no improvement: the residual is rounding error, or this is no equilibrium
+                return (base, positions, forces) if forces.size() < 1e-6 * self.weight else None
+            base, positions, forces = new_base, new_positions, new_forces
+        return None
 
 
 def _moved(base: Pose, step: list[float]) -> Pose:
+    """Return the base raised by ``step[0]`` m and rotated by ``step[1:3]`` rad about x and y."""
     angle = math.hypot(step[1], step[2])
     x, y, z = base.xyz
     quat = base.quat
@@ -214,125 +280,90 @@ def _moved(base: Pose, step: list[float]) -> Pose:
     return Pose((x, y, z + step[0]), quat)
 
 
-def _settle(stance: _Stance, sink: float) -> tuple[Pose, list[float], _Forces] | None:
-    """Base, positions of the compliant joints and the forces; ``None``: it does not stand.
-
-    The search starts with the base ``sink`` m under its place at joint positions 0.
-    """
-    base, s = Pose((0.0, 0.0, -sink)), [joint_home(joint) for joint in stance.joints]
-    forces = stance.evaluate(base, s)
-    tolerance = 1e-10 * max(stance.weight, 1.0)
-    for _ in range(_MAX_ITERATIONS):
-        if forces.size() < tolerance:
-            return base, s, forces
-        step = stance.step(forces)
-        if step is None or max(map(abs, step)) > 1e3:
-            return None
-        length = min(1.0, 0.05 / max(max(map(abs, step)), 1e-12))
-        for _ in range(12):
-            tried = [length * v for v in step]
-            new_base = _moved(base, tried)
-            new_s = [a + b for a, b in zip(s, tried[3:], strict=True)]
-            new_forces = stance.evaluate(new_base, new_s)
-            if new_forces.size() < forces.size():
-                break
-            length /= 2
-        else:
-            return (base, s, forces) if forces.size() < 1e-6 * stance.weight else None
-        base, s, forces = new_base, new_s, new_forces
-    return None
-
-
-def joint_home(joint: Joint) -> float:
-    """Position of a joint in the ``home`` pose: 0, or the nearest that its limits allow."""
+def _joint_home(joint: Joint) -> float:
+    """Return the position of a joint in the home pose: 0, or the nearest within its limits."""
     low = -math.inf if joint.lower is None else joint.lower
     high = math.inf if joint.upper is None else joint.upper
     return min(max(0.0, low), high)
 
 
-def rest(tree: Tree) -> Rest:
-    """Let the robot of ``tree`` (at joint positions 0) settle on level ground under gravity."""
-    robot = tree.robot
-    wheel_links = [tree.index[wheel.link] for wheel in robot.wheels]
-    weights, carried = inverse_weights(tree, wheel_links)
+def solve_statics(robot: Robot) -> Statics:
+    """Return the statics of a robot that stands on level ground under its weight."""
+    tree = JointTree(robot.links, robot.joints)
+    weights, inertias = inverse_weights(
+        tree, robot.inertial.com, [wheel.link for wheel in robot.wheels]
+    )
     weights = [max(w, 1e-9) for w in weights]
-    positions = {joint.name: joint_home(joint) for joint in tree.moving}
+    axes = [_spin_axis(tree, wheel) for wheel in robot.wheels]
+    positions = {joint.name: _joint_home(joint) for joint in tree.moving}
     for joint in tree.moving:
         if joint.mimic is not None:
             positions[joint.name] = clean(
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
-    compliant = _compliant(tree)
-    # At home with the compliant joints at 0: they are what the stance moves.
-    held = {j.name for j in compliant}
-    home = tree.at({n: q for n, q in positions.items() if n not in held and q != 0.0})
-    footings: list[_Footing] = []
-    stance = _Stance(home, compliant, footings)
-    for wheel, link, weight in zip(robot.wheels, wheel_links, weights, strict=True):
-        pose = home.poses[link]
-        axis = pose.rotate(spin_axis(tree, wheel))
-        group = stance.group_of_lump[tree.lump[link]]
-        footings.append(_Footing(group, pose.xyz, axis, wheel.radius, weight))
-    found = None
-    if footings and stance.weight > 0.0:
-        n = len(footings)
+    compliant = _compliant_joints(robot, tree)
+    # The stance measures the compliant joints from 0, all other joints are at home.
+    unknown = {joint.name for joint in compliant}
+    home = {name: q for name, q in positions.items() if name not in unknown and q != 0.0}
+    wheels = list(zip(robot.wheels, axes, weights, strict=True))
+    stance = _Stance(tree.at(home) if home else tree, compliant, wheels)
+    equilibrium = None
+    if wheels and stance.weight > 0.0:
+        n = len(wheels)
         sink = penetration_under(stance.weight / n, sum(weights) / n) / 2
-        found = _settle(stance, sink)
-    if found is not None:
-        base, s, forces = found
+        equilibrium = stance.settle(sink)
+    if equilibrium is not None:
+        base, compliant_positions, forces = equilibrium
         base = base.clean()
-        positions |= {j.name: clean(q) for j, q in zip(compliant, s, strict=True)}
+        positions |= {j.name: clean(q) for j, q in zip(compliant, compliant_positions, strict=True)}
         depths, tilts = forces.depths, forces.tilts
     else:
         base = Pose()
-        tilts = [footing.axis[2] for footing in footings]
-        depths = [
-            penetration_under(wheel.load, weight)
-            for wheel, weight in zip(robot.wheels, weights, strict=True)
-        ]
-    wheels = {}
-    for wheel, weight, depth, tilt in zip(robot.wheels, weights, depths, tilts, strict=True):
+        tilts = [footing.axis[2] for footing in stance.footings]
+        depths = [penetration_under(wheel.load, weight) for wheel, _, weight in wheels]
+    contacts = {}
+    for (wheel, axis, weight), depth, tilt in zip(wheels, depths, tilts, strict=True):
         p = max(depth, 0.0)
-        # The body leans by some 1e-5 rad; a wheel that is upright is to stay so in the file.
-        lean = tilt if abs(tilt) > 1e-4 else 0.0
-        wheels[wheel.name] = ellipsoid(wheel, p, normal_force(p, weight), lean)
-    return Rest(base, positions, carried, wheels, found is not None)
+        # The body of a standing robot leans by about 1e-5 rad; upright wheels stay upright.
+        camber = tilt if abs(tilt) > 1e-4 else 0.0
+        contacts[wheel.name] = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
+    return Statics(base, positions, inertias, contacts, equilibrium is not None)
 
 
-def _compliant(tree: Tree) -> list[Joint]:
-    """The joints that load moves: those with a spring, and free ones that wheels hang on.
+def _compliant_joints(robot: Robot, tree: JointTree) -> list[Joint]:
+    """Return the joints that a load moves: those with a spring, and free ones above wheels.
 
-    Not the wheels' own axles, which level ground does not turn.
+    The axles of wheels are not among them: level ground does not turn a wheel.
     """
-    robot = tree.robot
-    held = {actuator.joint for actuator in robot.actuators}
-    carrying: set[int] = set()
+    actuated = {actuator.joint for actuator in robot.actuators}
+    carriers: set[int] = set()
     for wheel in robot.wheels:
-        held.update(n for n in (wheel.spin_joint, wheel.steering_joint, wheel.swivel_joint) if n)
-        lump = tree.lump[tree.index[wheel.link]]
-        while lump:
-            carrying.add(lump)
-            lump = tree.moving_parent[lump]
+        actuated.update(
+            name for name in (wheel.spin_joint, wheel.steering_joint, wheel.swivel_joint) if name
+        )
+        carrier = tree.carrier[wheel.link]
+        while carrier:
+            carriers.add(carrier)
+            carrier = tree.moving_parent[carrier]
     return [
         joint
-        for lump, joint in enumerate(tree.moving, 1)
+        for number, joint in enumerate(tree.moving, 1)
         if joint.mimic is None
         and (
             joint.stiffness > 0.0
             or (
-                lump in carrying
-                and joint.name not in held
+                number in carriers
+                and joint.name not in actuated
                 and joint.type in ("revolute", "continuous")
             )
         )
     ]
 
 
-def spin_axis(tree: Tree, wheel: Wheel) -> Vec3:
-    """The wheel's spin axis, from the right to the left, in the wheel link's frame."""
-    joint = tree.robot.links[tree.child[wheel.spin_joint]]
-    spin = tree.joint[wheel.spin_joint]
-    if joint.name == wheel.link:
+def _spin_axis(tree: JointTree, wheel: Wheel) -> Vec3:
+    """Return the wheel's spin axis, from the right to the left, in the wheel link's frame."""
+    spin = tree.joints[wheel.spin_joint]
+    if spin.child == wheel.link:
         return spin.axis
-    relative = tree.poses[tree.index[wheel.link]].inverse() * tree.poses[tree.index[joint.name]]
+    relative = tree.pose[wheel.link].inverse() * tree.pose[spin.child]
     return relative.rotate(spin.axis)

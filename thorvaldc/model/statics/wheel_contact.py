@@ -1,21 +1,25 @@
-"""A wheel in MuJoCo's soft contact, in closed form and without MuJoCo.
+"""A wheel in MuJoCo's soft contact, computed in closed form and without MuJoCo.
 
-A wheel sinks into the ground until the contact carries its load.  At rest the
-normal force of MuJoCo's constraint is (documentation, "Computation", solver
-parameters)
+Normal force.  A wheel sinks into the ground until the contact carries its load.  MuJoCo
+(documentation, chapter "Computation", section "Solver parameters") regularises a contact with R
+and drives it with the reference acceleration a_ref.  At rest its normal force is
 
-    f = a_ref / R,   a_ref = k d(p) p,   R = (1 - d(p)) / d(p) * A,
-    k = 1 / (d_max^2 timeconst^2 dampratio^2),
+    f = a_ref / R,   a_ref = k d(p) p,   R = A (1 - d(p)) / d(p),
+    k = 1 / (d_max timeconst dampratio)^2,
 
-with p the penetration, d(p) the impedance curve of ``solimp`` and A the inverse
-weight of the wheel's body (``mass_matrix.inverse_weights``).
+where p is the penetration (m), d(p) the impedance curve of ``solimp`` and A the inverse
+weight of the wheel's body (1/kg, ``mass_matrix.inverse_weights``).  Together
 
-MuJoCo puts the contact point half of the penetration above the lowest point,
-so a wheel rolls on less than its collision radius.  Every wheel is therefore
-grown until that point lies on a circle of ``Wheel.radius`` in the wheel's
-middle plane, for which
+    f(p) = k p d^2 / (A (1 - d)),
+    f'(p) = k / A * (d^2 / (1 - d) + p d' d (2 - d) / (1 - d)^2).
 
-    p = 2 (radius cos(camber) - height of the centre).
+Rolling radius.  MuJoCo puts the contact point half of the penetration above the lowest
+point of the shape, so a wheel rolls on less than its collision radius.  Each wheel's
+shape is therefore enlarged until the contact point lies on a circle of ``Wheel.radius`` in
+the middle plane of the wheel.  The contact point is at the height -p/2, the ground at 0, and the
+lowest point of the circle at h - radius cos(camber), with h the height of the wheel's centre:
+
+    p = 2 (radius cos(camber) - h).
 """
 
 from __future__ import annotations
@@ -23,25 +27,29 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from thorvaldc.model import Wheel
-from thorvaldc.model.spatial import clean
+from thorvaldc.model.robot import Wheel
+from thorvaldc.model.spatial import Vec3, clean
 
 SOLREF = (0.01, 1.0)
+"""MuJoCo's ``solref`` of a wheel: time constant in s, damping ratio."""
 SOLIMP = (0.02, 0.95, 0.002)
+"""MuJoCo's ``solimp`` of a wheel: d at penetration 0, d_max, and the width of the curve in m."""
 
 _STIFFNESS = 1.0 / (SOLIMP[1] * SOLREF[0] * SOLREF[1]) ** 2
-_MIN_COS_CAMBER = 0.2
+_MIN_COS_CAMBER = 0.2  # beyond 78 degrees a wheel lies on its side and does not roll
 _MAX_ITERATIONS = 60
 
 
 class WheelContact(NamedTuple):
-    """The ellipsoid that stands for a wheel on the ground, in the wheel link's frame.
+    """The ellipsoid that represents a wheel in contact simulations, in the wheel link's frame.
 
-    ``radius`` and ``half_width`` are its half axes in m, ``offset`` (m) is how far its
-    centre lies from the link's origin along the spin axis.  ``penetration`` in
-    m and ``force`` in N are those of the settled robot.
+    ``axis`` is the spin axis, a unit vector from the right to the left side of the robot.
+    ``radius`` and ``half_width`` are the half axes of the ellipsoid in m, ``offset`` is the
+    position of its centre on the spin axis in m.  ``penetration`` (m) and ``force``
+    (N, vertical) are those of the robot at rest.
     """
 
+    axis: Vec3
     radius: float
     half_width: float
     offset: float
@@ -50,7 +58,7 @@ class WheelContact(NamedTuple):
 
 
 def impedance(penetration: float) -> float:
-    """``d(p)`` of ``solimp`` with MuJoCo's default midpoint 0.5 and power 2."""
+    """Return ``d(p)`` of ``solimp`` with MuJoCo's default midpoint 0.5 and power 2."""
     d0, d1, width = SOLIMP
     x = penetration / width
     if x >= 1.0:
@@ -60,15 +68,18 @@ def impedance(penetration: float) -> float:
 
 
 def normal_force(penetration: float, inverse_weight: float) -> float:
-    """Force in N at rest, for ``inverse_weight`` (1/kg) of the wheel's body."""
+    """Return f(p) in N, for the ``inverse_weight`` (1/kg) of the wheel's body."""
     if penetration <= 0.0:
         return 0.0
     d = impedance(penetration)
     return _STIFFNESS * penetration * d * d / ((1.0 - d) * inverse_weight)
 
 
-def slope(penetration: float, inverse_weight: float) -> float:
-    """Derivative of ``normal_force``; never zero, so that a lifted wheel can come down."""
+def contact_stiffness(penetration: float, inverse_weight: float) -> float:
+    """Return f'(p) in N/m, evaluated at 1e-6 m or deeper.
+
+    It is never zero: a wheel above the ground keeps a stiffness that Newton's method can use.
+    """
     p = max(penetration, 1e-6)
     d0, d1, width = SOLIMP
     d = impedance(p)
@@ -79,7 +90,10 @@ def slope(penetration: float, inverse_weight: float) -> float:
 
 
 def penetration_under(force: float, inverse_weight: float) -> float:
-    """The penetration in m at which the contact carries ``force`` N."""
+    """Return the penetration in m at which the contact carries ``force`` N.
+
+    Newton's method inside a bracket; a step that leaves the bracket is replaced by bisection.
+    """
     if force <= 0.0:
         return 0.0
     low, high = 0.0, 1e-3
@@ -92,29 +106,42 @@ def penetration_under(force: float, inverse_weight: float) -> float:
             high = p
         else:
             low = p
-        step = p - error / slope(p, inverse_weight)
-        if not low < step < high:
-            step = (low + high) / 2
-        if abs(step - p) < 1e-15:
+        better = p - error / contact_stiffness(p, inverse_weight)
+        if not low < better < high:
+            better = (low + high) / 2
+        if abs(better - p) < 1e-15:
             break
-        p = step
+        p = better
     return p
 
 
-def ellipsoid(wheel: Wheel, penetration: float, force: float, tilt: float) -> WheelContact:
-    """The ellipsoid that touches on the wheel's own circle; ``tilt``: spin axis, z component."""
+def contact_ellipsoid(
+    wheel: Wheel, axis: Vec3, penetration: float, force: float, tilt: float
+) -> WheelContact:
+    """Return the ellipsoid whose contact point lies on the wheel's rolling circle.
+
+    ``axis`` is the spin axis in the link frame; ``tilt`` is its vertical component in the
+    world, the sine of the camber angle.
+
+    The ellipsoid has the half axes a (radial) and b = width / 2 (axial).  In the plane of
+    the spin axis and the vertical, with c = cos(camber), s = sin(camber) and
+    H^2 = a^2 c^2 + b^2 s^2, its lowest point has the radius a^2 c / H and the axial position
+    b^2 s / H.  The contact point is p/2 above it, at the radius a^2 c / H - p/2 c.
+
+    - This radius must be ``wheel.radius``: a^2 c / H = wheel.radius + p/2 c =: r.  With
+      q = b s / c this is a^4 - r^2 a^2 - r^2 q^2 = 0, and the positive root is
+      a^2 = r^2 (1 + sqrt(1 + 4 (q / r)^2)) / 2.
+    - The contact point must lie in the middle plane of the wheel: the centre is shifted along the
+      axis by the offset (b^2 / H - p/2) s.
+    """
     cos = math.sqrt(max(1.0 - tilt * tilt, 0.0))
     half = wheel.width / 2
     rolling = wheel.radius + penetration / 2
     if cos < _MIN_COS_CAMBER:
-        return WheelContact(clean(rolling), half, 0.0, clean(penetration), clean(force))
-    # Half axes a (radial) and b (axial); lowest point at radius a^2 cos/H and
-    # b^2 sin/H along the axis, H^2 = a^2 cos^2 + b^2 sin^2; the contact half of
-    # the penetration above it.  Radius of the contact = wheel.radius gives a,
-    # its place along the axis = 0 gives the offset.
-    at = wheel.radius + penetration / 2 * cos
-    slant = half * tilt / cos
-    a = at * math.sqrt((1.0 + math.sqrt(1.0 + 4.0 * (slant / at) ** 2)) / 2.0)
+        return WheelContact(axis, clean(rolling), half, 0.0, clean(penetration), clean(force))
+    r = wheel.radius + penetration / 2 * cos
+    q = half * tilt / cos
+    a = r * math.sqrt((1.0 + math.sqrt(1.0 + 4.0 * (q / r) ** 2)) / 2.0)
     height = math.hypot(a * cos, half * tilt)
     offset = (half * half / height - penetration / 2) * tilt
-    return WheelContact(clean(a), half, clean(offset), clean(penetration), clean(force))
+    return WheelContact(axis, clean(a), half, clean(offset), clean(penetration), clean(force))
