@@ -1,4 +1,4 @@
-"""Expressions: what they compute, what they refuse, and that they end."""
+"""Tests of expressions: values, errors with offsets, and limits against hostile input."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ SCOPE: dict[str, Any] = {
     ],
 )
 def test_values(text: str, value: Any) -> None:
-    found = evaluate(text, SCOPE)
-    assert found == value
-    assert isinstance(found, bool) == isinstance(value, bool)
+    result = evaluate(text, SCOPE)
+    assert result == value
+    assert isinstance(result, bool) == isinstance(value, bool)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_values(text: str, value: Any) -> None:
         ("count and flag", "expression-value", 6),
         ("1 < side", "expression-value", 2),
         ("max([])", "expression-value", 0),
-        ("20 mm/s", "expression-value", 0),  # `s` is a name here as well
+        ("20 mm/s", "expression-value", 0),  # `s` is also a name in SCOPE
         ("", "expression-syntax", 0),
         ("1 +", "expression-syntax", 3),
         ("(1", "expression-syntax", 2),
@@ -164,7 +164,7 @@ def test_hints(text: str, hint: str) -> None:
         *("min(" * 200, "'" * 999, "20 " + "m/" * 400, "flag and " * 100 + "flag"),
     ],
 )
-def test_everything_ends_soon(text: str) -> None:
+def test_hostile_expressions_take_less_than_a_second(text: str) -> None:
     began = time.perf_counter()
     try:
         value = evaluate(text, SCOPE)
@@ -174,12 +174,12 @@ def test_everything_ends_soon(text: str) -> None:
     assert time.perf_counter() - began < 1
 
 
-def test_names_are_looked_up_when_they_are_needed() -> None:
-    asked = []
+def test_only_needed_names_are_looked_up() -> None:
+    looked_up = []
 
     class Lazy(Mapping[str, Any]):
         def __getitem__(self, name: str) -> Any:
-            asked.append(name)
+            looked_up.append(name)
             return 1.0
 
         def __iter__(self) -> Iterator[str]:
@@ -189,10 +189,10 @@ def test_names_are_looked_up_when_they_are_needed() -> None:
             return 0
 
     assert evaluate("a if 1 < 2 else b", Lazy()) == 1.0
-    assert asked == ["a"]
+    assert looked_up == ["a"]
 
 
-def test_text_with_expressions_in_it() -> None:
+def test_text_that_contains_expressions() -> None:
     assert evaluate_text("plain", SCOPE) == "plain"
     assert evaluate_text("${count}", SCOPE) == 4
     assert evaluate_text("a${count}_${side}", SCOPE) == "a4_left"
@@ -203,19 +203,19 @@ def test_text_with_expressions_in_it() -> None:
         assert caught.value.offset == offset
 
 
-def outcome(run: Callable[[], Any]) -> Any:
-    """The value, or the refusal."""
+def value_or_error(function: Callable[[], Any]) -> Any:
+    """Returns the value, or the ExpressionError."""
     try:
-        return run()
+        return function()
     except ExpressionError as error:
         return error
 
 
 @given(st.text(max_size=40))
-def test_any_text_has_a_value_or_is_refused(text: str) -> None:
+def test_any_text_has_a_value_or_raises_an_error(text: str) -> None:
     for shown in (text, f"${{{text}}}"):
-        found = outcome(lambda text=shown: evaluate_text(text, SCOPE))
-        assert not isinstance(found, ExpressionError) or 0 <= found.offset <= len(shown)
+        result = value_or_error(lambda text=shown: evaluate_text(text, SCOPE))
+        assert not isinstance(result, ExpressionError) or 0 <= result.offset <= len(shown)
 
 
 words = ["length", "count", "wheel", ".", "radius", "(", ")", "[", "]", "+", "-", "*", "**", "/"]
@@ -223,6 +223,6 @@ words += ["%", "1", "2.5", "20 mm", "if", "else", "and", "not", "==", "<", ",", 
 
 
 @given(st.lists(st.sampled_from(words), max_size=12))
-def test_any_words_have_a_value_or_are_refused(parts: list[str]) -> None:
-    found = outcome(lambda: evaluate(" ".join(parts), SCOPE))
-    assert not isinstance(found, ExpressionError) or found.message
+def test_any_words_have_a_value_or_raise_an_error(parts: list[str]) -> None:
+    result = value_or_error(lambda: evaluate(" ".join(parts), SCOPE))
+    assert not isinstance(result, ExpressionError) or result.message

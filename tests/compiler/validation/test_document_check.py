@@ -1,4 +1,4 @@
-"""What is said of documents that do not fit: one message for each mistake, at its place."""
+"""Tests of the diagnostics of invalid documents: one per mistake, with its span and hint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ROBOT = "thorvaldc: 1\nname: r\nmodules:\n  a: {type: x}\n"
 MODULE = "thorvaldc: 1\ndescription: x\n"
 
 
-def faults(text: str, kind: Kind = "robot") -> list[Diagnostic]:
+def check_text(text: str, kind: Kind = "robot") -> list[Diagnostic]:
     report = Report()
     node = read_text(text.encode(), "f.yaml", report)
     assert node is not None
@@ -21,13 +21,13 @@ def faults(text: str, kind: Kind = "robot") -> list[Diagnostic]:
     return report.sorted()
 
 
-def only(text: str, kind: Kind = "robot") -> Diagnostic:
-    (found,) = faults(text, kind)
-    return found
+def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
+    (diagnostic,) = check_text(text, kind)
+    return diagnostic
 
 
 @pytest.mark.parametrize(
-    ("text", "kind", "code", "place", "message", "hint"),
+    ("text", "kind", "code", "position", "message", "hint"),
     [
         (
             ROBOT + "descripton: x\n",
@@ -66,7 +66,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-type",
             "4:6",
-            "a mapping is wanted, not a list",
+            "expected a mapping, got a list",
             None,
         ),
         (
@@ -74,7 +74,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-type",
             "4:13",
-            "text is wanted, not `3`",
+            "expected text, got `3`",
             "as in `assembly/steered_drive`",
         ),
         (
@@ -82,7 +82,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-type",
             "5:16",
-            "a frequency is wanted, not `true`",
+            "expected a frequency, got `true`",
             "as in `50 Hz`",
         ),
         (
@@ -99,7 +99,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-type",
             "4:21",
-            "a whole number, `auto` or a mapping is wanted, not `3.0`",
+            "expected a whole number, `auto` or a mapping, got `3.0`",
             "as in `3`",
         ),
         (
@@ -107,7 +107,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-type",
             "4:30",
-            "text is wanted, not `18`",
+            "expected text, got `18`",
             'as in `"0x12"`',
         ),
         (
@@ -115,8 +115,8 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "bad-id",
             "4:3",
-            "`Front Left` is not a name",
-            "names have lower-case letters, digits and `_`, and begin with a letter, "
+            "`Front Left` is not a valid name",
+            "a name has lower-case letters, digits and `_`, and begins with a letter, "
             "as in `front_left`",
         ),
         (
@@ -124,7 +124,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "bad-id",
             "4:23",
-            "`a-b.c` does not name a part",
+            "`a-b.c` is not a path of names",
             "write names joined by dots, as in `frame.front_left`",
         ),
         (
@@ -132,7 +132,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-length",
             "4:40",
-            "`xyz` has 2 elements; 3 are wanted",
+            "`xyz` has 2 elements; expected 3",
             "as in `[0, 0.285, 70 mm]`",
         ),
         (
@@ -140,15 +140,15 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "wrong-dimension",
             "4:47",
-            "`5 kg` is a mass; a length is wanted",
-            "give it as in `650 mm`",
+            "`5 kg` is a mass; expected a length",
+            "write it as in `650 mm`",
         ),
         (
             ROBOT + "driver: {rate: '${50}'}\n",
             "robot",
             "expression-not-allowed",
             "5:16",
-            "a robot document has no expressions",
+            "a robot document cannot contain expressions",
             "write the value; expressions belong in module documents",
         ),
         (
@@ -156,8 +156,8 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "language-version",
             "1:12",
-            "version `2` of the language is not known",
-            "write `thorvaldc: 1`; a newer compiler may know more",
+            "version `2` of the language is not supported",
+            "write `thorvaldc: 1`, or use a newer compiler",
         ),
         (
             MODULE + "joints: {j: {type: hinge, parent: a, child: b}}\n",
@@ -165,22 +165,22 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "unknown-value",
             "3:20",
             "`type` cannot be `hinge`",
-            "it is one of `revolute`, `continuous`, `prismatic`, `fixed`",
+            "allowed values are `revolute`, `continuous`, `prismatic`, `fixed`",
         ),
         (
             MODULE + "joints: {j: {type: '${x}', parent: a, child: b, lower: 5 kg}}\n",
             "module",
             "wrong-dimension",
             "3:56",
-            "`5 kg` is a mass; an angle or a length is wanted",
-            "give it as in `15 deg`",
+            "`5 kg` is a mass; expected an angle or a length",
+            "write it as in `15 deg`",
         ),
         (
             MODULE + "links: {a: {parts: [{shape: {sphere: {radius: 1}}, mass: 1}]}}\n",
             "module",
             "missing-key",
             "3:52",
-            "`mass` needs `source` beside it",
+            "`mass` requires `source` in the same mapping",
             "add it, as in `source: estimated: proportions in figure 3 of the paper`",
         ),
         (
@@ -188,7 +188,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "module",
             "conflicting-keys",
             "3:21",
-            "an element of `parts` has none of `shape`, `mass`; one is wanted",
+            "an element of `parts` has none of `shape`, `mass`; one is required",
             "add `shape` or `mass`",
         ),
         (
@@ -196,7 +196,7 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "module",
             "wrong-type",
             "4:12",
-            "text is wanted, not a mapping",
+            "expected text, got a mapping",
             "as in `steering.top`",
         ),
         (
@@ -204,30 +204,32 @@ def only(text: str, kind: Kind = "robot") -> Diagnostic:
             "fleet",
             "wrong-dimension",
             "3:34",
-            "`3 m` is a length; an angle is wanted",
-            "give it as in `15 deg`",
+            "`3 m` is a length; expected an angle",
+            "write it as in `15 deg`",
         ),
     ],
 )
 def test_messages(
-    text: str, kind: Kind, code: str, place: str, message: str, hint: str | None
+    text: str, kind: Kind, code: str, position: str, message: str, hint: str | None
 ) -> None:
-    found = only(text, kind)
-    assert (found.code.name, str(found.span), found.message, found.hint) == (
+    diagnostic = only_diagnostic(text, kind)
+    assert (diagnostic.code.name, str(diagnostic.span), diagnostic.message, diagnostic.hint) == (
         code,
-        f"f.yaml:{place}",
+        f"f.yaml:{position}",
         message,
         hint,
     )
 
 
 def test_keys_that_exclude_each_other_are_both_shown() -> None:
-    found = only(ROBOT.replace("{type: x}", "{type: x, mount: {port: b.c, parent: b}}"))
-    assert (found.code.name, str(found.span)) == ("conflicting-keys", "f.yaml:4:35")
-    assert [str(label.span) for label in found.labels] == ["f.yaml:4:24"]
+    diagnostic = only_diagnostic(
+        ROBOT.replace("{type: x}", "{type: x, mount: {port: b.c, parent: b}}")
+    )
+    assert (diagnostic.code.name, str(diagnostic.span)) == ("conflicting-keys", "f.yaml:4:35")
+    assert [str(label.span) for label in diagnostic.labels] == ["f.yaml:4:24"]
 
 
-def test_all_mistakes_are_found_at_once_each_where_it_is() -> None:
+def test_one_run_reports_all_mistakes_with_their_lines() -> None:
     text = """thorvaldc: 1
 name: R
 driver: {rate: 5 kg, speed: 3}
@@ -236,7 +238,7 @@ modules:
   b: {type: x, params: {X: 1}, can: -1}
   c: foo
 """
-    assert [(d.code.name, d.span.line) for d in faults(text) if d.span] == [
+    assert [(d.code.name, d.span.line) for d in check_text(text) if d.span] == [
         ("bad-id", 2),
         ("wrong-dimension", 3),
         ("unknown-key", 3),
@@ -249,24 +251,24 @@ modules:
     ]
 
 
-def test_what_the_reader_refused_is_not_refused_again() -> None:
-    assert only(ROBOT + "name2: on\n".replace("name2", "description")).code.name == (
+def test_a_value_that_the_reader_rejected_gets_no_second_diagnostic() -> None:
+    assert only_diagnostic(ROBOT + "name2: on\n".replace("name2", "description")).code.name == (
         "yaml-ambiguous-word"
     )
 
 
 @pytest.mark.parametrize("text", ["[1]", "x", "3", "true"])
 def test_a_document_is_a_mapping(text: str) -> None:
-    assert only(text).code.name == "wrong-type"
+    assert only_diagnostic(text).code.name == "wrong-type"
 
 
-def test_what_is_sound_goes_on_without_the_values_at_fault() -> None:
+def test_invalid_values_are_replaced_by_none() -> None:
     report = Report()
     text = ROBOT + "driver: {rate: 5 kg, command_timeout: 1 s}\nname2: x\n"
     node = read_text(text.encode(), "f.yaml", report)
     assert node is not None
     assert not check(node, "robot", report)
-    left = without_invalid_values(node, report)
-    assert left.plain()["driver"] == {"rate": None, "command_timeout": "1 s"}
-    assert left.plain()["modules"] == {"a": {"type": "x"}}
-    assert left.get("driver").span == node.get("driver").span  # type: ignore[union-attr]
+    remaining = without_invalid_values(node, report)
+    assert remaining.plain()["driver"] == {"rate": None, "command_timeout": "1 s"}
+    assert remaining.plain()["modules"] == {"a": {"type": "x"}}
+    assert remaining.get("driver").span == node.get("driver").span  # type: ignore[union-attr]

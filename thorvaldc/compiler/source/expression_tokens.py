@@ -1,19 +1,20 @@
-"""The words of an expression: numbers with their units, names, text, operators."""
+"""Splits an expression into tokens: numbers with units, names, text, operators."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 from thorvaldc.compiler.source.units import UNIT_NAME, UNIT_POWER, UnitError, parse_any, parse_unit
 
 
 class ExpressionError(Exception):
-    """An expression cannot be read or has no value.
+    """An expression has a syntax error or no value.
 
-    ``offset`` counts characters from the beginning of the expression; ``code``
-    is the name of the diagnostic: ``expression-syntax``, ``expression-name``
-    or ``expression-value``.
+    ``offset`` is the position in the expression, counted in characters from 0; ``code`` is
+    the name of the diagnostic: ``expression-syntax``, ``expression-name`` or
+    ``expression-value``.
     """
 
     def __init__(
@@ -31,9 +32,14 @@ class ExpressionError(Exception):
         self.code = code
 
 
+def syntax_error(message: str, offset: int, hint: str | None = None) -> ExpressionError:
+    return ExpressionError(message, offset, hint=hint, code="expression-syntax")
+
+
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 _KEYWORDS = ("and", "or", "not", "if", "else")
 _NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
+# `%` is the remainder, and quotes begin a text; neither is a unit here.
 _UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{UNIT_NAME})(?:{UNIT_POWER})?"
 _TOKENS = re.compile(
     rf"""\s*(?:
@@ -46,95 +52,88 @@ _TOKENS = re.compile(
     )""",
     re.VERBOSE,
 )
+_LAST_FACTOR = re.compile(r"(?:\s*/\s*|\s*[·⋅]\s*|\s+)[^\s/·⋅]+$")
+_HINTS = {
+    "=": "a comparison is `==`",
+    "^": "a power is `**`",
+    ":": "write a ratio as a number: `42`, not `42:1`",
+    "&": "write `and`",
+    "|": "write `or`",
+    "!": "write `not`",
+    "'": "close the text with the same quote",
+    '"': "close the text with the same quote",
+}
 END = "end"
 
 
+@dataclass(slots=True)
 class Token:
-    __slots__ = ("divisors", "kind", "offset", "text", "value")
+    """A token; ``divisors`` are the words after a ``/`` that were read as units."""
 
-    def __init__(self, kind: str, text: str, offset: int, value: Any = None) -> None:
-        self.kind = kind  # number, name, text, operator, keyword, end
-        self.text = text
-        self.offset = offset
-        self.value = value
-        self.divisors: tuple[str, ...] = ()  # names after a `/` that were read as units
+    kind: str  # number, name, text, operator, keyword or end
+    text: str
+    offset: int
+    value: Any = None
+    divisors: tuple[str, ...] = ()
 
 
 def tokenize(text: str) -> list[Token]:
+    """Returns the tokens of an expression, the last of kind END.  Raises ExpressionError."""
     tokens: list[Token] = []
+    text = text.rstrip()
     position = 0
-    stripped = text.rstrip()
-    while position < len(stripped):
-        found = _TOKENS.match(stripped, position)
-        if found is None:
-            at = position + len(stripped[position:]) - len(stripped[position:].lstrip())
-            character = stripped[at]
-            hint = {
-                "=": "a comparison is `==`",
-                "^": "a power is `**`",
-                ":": "write a ratio as a number: `42`, not `42:1`",
-                "&": "write `and`",
-                "|": "write `or`",
-                "!": "write `not`",
-                "'": "close the text with the quote it began with",
-                '"': "close the text with the quote it began with",
-            }.get(character)
-            raise syntax_error(f"`{character}` cannot stand here", at, hint)
-        position = found.end()
-        kind = found.lastgroup or ""
-        if found["number"] is not None:
-            position = _number(found, stripped, tokens)
-        elif kind == "hexadecimal":
-            digits, offset = found["hexadecimal"], found.start("hexadecimal")
-            tokens.append(Token("number", digits, offset, int(digits, 16)))
-        elif kind == "word":
-            word, offset = found["word"], found.start("word")
-            tokens.append(Token("keyword" if word in _KEYWORDS else "name", word, offset))
-        elif kind == "text":
-            tokens.append(Token("text", found["text"], found.start("text"), found["text"][1:-1]))
-        else:
-            tokens.append(Token("operator", found["operator"], found.start("operator")))
-    tokens.append(Token(END, "", len(stripped)))
+    while position < len(text):
+        match = _TOKENS.match(text, position)
+        if match is None:
+            offset = len(text) - len(text[position:].lstrip())
+            character = text[offset]
+            raise syntax_error(f"unexpected `{character}`", offset, _HINTS.get(character))
+        token = _make_token(match)
+        tokens.append(token)
+        position = token.offset + len(token.text)
+    tokens.append(Token(END, "", len(text)))
     return tokens
 
 
-def _number(found: re.Match[str], text: str, tokens: list[Token]) -> int:
-    """Append a number with its unit, where one follows; the position after it."""
-    literal, offset, end = found["number"], found.start("number"), found.end()
-    unit = found["unit"]
-    if unit is None:
-        digits = literal
-    else:
-        digits = literal[: len(literal) - len(unit)]
-        # What follows `/` may be a name and no unit: `20 mm / count`.
-        while not _is_unit(unit) and (cut := _LAST_FACTOR.search(unit, 1)):
-            unit = unit[: cut.start()]
-        literal, end = digits + unit, offset + len(digits) + len(unit)
+def _make_token(match: re.Match[str]) -> Token:
+    if match["number"] is not None:
+        return _make_number(match)
+    kind = match.lastgroup or ""
+    text, offset = match[kind], match.start(kind)
+    if kind == "hexadecimal":
+        return Token("number", text, offset, int(text, 16))
+    if kind == "word":
+        return Token("keyword" if text in _KEYWORDS else "name", text, offset)
+    return Token(kind, text, offset, text[1:-1] if kind == "text" else None)
+
+
+def _make_number(match: re.Match[str]) -> Token:
+    """Returns the token of a number with its unit, if it has one."""
+    literal, unit, offset = match["number"], match["unit"], match.start("number")
     value: Any
-    if unit is None and digits.isdigit():
-        if len(digits) > 18:
+    if unit is None and literal.isdigit():
+        if len(literal) > 18:
             raise syntax_error("the number is too large", offset)
-        value = int(digits)
-    else:
-        try:
-            value = parse_any(literal)
-        except UnitError as error:
-            raise ExpressionError(
-                error.message, offset, hint=error.hint, code="expression-syntax"
-            ) from None
-    if unit is not None and text[end:].lstrip().startswith("**"):
+        return Token("number", literal, offset, int(literal))
+    divisors: tuple[str, ...] = ()
+    if unit is not None:
+        digits = literal.removesuffix(unit)
+        # The last factors may be names instead of units: `20 mm / count`.
+        while not _is_unit(unit) and (factor := _LAST_FACTOR.search(unit, 1)):
+            unit = unit[: factor.start()]
+        literal = digits + unit
+        divisors = tuple(re.findall(rf"/\s*({_WORD})(?=[\s/·⋅]|$)", unit))
+    try:
+        value = parse_any(literal)
+    except UnitError as error:
+        raise syntax_error(error.message, offset, error.hint) from None
+    if unit is not None and match.string[offset + len(literal) :].lstrip().startswith("**"):
         raise syntax_error(
-            f"`{literal} **` can be read in two ways",
+            f"`{literal} **` is ambiguous",
             offset,
             f"write `({literal}) ** 2`, or the power of the unit as `mm^2`",
         )
-    tokens.append(Token("number", literal, offset, value))
-    if unit is not None and "/" in unit:
-        tokens[-1].divisors = tuple(re.findall(rf"/\s*({_WORD})(?=[\s/·⋅]|$)", unit))
-    return end
-
-
-_LAST_FACTOR = re.compile(r"(?:\s*/\s*|\s*[·⋅]\s*|\s+)[^\s/·⋅]+$")
+    return Token("number", literal, offset, value, divisors)
 
 
 def _is_unit(unit: str) -> bool:
@@ -143,7 +142,3 @@ def _is_unit(unit: str) -> bool:
     except UnitError:
         return False
     return True
-
-
-def syntax_error(message: str, offset: int, hint: str | None = None) -> ExpressionError:
-    return ExpressionError(message, offset, hint=hint, code="expression-syntax")

@@ -1,7 +1,22 @@
-"""Expressions of module documents: ``${length / 2 - 20 mm}``.
+"""Parses and evaluates the expressions of module documents: ``${length / 2 - 20 mm}``.
 
-A parser and evaluator of our own, so that a document cannot run code, literals
-may carry units, and faults have a place.  Text is compiled once to closures.
+Python's own parser is not used: literals have units, errors need a position, and a
+document must not execute code.  Limits on length and depth bound the work.  Each
+expression is compiled once to closures (``expression_operations``).
+
+Grammar, from weak to strong; `?` optional, `*` repeated:
+
+    choice     = either ("if" either "else" choice)?
+    either     = both ("or" both)*
+    both       = negation ("and" negation)*
+    negation   = "not"* comparison
+    comparison = sum (("==" | "!=" | "<" | "<=" | ">" | ">=") sum)*
+    sum        = product (("+" | "-") product)*
+    product    = unary (("*" | "/" | "%") unary)*
+    unary      = ("+" | "-")* power
+    power      = postfix ("**" unary)?
+    postfix    = atom ("." name | "[" choice "]")*
+    atom       = number | text | name | name "(" list ")" | "(" choice ")" | "[" list "]"
 """
 
 from __future__ import annotations
@@ -11,7 +26,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from thorvaldc.compiler.source import expression_values as values
+from thorvaldc.compiler.source import expression_operations as operations
+from thorvaldc.compiler.source.expression_operations import Evaluate
 from thorvaldc.compiler.source.expression_tokens import (
     END,
     ExpressionError,
@@ -19,7 +35,6 @@ from thorvaldc.compiler.source.expression_tokens import (
     syntax_error,
     tokenize,
 )
-from thorvaldc.compiler.source.expression_values import Evaluate
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 __all__ = ["ExpressionError", "evaluate", "evaluate_text", "split_text"]
@@ -29,19 +44,21 @@ MAX_DEPTH = 40
 
 
 def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
-    """The value, in SI, of an expression (what stands between ``${`` and ``}``).
+    """Returns the value in SI of an expression (the text between ``${`` and ``}``).
 
-    ``scope`` holds numbers in SI, truth values, text, lists, or mappings that
-    are read by attribute; a name is looked up when it is needed, so ``scope``
-    may compute on access.  Raises ExpressionError (and what ``scope`` raises,
-    except KeyError, which means an unknown name).
+    ``scope`` contains numbers in SI, truth values, text, lists, and mappings, whose entries
+    are read as attributes.  A name is looked up only when its value is needed, so ``scope``
+    may compute values on access.  Raises ExpressionError, and every exception of ``scope``
+    except KeyError, which means an unknown name.
     """
     return _compile(text)(scope)
 
 
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
-    """The value of a scalar: of the expression if it is one as a whole, else
-    text with the values of its expressions put in.  Offsets count in ``text``.
+    """Returns the value of a scalar with expressions in it.
+
+    If the whole text is one expression, returns its value, else the text with the values
+    inserted.  Offsets in errors count from the start of ``text``.
     """
     parts = split_text(text)
     if not any(is_expression for _, _, is_expression in parts):
@@ -58,12 +75,12 @@ def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
             raise
     if len(results) == 1:
         return results[0]
-    return "".join(values.shown(result, plain=True) for result in results)
+    return "".join(operations.show(result, bare=True) for result in results)
 
 
 @functools.lru_cache(maxsize=4096)
 def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
-    """Text as (part, offset, whether it is the inside of a ``${...}``).  Raises ExpressionError."""
+    """Splits a text into (part, offset, is the inside of ``${...}``).  Raises ExpressionError."""
     parts: list[tuple[str, int, bool]] = []
     position = 0
     while (start := text.find("${", position)) >= 0:
@@ -71,9 +88,7 @@ def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
             parts.append((text[position:start], position, False))
         inside = _INSIDE.match(text, start + 2)
         if inside is None:
-            raise ExpressionError(
-                "`${` without a closing `}`", start, hint="close it", code="expression-syntax"
-            )
+            raise syntax_error("`${` without a closing `}`", start, "add the `}`")
         parts.append((inside[1], start + 2, True))
         position = inside.end()
     if position < len(text) or not parts:
@@ -81,14 +96,18 @@ def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
     return tuple(parts)
 
 
-# Text in quotes may hold a brace.
+# Text in quotes can contain a brace.
 _INSIDE = re.compile(r"((?:[^}'\"]|'[^']*'|\"[^\"]*\"|['\"](?=[^'\"]*\}))*)\}")
 
 
 # -- parser -------------------------------------------------------------------------
 
-_COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
-_PRECEDENCE = {"+": 5, "-": 5, "*": 6, "/": 6, "%": 6}
+# Binary operators from weak to strong: symbols, and the function that combines the operands.
+_LEVELS = (
+    (("==", "!=", "<", "<=", ">", ">="), operations.compare),
+    (("+", "-"), operations.chain),
+    (("*", "/", "%"), operations.chain),
+)
 
 
 @functools.lru_cache(maxsize=4096)
@@ -99,12 +118,12 @@ def _compile(text: str) -> Evaluate:
     result = parser.choice()
     token = parser.token
     if token.kind != END:
-        raise syntax_error(f"`{token.text}` cannot stand here", token.offset)
+        raise syntax_error(f"unexpected `{token.text}`", token.offset)
     return result
 
 
 class _Parser:
-    """Recursive descent with precedence climbing; each method returns a closure."""
+    """A recursive-descent parser.  Each method parses one rule of the grammar to a closure."""
 
     def __init__(self, tokens: list[Token]) -> None:
         self.tokens = tokens
@@ -116,6 +135,7 @@ class _Parser:
         return self.tokens[self.position]
 
     def take(self, text: str) -> Token | None:
+        """Consumes the next token if it is the operator or keyword ``text``."""
         token = self.token
         if token.kind in ("operator", "keyword") and token.text == text:
             self.position += 1
@@ -125,62 +145,60 @@ class _Parser:
     def expect(self, text: str) -> None:
         if self.take(text) is None:
             token = self.token
-            found = f"not `{token.text}`" if token.kind != END else "and the expression ends"
-            raise syntax_error(f"`{text}` is wanted here, {found}", token.offset)
+            actual = f"got `{token.text}`" if token.kind != END else "but the expression ends"
+            raise syntax_error(f"expected `{text}`, {actual}", token.offset)
 
-    def choice(self) -> Evaluate:
-        """``a if c else b``"""
+    def descend(self, offset: int) -> None:
         self.depth += 1
         if self.depth > MAX_DEPTH:
-            raise syntax_error("the expression is nested too deeply", self.token.offset)
+            raise syntax_error("the expression is nested too deeply", offset)
+
+    def choice(self) -> Evaluate:
+        self.descend(self.token.offset)
         value = self.either()
-        mark = self.take("if")
-        if mark is not None:
+        if_token = self.take("if")
+        if if_token is not None:
             condition = self.either()
             self.expect("else")
-            value = values.choose(condition, value, self.choice(), mark.offset)
+            value = operations.choose(condition, value, self.choice(), if_token.offset)
         self.depth -= 1
         return value
 
     def either(self) -> Evaluate:
-        return self.logical("or", True, lambda: self.logical("and", False, self.negation))
+        return self.logical("or", True, self.both)
+
+    def both(self) -> Evaluate:
+        return self.logical("and", False, self.negation)
 
     def logical(self, word: str, decisive: bool, operand: Callable[[], Evaluate]) -> Evaluate:
-        first = operand()
-        rest: list[Evaluate] = []
+        operands = [operand()]
         offset = self.token.offset
         while self.take(word):
-            rest.append(operand())
-        return values.logical(word, decisive, [first, *rest], offset) if rest else first
+            operands.append(operand())
+        if len(operands) == 1:
+            return operands[0]
+        return operations.logical(word, decisive, operands, offset)
 
     def negation(self) -> Evaluate:
         offset = self.token.offset
         count = 0
         while self.take("not"):
             count += 1
-        value = self.comparison()
-        return values.negate(value, count % 2 == 1, offset) if count else value
+        value = self.operators(0)
+        return operations.negate(value, count, offset) if count else value
 
-    def comparison(self) -> Evaluate:
-        first = self.arithmetic(5)
+    def operators(self, level: int) -> Evaluate:
+        """Parses the rules ``comparison``, ``sum`` and ``product``, by index in _LEVELS."""
+        if level == len(_LEVELS):
+            return self.unary()
+        symbols, combine = _LEVELS[level]
+        first = self.operators(level + 1)
         rest: list[tuple[str, Evaluate, int]] = []
-        while self.token.kind == "operator" and self.token.text in _COMPARISONS:
-            mark = self.token
+        while self.token.kind == "operator" and self.token.text in symbols:
+            token = self.token
             self.position += 1
-            rest.append((mark.text, self.arithmetic(5), mark.offset))
-        return values.compare(first, rest) if rest else first
-
-    def arithmetic(self, least: int) -> Evaluate:
-        first = self.unary()
-        rest: list[tuple[str, Evaluate, int]] = []
-        while self.token.kind == "operator":
-            mark = self.token
-            precedence = _PRECEDENCE.get(mark.text, 0)
-            if precedence < least:
-                break
-            self.position += 1
-            rest.append((mark.text, self.arithmetic(precedence + 1), mark.offset))
-        return values.chain(first, rest) if rest else first
+            rest.append((token.text, self.operators(level + 1), token.offset))
+        return combine(first, rest) if rest else first
 
     def unary(self) -> Evaluate:
         offset = self.token.offset
@@ -190,17 +208,15 @@ class _Parser:
             minus += self.token.text == "-"
             self.position += 1
         value = self.power()
-        return values.signed(value, minus % 2 == 1, offset) if count else value
+        return operations.signed(value, minus % 2 == 1, offset) if count else value
 
     def power(self) -> Evaluate:
         value = self.postfix()
-        mark = self.take("**")
-        if mark is None:
+        token = self.take("**")
+        if token is None:
             return value
-        self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise syntax_error("the expression is nested too deeply", mark.offset)
-        value = values.chain(value, [("**", self.unary(), mark.offset)])
+        self.descend(token.offset)
+        value = operations.chain(value, [("**", self.unary(), token.offset)])
         self.depth -= 1
         return value
 
@@ -208,20 +224,20 @@ class _Parser:
         value = self.atom()
         count = 0
         while True:
-            mark = self.token
+            token = self.token
             count += 1
             if count > MAX_DEPTH:
-                raise syntax_error("the expression is nested too deeply", mark.offset)
+                raise syntax_error("the expression is nested too deeply", token.offset)
             if self.take("."):
                 name = self.token
                 if name.kind != "name":
-                    raise syntax_error("a name is wanted after `.`", name.offset)
+                    raise syntax_error("expected a name after `.`", name.offset)
                 self.position += 1
-                value = values.attribute(value, name.text, name.offset)
+                value = operations.attribute(value, name.text, name.offset)
             elif self.take("["):
                 index = self.choice()
                 self.expect("]")
-                value = values.index(value, index, mark.offset)
+                value = operations.element(value, index, token.offset)
             else:
                 return value
 
@@ -229,46 +245,43 @@ class _Parser:
         token = self.token
         self.position += 1
         if token.kind in ("number", "text"):
-            return values.constant(token)
+            return operations.constant(token)
         if token.kind == "name":
             if self.take("("):
                 return self.call(token)
-            return values.look_up_name(token.text, token.offset)
+            return operations.look_up_name(token.text, token.offset)
         if token.kind == "operator" and token.text == "(":
             value = self.choice()
             self.expect(")")
             return value
         if token.kind == "operator" and token.text == "[":
-            return values.list_of(self.elements("]"))
+            return operations.list_of(self.elements("]"))
         self.position -= 1
         if token.kind == END:
-            raise syntax_error("the expression ends where a value is wanted", token.offset)
-        raise syntax_error(f"a value is wanted here, not `{token.text}`", token.offset)
+            raise syntax_error("expected a value, but the expression ends", token.offset)
+        raise syntax_error(f"expected a value, got `{token.text}`", token.offset)
 
     def elements(self, closing: str) -> list[Evaluate]:
-        values: list[Evaluate] = []
+        """Parses values with commas between them, up to the token ``closing``."""
+        elements: list[Evaluate] = []
         while not self.take(closing):
-            if values:
+            if elements:
                 self.expect(",")
                 if self.take(closing):
                     break
-            values.append(self.choice())
-        return values
+            elements.append(self.choice())
+        return elements
 
     def call(self, token: Token) -> Evaluate:
-        known = values.FUNCTIONS.get(token.text)
-        if known is None:
-            raise ExpressionError(
-                f"there is no function `{token.text}`",
-                token.offset,
-                hint=did_you_mean(
-                    token.text, values.FUNCTIONS, "the functions are " + " ".join(values.FUNCTIONS)
-                ),
-                code="expression-name",
-            )
+        functions = operations.FUNCTIONS
+        if token.text not in functions:
+            hint = did_you_mean(token.text, functions, "the functions are " + " ".join(functions))
+            message = f"unknown function `{token.text}`"
+            raise ExpressionError(message, token.offset, hint=hint, code="expression-name")
         arguments = self.elements(")")
-        function, count = known
+        _, count = functions[token.text]
         if (count and len(arguments) != count) or not arguments:
-            wanted = {0: "at least 1 value", 1: "1 value"}.get(count, f"{count} values")
-            raise syntax_error(f"`{token.text}` takes {wanted}, not {len(arguments)}", token.offset)
-        return values.call(token.text, function, arguments, token.offset)
+            expected = {0: "at least 1 value", 1: "1 value"}.get(count, f"{count} values")
+            message = f"`{token.text}` takes {expected}, not {len(arguments)}"
+            raise syntax_error(message, token.offset)
+        return operations.call(token.text, arguments, token.offset)

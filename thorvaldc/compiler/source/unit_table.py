@@ -1,7 +1,7 @@
-"""The units and kinds of quantities that the language knows.
+"""Tables of the units and kinds of quantities of the language.
 
-A unit is an exact fraction times a power of pi.  The radian counts as a
-dimension of its own: it tells ``rad/s`` from ``Hz``.
+The factor of a unit is an exact fraction times a power of pi.  The radian is a dimension
+here, although SI has none for it: this distinguishes ``rad/s`` from ``Hz``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 
 
 class Quantity(NamedTuple):
-    """A kind of quantity: its dimensions, SI unit and an example in the language."""
+    """A kind of quantity: its dimensions, its SI unit and an example in the language."""
 
     name: str
     article: str
@@ -27,12 +27,12 @@ class Quantity(NamedTuple):
         return f"{self.article} {self.name.replace('_', ' ')}"
 
     def shown(self, value: float) -> str:
-        """A value in SI as people read it: ``1.5 m/s``."""
+        """Formats a value in SI with its unit: ``1.5 m/s``."""
         return f"{value:.6g}" if self.unit == "1" else f"{value:.6g} {self.unit}"
 
 
 class Unit(NamedTuple):
-    """One in SI is ``numerator / denominator * pi**pi_power`` (plus ``offset`` hundredths)."""
+    """A unit.  SI value = number * numerator / denominator * pi**pi_power + offset / 100."""
 
     dimension: Dimension
     numerator: int = 1
@@ -134,7 +134,7 @@ LONG_PREFIXABLE = _words(
     "watt watts joule joules hertz pascal amp amps ampere"
 )
 
-# Prefixed units that a misspelt one may have meant.
+# Prefixed units for "did you mean" hints.
 _PREFIXED = (
     "kg mg mm cm km ms us kN kNm mNm kW mW mV kV mA kHz MHz kbit Mbit kB kPa kWh mAh mrad "
     "millimeter millimetre centimeter centimetre kilometer kilometre kilogram milligram"

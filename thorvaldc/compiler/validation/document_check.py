@@ -1,4 +1,9 @@
-"""Checks documents against the JSON Schemas beside this file."""
+"""Checks documents against the JSON Schemas in ``thorvaldc/schema``.
+
+Valid documents pass the fast schema gate.  Only if that rejects one, jsonschema is imported
+to list the errors; ``schema_diagnostics`` converts them to diagnostics with spans.
+Quantities (``x-quantity`` in the schemas) are checked here.
+"""
 
 from __future__ import annotations
 
@@ -8,37 +13,37 @@ from typing import Any
 
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
-from thorvaldc.compiler.validation import schema_diagnostics as faults
+from thorvaldc.compiler.validation import schema_diagnostics
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema.documents import Kind, inlined
 from thorvaldc.schema.gate import matches, passes
 
-MAX_FAULTS = 1000
+MAX_DIAGNOSTICS = 1000
 
 
 def check(node: Node, kind: Kind, report: Report) -> bool:
-    """Whether the document has the shape of its kind.
+    """Returns whether the document is valid for its kind; adds a diagnostic per error.
 
-    What is wrong goes to ``report``, all of it (but of thousands of faults the
-    first), and nothing about a value that the report has an error at already.
+    Stops after MAX_DIAGNOSTICS.  A value that already has an error in ``report`` gets no
+    second diagnostic.
     """
     schema = inlined(kind)
-    # A scalar that the reader found fault with has only a likely meaning.
-    known = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
-    found = False
+    # The value of a scalar that the YAML reader rejected is only a guess.
+    reported = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
+    valid = True
     plain = node.plain()
     for error in () if passes(schema, plain) else _validator(kind).iter_errors(plain):
-        found = True
-        faults.explain(error, node, kind, known, report)
-        if len(report) > MAX_FAULTS:
+        valid = False
+        schema_diagnostics.explain(error, node, kind, reported, report)
+        if len(report) > MAX_DIAGNOSTICS:
             return False
-    for span, fault in _quantity_faults(node, schema, kind):
-        if len(report) > MAX_FAULTS:
+    for span, error in _quantity_errors(node, schema, kind):
+        if len(report) > MAX_DIAGNOSTICS:
             return False
-        if span not in known:
-            found = True
-            report.add(fault.code, fault.message, span, hint=fault.hint)
-    return not found
+        if span not in reported:
+            valid = False
+            report.add(error.code, error.message, span, hint=error.hint)
+    return valid
 
 
 @functools.cache
@@ -46,14 +51,14 @@ def _validator(kind: Kind) -> Any:
     from jsonschema import Draft202012Validator, ValidationError
     from jsonschema.validators import extend
 
-    # 3.0 is an integer to JSON Schema, but no id of a device.
+    # JSON Schema counts 3.0 as an integer, but it is not a device id.
     checker = Draft202012Validator.TYPE_CHECKER.redefine(
         "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
     )
 
-    def pattern(_validator: Any, wanted: str, value: Any, _schema: Any) -> Iterator[Any]:
-        if isinstance(value, str) and not matches(wanted, value):
-            yield ValidationError(f"{value!r} does not match {wanted!r}")
+    def pattern(_validator: Any, expected: str, value: Any, _schema: Any) -> Iterator[Any]:
+        if isinstance(value, str) and not matches(expected, value):
+            yield ValidationError(f"{value!r} does not match {expected!r}")
 
     strict: Any = extend(  # type: ignore[no-untyped-call]
         Draft202012Validator, {"pattern": pattern}, type_checker=checker
@@ -62,10 +67,10 @@ def _validator(kind: Kind) -> Any:
 
 
 def without_invalid_values(node: Node, report: Report) -> Node:
-    """The document with nothing in place of each value that the report has an error at.
+    """Returns the document with ``None`` in place of each value that has an error in ``report``.
 
-    What is left can be given to the next stages, so that their faults are found
-    in the same run.  A place keeps its key and its span.
+    Later stages can process the rest, so one run reports their diagnostics too.  A replaced
+    value keeps its key and its span.
     """
     spans = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     return _blanked(node, spans) if spans else node
@@ -85,36 +90,36 @@ def _blanked(node: Node, spans: set[Span]) -> Node:
 # -- quantities -----------------------------------------------------------------------
 
 
-def _quantity_faults(
+def _quantity_errors(
     node: Node, schema: dict[str, Any], kind: Kind
 ) -> Iterator[tuple[Span, UnitError]]:
     value = node.value
     if isinstance(value, str):
-        wanted = schema.get("x-quantity")
+        quantities = schema.get("x-quantity")
         if value.startswith("${"):
             if kind != "module" and not schema.get("x-verbatim"):
-                yield node.span, _no_expression(kind)
-        elif wanted is not None and value not in schema.get("x-words", ()):
-            fault = _fault(value, wanted)
-            if fault is not None:
-                yield node.span, fault
+                yield node.span, _expression_error(kind)
+        elif quantities is not None and value not in schema.get("x-words", ()):
+            error = _quantity_error(value, quantities)
+            if error is not None:
+                yield node.span, error
     elif isinstance(value, dict):
         properties = schema.get("properties", {})
-        others = schema.get("additionalProperties")
+        additional = schema.get("additionalProperties")
         for key, entry in value.items():
-            inner = properties.get(key, others)
+            inner = properties.get(key, additional)
             if isinstance(inner, dict):
-                yield from _quantity_faults(entry, inner, kind)
+                yield from _quantity_errors(entry, inner, kind)
     elif isinstance(value, tuple):
         inner = schema.get("items")
         if isinstance(inner, dict):
             for item in value:
-                yield from _quantity_faults(item, inner, kind)
+                yield from _quantity_errors(item, inner, kind)
 
 
-def _fault(text: str, wanted: str | list[str]) -> UnitError | None:
-    """Why the text is none of the wanted quantities, or ``None``."""
-    names = [wanted] if isinstance(wanted, str) else wanted
+def _quantity_error(text: str, quantities: str | list[str]) -> UnitError | None:
+    """Returns the error of a text that is none of ``quantities``, or ``None`` if it is one."""
+    names = [quantities] if isinstance(quantities, str) else quantities
     first: UnitError | None = None
     for quantity in names:
         try:
@@ -128,14 +133,14 @@ def _fault(text: str, wanted: str | list[str]) -> UnitError | None:
             return None
     if first is not None and first.code == "wrong-dimension" and len(names) > 1:
         kinds = " or ".join(str(QUANTITIES[name]) for name in names)
-        found = first.message.partition(";")[0]
-        return UnitError(f"{found}; {kinds} is wanted", first.hint, first.code)
+        actual = first.message.partition(";")[0]
+        return UnitError(f"{actual}; expected {kinds}", first.hint, first.code)
     return first
 
 
-def _no_expression(kind: Kind) -> UnitError:
+def _expression_error(kind: Kind) -> UnitError:
     return UnitError(
-        f"a {kind} document has no expressions",
+        f"a {kind} document cannot contain expressions",
         "write the value; expressions belong in module documents",
         "expression-not-allowed",
     )

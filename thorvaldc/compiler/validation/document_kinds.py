@@ -1,4 +1,4 @@
-"""Which kind of document one is, by a key that only that kind has."""
+"""Recognises the kind of a document by a key that only this kind has."""
 
 from __future__ import annotations
 
@@ -7,33 +7,38 @@ from thorvaldc.diagnostics import Report
 
 
 def is_scenario(document: Node | None) -> bool:
+    """Returns whether the document is a scenario."""
     return document is not None and document.get("scenario") is not None
 
 
-# Files that may be taken for a robot's, by a key that only they have.
-_OTHERS = (
+def is_fleet(document: Node | None) -> bool:
+    """Returns whether the document lists robots, as fleets and scenarios do."""
+    return document is not None and document.get("robots") is not None
+
+
+# Files that users pass by mistake: a key that only they have, their description, a hint.
+_WRONG_KINDS = (
     (
         "motor_drives",
         "a configuration file of the original system",
-        "`thorvaldc import FILE -o robot.yaml` makes a robot of it",
+        "convert it with `thorvaldc import FILE -o robot.yaml`",
     ),
-    ("thorvaldc_lock", "a lock file", "name the robot's own file"),
+    ("thorvaldc_lock", "a lock file", "name the robot file"),
     ("links", "a module document", "`thorvaldc modules check` checks a folder of modules"),
     ("params", "a module document", "`thorvaldc modules check` checks a folder of modules"),
 )
 
 
 def report_wrong_kind(document: Node, report: Report) -> bool:
-    """Whether the document is another thing altogether, which is all that is said of it."""
+    """Returns whether the document is no robot, fleet or scenario.
+
+    If so, adds the only diagnostic about it: schema errors would be misleading.
+    """
     if document.get("name") is None:
-        for key, what, hint in _OTHERS:
+        for key, description, hint in _WRONG_KINDS:
             node = document.get(key)
             if node is not None:
-                message = f"this is {what}; a robot, fleet or scenario document is wanted"
+                message = f"this is {description}; expected a robot, fleet or scenario document"
                 report.add("other-document", message, node.where, hint=hint)
                 return True
     return False
-
-
-def is_fleet(document: Node | None) -> bool:
-    return document is not None and document.get("robots") is not None

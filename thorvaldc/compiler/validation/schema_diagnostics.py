@@ -1,4 +1,4 @@
-"""What jsonschema finds, as diagnostics with spans."""
+"""Converts the errors of jsonschema to diagnostics with spans and hints."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ _TYPE_WORDS = {
 }
 _AUTO = ("^auto", "^(auto")
 _EXPRESSION = "^\\$\\{.*\\}$"
-_ID_HINT = "names have lower-case letters, digits and `_`, and begin with a letter"
+_ID_HINT = "a name has lower-case letters, digits and `_`, and begins with a letter"
 
 
-def explain(error: Any, root: Node, kind: Kind, known: set[Span], report: Report) -> None:
-    """Add the diagnostics of one of jsonschema's errors.
+def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Report) -> None:
+    """Adds the diagnostics for one error of jsonschema.
 
-    Spans in ``known`` have an error already; those that are reported are added.
+    Spans in ``reported`` already have an error and get no other; new ones are added to it.
     """
     path = list(error.absolute_path)
     node, schema = _find(root, path), error.schema
-    fault = _Fault(node, path, schema, error, kind, known, report)
+    explanation = _Explanation(node, path, schema, error, kind, reported, report)
     if "propertyNames" in error.absolute_schema_path:
-        fault.bad_name(str(error.instance))
+        explanation.bad_name(str(error.instance))
     else:
-        getattr(fault, f"_{error.validator.lower()}", fault.other)()
+        method = f"_{error.validator.lower()}"
+        getattr(explanation, method, explanation.unspecific)()
 
 
 def _find(node: Node, path: list[str | int]) -> Node:
@@ -48,8 +49,8 @@ def _find(node: Node, path: list[str | int]) -> Node:
     return node
 
 
-class _Fault:
-    """One error; its methods are named after the schema's keywords."""
+class _Explanation:
+    """Diagnostics of one error.  ``_<keyword>`` reports an error of that schema keyword."""
 
     def __init__(
         self,
@@ -58,7 +59,7 @@ class _Fault:
         schema: Any,
         error: Any,
         kind: Kind,
-        known: set[Span],
+        reported: set[Span],
         report: Report,
     ) -> None:
         self.node = node
@@ -66,7 +67,7 @@ class _Fault:
         self.schema: dict[str, Any] = schema if isinstance(schema, dict) else {}
         self.error = error
         self.kind = kind
-        self.known = known
+        self.reported = reported
         self.report = report
 
     def add(
@@ -77,13 +78,13 @@ class _Fault:
         hint: str | None = None,
         labels: tuple[Label, ...] = (),
     ) -> None:
-        if span not in self.known:
-            self.known.add(span)
+        if span not in self.reported:
+            self.reported.add(span)
             self.report.add(code, message, span, hint=hint, labels=labels)
 
     @property
-    def place(self) -> str:
-        """What the value is called in a message: its key, or what holds it."""
+    def value_name(self) -> str:
+        """Name of the value in a message: its key, or the key of the list that contains it."""
         names = [step for step in self.path if isinstance(step, str)]
         if not names:
             return f"the {self.kind} document"
@@ -92,7 +93,7 @@ class _Fault:
 
     @property
     def start(self) -> Span:
-        """Where a mapping can be pointed at: its key, else its first character."""
+        """Span to mark for a mapping: its key, else its first character."""
         if self.node.key_span is not None:
             return self.node.key_span
         span = self.node.span
@@ -109,15 +110,16 @@ class _Fault:
             if key not in properties:
                 self.add(
                     "unknown-key",
-                    f"{self.place} has no key `{key}`",
+                    f"{self.value_name} has no key `{key}`",
                     entry.where,
                     self._key_hint(key, properties),
                 )
 
     def _key_hint(self, key: str, properties: dict[str, Any]) -> str | None:
-        near = did_you_mean(key, [name for name in properties if name not in self._present()])
-        if near is not None:
-            return near
+        absent = [name for name in properties if name not in self._entries()]
+        similar = did_you_mean(key, absent)
+        if similar is not None:
+            return similar
         for name, inner in properties.items():
             if key in inner.get("properties", {}):
                 return f"`{key}` belongs under `{name}`"
@@ -125,56 +127,56 @@ class _Fault:
             return "parameters of the module's type belong under `params`"
         return "known keys are " + ", ".join(f"`{name}`" for name in properties)
 
-    def _present(self) -> dict[str, Node]:
+    def _entries(self) -> dict[str, Node]:
         return self.node.value if isinstance(self.node.value, dict) else {}
 
     def _required(self) -> None:
-        present = self._present()
+        entries = self._entries()
         for key in self.error.validator_value:
-            if key in present or f"'{key}'" not in self.error.message:
+            if key in entries or f"'{key}'" not in self.error.message:
                 continue
             span = self.start
-            # Two keys may be missing at one place.
+            # Not `self.add`: several keys can be missing at the same span.
             self.report.add(
                 "missing-key",
-                f"{self.place} has no `{key}`",
+                f"{self.value_name} has no `{key}`",
                 span,
-                hint=self._add_hint(key),
+                hint=self._missing_key_hint(key),
             )
-            self.known.add(span)
+            self.reported.add(span)
 
-    def _add_hint(self, key: str) -> str:
-        wanted = self.schema.get("properties", {}).get(key, {})
-        example = next(iter(wanted.get("examples", [])), wanted.get("const"))
+    def _missing_key_hint(self, key: str) -> str:
+        schema = self.schema.get("properties", {}).get(key, {})
+        example = next(iter(schema.get("examples", [])), schema.get("const"))
         if isinstance(example, str | int | float) and not isinstance(example, bool):
             return f"add it, as in `{key}: {example}`"
         return f"add `{key}`"
 
     def _dependentrequired(self) -> None:
-        present = self._present()
-        for key, needed in self.error.validator_value.items():
-            for other in needed:
-                if key in present and other not in present:
+        entries = self._entries()
+        for key, required_keys in self.error.validator_value.items():
+            for required in required_keys:
+                if key in entries and required not in entries:
                     self.add(
                         "missing-key",
-                        f"`{key}` needs `{other}` beside it",
-                        present[key].where,
-                        self._add_hint(other),
+                        f"`{key}` requires `{required}` in the same mapping",
+                        entries[key].where,
+                        self._missing_key_hint(required),
                     )
 
     def _not(self) -> None:
-        present = self._present()
-        keys = [key for key in self.error.validator_value.get("required", []) if key in present]
+        entries = self._entries()
+        keys = [key for key in self.error.validator_value.get("required", []) if key in entries]
         if len(keys) < 2:
-            self.other()
+            self.unspecific()
             return
-        first, second = sorted(present[key].where for key in keys)[:2]
+        first, second = sorted(entries[key].where for key in keys)[:2]
         self.add(
             "conflicting-keys",
             f"`{keys[0]}` and `{keys[1]}` exclude each other",
             second,
             "keep one of them",
-            (Label(first, "the other one"),),
+            (Label(first, "the other key"),),
         )
 
     def _minproperties(self) -> None:
@@ -182,7 +184,7 @@ class _Fault:
             self._one_key()
             return
         self.add(
-            "wrong-length", f"{self.place} is empty", self.start, "it needs at least one entry"
+            "wrong-length", f"{self.value_name} is empty", self.start, "it needs at least one entry"
         )
 
     def _maxproperties(self) -> None:
@@ -190,24 +192,24 @@ class _Fault:
 
     def _one_key(self) -> None:
         keys = ", ".join(f"`{key}`" for key in self.schema.get("properties", {}))
-        present = list(self._present().values())
+        entries = list(self._entries().values())
         self.add(
             "conflicting-keys",
-            f"{self.place} has {len(present)} of {keys}; one is wanted",
-            present[1].where if len(present) > 1 else self.start,
+            f"{self.value_name} has {len(entries)} of {keys}; expected exactly one",
+            entries[1].where if len(entries) > 1 else self.start,
             None,
-            (Label(present[0].where, "the first"),) if len(present) > 1 else (),
+            (Label(entries[0].where, "the first"),) if len(entries) > 1 else (),
         )
 
     def bad_name(self, name: str) -> None:
-        entry = self._present().get(name)
+        entry = self._entries().get(name)
         fixed = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_")
-        usable = re.fullmatch(r"[a-z][a-z0-9_]*", fixed)
+        is_valid = re.fullmatch(r"[a-z][a-z0-9_]*", fixed)
         self.add(
             "bad-id",
-            f"`{name}` is not a name",
+            f"`{name}` is not a valid name",
             entry.where if entry is not None else self.start,
-            f"{_ID_HINT}, as in `{fixed}`" if usable else _ID_HINT,
+            f"{_ID_HINT}, as in `{fixed}`" if is_valid else _ID_HINT,
         )
 
     # -- values --------------------------------------------------------------------------
@@ -217,9 +219,9 @@ class _Fault:
         hint = f"as in `{example}`" if example is not None else None
         if self.node.value is None:
             hint = f"leave the key out, or give it a value{f', {hint}' if hint else ''}"
-            self.add("wrong-type", f"{self.place} has no value", self.start, hint)
+            self.add("wrong-type", f"{self.value_name} has no value", self.start, hint)
             return
-        message = f"{_wanted(self.schema)} is wanted, not {_found(self.node)}"
+        message = f"expected {_expected(self.schema)}, got {_actual(self.node)}"
         self.add("wrong-type", message, self.node.span, hint)
 
     def _enum(self, values: list[Any] | None = None) -> None:
@@ -228,26 +230,29 @@ class _Fault:
             shown = ", ".join(f"`{v}`" for v in values)
             self.add(
                 "wrong-type",
-                f"one of {shown} is wanted, not {_found(self.node)}",
+                f"expected one of {shown}, got {_actual(self.node)}",
                 self.node.span if self.node.value is not None else self.start,
             )
             return
-        known = ", ".join(f"`{value}`" for value in values[:12])
-        more = " and others" if len(values) > 12 else ""
+        listed = ", ".join(f"`{value}`" for value in values[:12])
+        if len(values) > 12:
+            listed += " and others"
         self.add(
             "unknown-value",
-            f"{self.place} cannot be `{_text(self.node)}`",
+            f"{self.value_name} cannot be `{_text(self.node)}`",
             self.node.span,
-            did_you_mean(_text(self.node), [str(v) for v in values], f"it is one of {known}{more}"),
+            did_you_mean(
+                _text(self.node), [str(v) for v in values], f"allowed values are {listed}"
+            ),
         )
 
     def _const(self) -> None:
-        wanted = self.error.validator_value
+        version = self.error.validator_value
         self.add(
             "language-version",
-            f"version {_found(self.node)} of the language is not known",
+            f"version {_actual(self.node)} of the language is not supported",
             self.node.span if self.node.value is not None else self.start,
-            f"write `thorvaldc: {wanted}`; a newer compiler may know more",
+            f"write `thorvaldc: {version}`, or use a newer compiler",
         )
 
     def _anyof(self) -> None:
@@ -257,11 +262,11 @@ class _Fault:
             return
         keys = [f"`{key}`" for branch in branches for key in branch.get("required", [])]
         if not keys:
-            self.other()
+            self.unspecific()
             return
         self.add(
             "conflicting-keys",
-            f"{self.place} has none of {', '.join(keys)}; one is wanted",
+            f"{self.value_name} has none of {', '.join(keys)}; one is required",
             self.start,
             f"add {' or '.join(keys)}",
         )
@@ -274,14 +279,14 @@ class _Fault:
             example = _example(self.schema)
             self.add(
                 "wrong-type",
-                f"{_wanted(self.schema)} is wanted, not {_found(self.node)}",
+                f"expected {_expected(self.schema)}, got {_actual(self.node)}",
                 span,
                 f"as in `{example}`" if example is not None else None,
             )
         elif pattern.startswith("^(datasheet"):
             self.add(
                 "unknown-value",
-                f"{self.place} does not say where the number comes from",
+                f"{self.value_name} does not name the source of the number",
                 span,
                 "begin with `datasheet:`, `measured:`, `published:`, `estimated:`, `chosen:` "
                 "or `derived:`",
@@ -289,25 +294,28 @@ class _Fault:
         elif "\\." in pattern or pattern.startswith("^[A-Za-z"):
             self.add(
                 "bad-id",
-                f"`{text}` does not name a part",
+                f"`{text}` is not a path of names",
                 span,
                 "write names joined by dots, as in `frame.front_left`",
             )
         else:
-            what = "name or mapping" if isinstance(types, list) and "object" in types else "name"
-            self.add("bad-id", f"`{text}` is not a {what}", span, _ID_HINT)
+            expected = (
+                "name or mapping" if isinstance(types, list) and "object" in types else "name"
+            )
+            self.add("bad-id", f"`{text}` is not a valid {expected}", span, _ID_HINT)
 
     def _minlength(self) -> None:
-        self.add("wrong-length", f"{self.place} is empty text", self.node.span)
+        self.add("wrong-length", f"{self.value_name} is empty text", self.node.span)
 
     def _minitems(self) -> None:
-        least, most = self.schema.get("minItems"), self.schema.get("maxItems")
+        minimum, maximum = self.schema.get("minItems"), self.schema.get("maxItems")
         count = len(self.node.value) if isinstance(self.node.value, tuple) else 0
-        wanted = f"{least}" if least == most else f"at least {least}"
+        plural = "" if count == 1 else "s"
+        expected = f"{minimum}" if minimum == maximum else f"at least {minimum}"
         example = _example(self.schema)
         self.add(
             "wrong-length",
-            f"{self.place} has {count} element{'' if count == 1 else 's'}; {wanted} are wanted",
+            f"{self.value_name} has {count} element{plural}; expected {expected}",
             self.node.span,
             f"as in `{example}`" if example is not None else None,
         )
@@ -316,27 +324,28 @@ class _Fault:
         self._minitems()
 
     def _minimum(self) -> None:
-        least = self.error.validator_value
+        minimum = self.error.validator_value
         self.add(
             "out-of-range",
-            f"{self.place} is {_text(self.node)}; it must be at least {least}",
+            f"{self.value_name} is {_text(self.node)}; it must be at least {minimum}",
             self.node.span,
         )
 
     def _maximum(self) -> None:
-        most = self.error.validator_value
+        maximum = self.error.validator_value
         self.add(
             "out-of-range",
-            f"{self.place} is {_text(self.node)}; it must be at most {most}",
+            f"{self.value_name} is {_text(self.node)}; it must be at most {maximum}",
             self.node.span,
         )
 
-    def other(self) -> None:
-        """A keyword that has no words of its own here."""
-        self.add("wrong-type", f"{self.place} is not as the schema wants it", self.start)
+    def unspecific(self) -> None:
+        """Reports an error of a schema keyword that has no method in this class."""
+        self.add("wrong-type", f"{self.value_name} does not match the schema", self.start)
 
 
-def _wanted(schema: dict[str, Any]) -> str:
+def _expected(schema: dict[str, Any]) -> str:
+    """Describes the allowed kinds of value: ``a length or a mapping``."""
     quantity = schema.get("x-quantity")
     words: list[str] = []
     if quantity is not None and quantity != "any":
@@ -359,16 +368,17 @@ def _wanted(schema: dict[str, Any]) -> str:
 
 
 def _example(schema: dict[str, Any]) -> str | None:
+    """Returns the first example of a schema as YAML, unless it is an expression."""
     examples = schema.get("examples")
     if not examples or (isinstance(examples[0], str) and examples[0].startswith("${")):
         return None
     shown = _shown(examples[0])
-    # Text that would be read as a number is shown as it must be written.
+    # Unquoted, YAML would read this text as a number.
     return f'"{shown}"' if isinstance(examples[0], str) and shown.startswith("0x") else shown
 
 
 def _shown(value: Any) -> str:
-    """A value as YAML writes it in one line."""
+    """Formats a value as YAML in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, dict):
@@ -383,7 +393,8 @@ def _text(node: Node) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _found(node: Node) -> str:
+def _actual(node: Node) -> str:
+    """Describes the kind of a value: ``a list``."""
     if isinstance(node.value, dict):
         return "a mapping"
     if isinstance(node.value, tuple):
