@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
 from thorvaldc.compiler.bus.lock_file import Lock
-from thorvaldc.compiler.modules.resolve import Instance, Resolver, flat
+from thorvaldc.compiler.modules.instance import Instance, name_prefix
+from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
@@ -77,7 +78,7 @@ class Wiring(NamedTuple):
         document = leaf.type.document if leaf.type is not None else can
         return Device(
             path=leaf.path,
-            name=flat(leaf.path),
+            name=name_prefix(leaf.path),
             can=can,
             channels=document.get("channels"),
             wires=tuple(wires),
@@ -89,10 +90,10 @@ class Wiring(NamedTuple):
     def _wire(self, leaf: Instance, channel: str, node: Node) -> Wire | None:
         inside = leaf.parent if leaf.parent is not None else leaf
         reference = inside.scope.text(node)
-        found = self.resolver.find_motor(inside, reference, node) if reference else None
+        found = self.resolver.references.find_motor(inside, reference, node) if reference else None
         if found is None:
             return None
-        actuator = self.actuators.get(f"{flat(found[0].path)}_{found[1]}")
+        actuator = self.actuators.get(f"{name_prefix(found[0].path)}_{found[1]}")
         if actuator is None:
             return None
         joint = self.joints[actuator.joint]

@@ -22,7 +22,9 @@ from thorvaldc.compiler.geometry.static_loads import (
 from thorvaldc.compiler.modules.calculator_choice import read_calculator
 from thorvaldc.compiler.modules.driver_settings import DEFAULT_RATE, DriverParameters
 from thorvaldc.compiler.modules.hardware import Hardware, hardware_of
-from thorvaldc.compiler.modules.resolve import Instance, Resolver, flat, used_by
+from thorvaldc.compiler.modules.instance import Instance, name_prefix, used_by
+from thorvaldc.compiler.modules.references import References
+from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.modules.twist_inputs import TwistInputs
 from thorvaldc.compiler.modules.wheel_calibration import (
@@ -197,7 +199,7 @@ class Elaborator:
 
     def _place(self, leaf: Instance, hardware: dict[str, Hardware], parts: _Parts) -> None:
         own = hardware[leaf.path]
-        prefix = flat(leaf.path)
+        prefix = name_prefix(leaf.path)
         for mesh in own.meshes:
             parts.meshes[mesh.name] = mesh
         for link in own.links:
@@ -229,7 +231,7 @@ class Elaborator:
             )
 
     def _place_joints(self, leaf: Instance, own: Hardware, parts: _Parts) -> None:
-        prefix = flat(leaf.path)
+        prefix = name_prefix(leaf.path)
         motors = {motor.joint: motor for motor in own.motors}
         limits: dict[str, tuple[float, float]] = {}
         for joint in own.joints:
@@ -291,7 +293,7 @@ class Elaborator:
         else:
             holder = hardware[leaf.mount.leaf.path]
             link = leaf.mount.link or holder.links[0].name
-            parent = f"{flat(leaf.mount.leaf.path)}_{link}"
+            parent = f"{name_prefix(leaf.mount.leaf.path)}_{link}"
             pose = leaf.mount.pose * own.mount_pose.inverse()
         return Joint(f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.span)
 
@@ -321,12 +323,12 @@ class Elaborator:
         from thorvaldc.compiler.extras.extras import Attachment, load_extras
 
         roots = {
-            flat(path): f"{flat(path)}_{own.links[0].name}"
+            name_prefix(path): f"{name_prefix(path)}_{own.links[0].name}"
             for path, own in hardware.items()
             if own.links
         }
         named = {
-            leaf.path: roots[flat(leaf.path)] for leaf in robot.leaves() if flat(leaf.path) in roots
+            leaf.path: roots[name_prefix(leaf.path)] for leaf in robot.leaves() if name_prefix(leaf.path) in roots
         }
         links = {link.name: link.span for link in parts.links}
 
@@ -336,15 +338,15 @@ class Elaborator:
                 return text, Pose()
             if text in named:
                 return named[text], Pose()
-            quiet = Resolver(self.resolver.library, Report())
+            quiet = References(Report())
             asked = Node(text, self.document.span)
             found = quiet.find_port(robot, text, asked)
             if found is not None and found[0].type is not None:
                 leaf, port = found
                 socket = leaf.type.section("ports")[port] if leaf.type else None
-                if socket is not None and flat(leaf.path) in roots:
+                if socket is not None and name_prefix(leaf.path) in roots:
                     link = leaf.scope.text(socket.get("link")) or hardware[leaf.path].links[0].name
-                    return f"{flat(leaf.path)}_{link}", leaf.scope.pose(socket)
+                    return f"{name_prefix(leaf.path)}_{link}", leaf.scope.pose(socket)
             part = quiet.find(robot, text, asked)
             if part is not None and not part[1]:
                 for leaf in part[0].leaves():

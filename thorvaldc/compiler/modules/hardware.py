@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.library import ModuleType
 from thorvaldc.compiler.modules.link_parts import PartReader
-from thorvaldc.compiler.modules.scope import FAULT, Scope, nearest
+from thorvaldc.compiler.modules.scope import Scope, hint_of_known
+from thorvaldc.compiler.modules.value_reader import INVALID
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
@@ -113,8 +114,8 @@ def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | 
     ``None`` where a parameter is at fault (reported): what the module is made
     of is not known.
     """
-    key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.evaluate_all())
-    if any(value is FAULT for value in key):
+    key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.parameter_values())
+    if any(value is INVALID for value in key):
         return None
     key = (*scope.library.palette().items(), *key)
     known = module.elaborated.get(key)
@@ -206,7 +207,7 @@ class _Builder:
                 "link-unknown",
                 f"`{self.module.name}` has no link `{name}`",
                 node.span,
-                hint=nearest(name, self.link_names),
+                hint=hint_of_known(name, self.link_names),
             )
         return name or first
 
@@ -375,7 +376,7 @@ class _Builder:
                 "joint-unknown",
                 f"`{self.module.name}` has no joint `{joint}`",
                 joint_node.span,
-                hint=nearest(joint, [j.name for j in joints]),
+                hint=hint_of_known(joint, [j.name for j in joints]),
             )
         gear = self._above_zero(node, "gear_ratio", "ratio", 1.0)
         speed = self._above_zero(node, "motor_max_speed", "angular_velocity", 1.0)

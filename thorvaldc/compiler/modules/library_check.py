@@ -8,8 +8,9 @@ from pathlib import Path
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, build_buses
 from thorvaldc.compiler.library import Library, ModuleType
 from thorvaldc.compiler.modules.hardware import hardware_of
-from thorvaldc.compiler.modules.resolve import Instance, Resolver
-from thorvaldc.compiler.modules.scope import Scope, nearest
+from thorvaldc.compiler.modules.instance import Instance
+from thorvaldc.compiler.modules.resolve import Resolver
+from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
@@ -77,7 +78,7 @@ def _check_offers(
     assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
 ) -> None:
     """That what an assembly offers to the outside is there."""
-    for section, find in (("ports", resolver.find_port), ("motors", resolver.find_motor)):
+    for section, find in (("ports", resolver.references.find_port), ("motors", resolver.references.find_motor)):
         for node in module.section(section).values():
             # What its defaults leave out may be there with other parameters.
             if str(node.value).partition(".")[0] not in assembly.left_out:
@@ -89,5 +90,5 @@ def _check_offers(
             "module-unknown",
             f"there is no module `{taker.value}` in `{assembly.path}`",
             taker.span,
-            hint=nearest(str(taker.value), list(assembly.children)),
+            hint=hint_of_known(str(taker.value), list(assembly.children)),
         )

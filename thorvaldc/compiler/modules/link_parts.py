@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from thorvaldc.compiler.geometry.meshes import load_mesh
-from thorvaldc.compiler.modules.scope import Scope, nearest
+from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Box, Collision, Cylinder, Mesh, MeshShape, Shape, Sphere, Visual
@@ -140,7 +140,7 @@ class PartReader:
             "color-unknown",
             f"`{text}` is no colour",
             node.span if node is not None else None,
-            hint='write "#rrggbb" or a name of the palette; ' + nearest(text, list(self.palette)),
+            hint='write "#rrggbb" or a name of the palette; ' + hint_of_known(text, list(self.palette)),
         )
         return (0.5, 0.5, 0.5, 1.0)
 

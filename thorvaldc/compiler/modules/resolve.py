@@ -1,82 +1,25 @@
-"""From the robot's document to a tree of module instances with their connections.
+"""Resolves a robot document to a tree of module instances with their mounts.
 
-An assembly and the robot are the same thing here: named parts, each of a type,
-mounted on one another's ports.  What comes out are the leaves (modules with
-hardware of their own), each with the leaf, link and pose that it is mounted on.
+The robot and its assemblies have the same form: named parts, each of a module type, mounted on
+each other's ports.  The leaves of the tree are modules with hardware.  Each leaf gets the leaf,
+link and pose that it is mounted on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Iterable
 
 from thorvaldc.compiler.library import Library, ModuleType
-from thorvaldc.compiler.modules.scope import FAULT, NONE, ModuleChoice, Scope, nearest
+from thorvaldc.compiler.modules.instance import Instance, last_name, used_by
+from thorvaldc.compiler.modules.mounting import Mounting
+from thorvaldc.compiler.modules.references import References
+from thorvaldc.compiler.modules.scope import NONE, ModuleChoice, Scope, hint_of_known
+from thorvaldc.compiler.modules.value_reader import INVALID, entries
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.spatial import Pose
+from thorvaldc.diagnostics import Report, Span
 
-MAX_DEPTH = 12
-MAX_MODULES = 5000
-
-
-@dataclass(eq=False)
-class Instance:
-    """A module in its place.  ``path`` is dotted, ``fl.steering``; the robot's is empty.
-
-    ``span`` is the span of the robot file's own entry that it came from.
-    ``left_out`` names the parts that were chosen to be ``none``, ``failed`` those
-    with a fault that is reported.
-    """
-
-    path: str
-    type: ModuleType | None
-    scope: Scope
-    entry: Node
-    span: Span
-    parent: Instance | None
-    can: Node | None = None
-    children: dict[str, Instance] = field(default_factory=dict)
-    left_out: set[str] = field(default_factory=set)
-    failed: set[str] = field(default_factory=set)
-    mount: Mount | None = None
-
-    @property
-    def is_leaf(self) -> bool:
-        return self.type is not None and not self.type.is_assembly
-
-    @property
-    def is_mechanical(self) -> bool:
-        """Whether it has a body; one whose mount is optional has none unless mounted."""
-        if self.type is not None and self.is_leaf:
-            mount = self.type.document.get("mount")
-            optional = mount is not None and mount.get("optional") is not None
-            if optional and self.entry.get("mount") is None:
-                return False
-            return bool(self.type.section("links"))
-        return any(child.is_mechanical for child in self.children.values())
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether all of its parts could be made."""
-        return not self.failed and all(child.is_whole for child in self.children.values())
-
-    def leaves(self) -> Iterator[Instance]:
-        """The leaves in model order: file order, depth first."""
-        if self.is_leaf:
-            yield self
-        for child in self.children.values():
-            yield from child.leaves()
-
-
-class Mount(NamedTuple):
-    """``leaf`` and its ``link`` that carry a part; ``pose`` of the mount in that link."""
-
-    leaf: Instance
-    link: str
-    pose: Pose
-    span: Span
+MAX_DEPTH = 12  # nesting of assemblies
+MAX_MODULES = 5000  # per robot
 
 
 class Resolver:
@@ -85,139 +28,153 @@ class Resolver:
     def __init__(self, library: Library, report: Report) -> None:
         self.library = library
         self.report = report
+        self.references = References(report)
+        self._mounting = Mounting(self.references, report)
         self._defaults: dict[str, dict[str, Node]] = {}
         self._used_defaults: set[tuple[str, str]] = set()
-        self._count = 0
+        self._module_count = 0
 
-    def resolve(self, document: Node, lost: Iterable[str] = ()) -> Instance:
-        """The robot as an instance, with its parts mounted as far as they can be.
+    def resolve(self, document: Node, invalid_modules: Iterable[str] = ()) -> Instance:
+        """Returns the robot as an instance; parts whose mount is invalid have no mount.
 
-        ``lost`` names modules of the file that are at fault already and not in
-        ``document``.
+        ``invalid_modules`` are names of modules that were removed from the document because
+        their values are invalid (already reported).
         """
         scope = Scope(None, {}, self.library, self.report, None)
         robot = Instance("", None, scope, document, document.span, None)
-        robot.failed.update(lost)
-        defaults = document.get("defaults")
-        for category, node in _entries(defaults).items():
-            self._defaults[category] = _entries(node)
-        for name, entry in _entries(document.get("modules")).items():
+        robot.failed.update(invalid_modules)
+        for category, node in entries(document.get("defaults")).items():
+            self._defaults[category] = entries(node)
+        for name, entry in entries(document.get("modules")).items():
             with self.report.used_by(used_by(name, entry.where)):
-                self._expand(robot, name, entry, entry.where, ())
+                self._add_part(robot, name, entry, entry.where, ())
         self._check_defaults(robot)
-        self._root_part(robot, document.get("modules") or document)
-        self._mount_parts(robot)
+        self._mounting.root_of(robot, document.get("modules") or document)
+        self._mounting.mount_parts(robot)
         self._check_devices(robot)
-        self._check_reached(robot)
+        self._mounting.check_no_cycle(robot)
         return robot
+
+    def expand(self, parent: Instance, name: str, entry: Node) -> None:
+        """Adds a part to ``parent``, with the parts of its assemblies."""
+        self._add_part(parent, name, entry, entry.where, ())
+        part = parent.children.get(name)
+        if part is not None and not part.is_leaf:
+            self._mounting.root_of(part, entry)
+            self._mounting.mount_parts(part)
+            self._check_devices(part)
 
     # -- expansion ------------------------------------------------------------------
 
-    def expand(self, parent: Instance, name: str, entry: Node) -> None:
-        """Make a part of ``parent`` out of its entry, with all that it is made of."""
-        self._expand(parent, name, entry, entry.where, ())
-        part = parent.children.get(name)
-        if part is not None and not part.is_leaf:
-            self._root_part(part, entry)
-            self._mount_parts(part)
-            self._check_devices(part)
-
-    def _expand(
-        self, parent: Instance, name: str, entry: Node, span: Span, chain: tuple[str, ...]
+    def _add_part(
+        self, parent: Instance, name: str, entry: Node, span: Span, types: tuple[str, ...]
     ) -> None:
-        report, scope = self.report, parent.scope
-        if not scope.boolean(entry.get("when"), True):
+        """Adds the part of an entry; ``types`` are those of the assemblies around it."""
+        if not parent.scope.boolean(entry.get("when"), True):
             parent.left_out.add(name)
             return
         type_node = entry.get("type")
-        if type_node is None:
-            parent.failed.add(name)
-            return
-        value = scope.read(type_node)
-        given: dict[str, tuple[Node, Scope]] = {}
-        if isinstance(value, ModuleChoice):
-            module: ModuleType | None = value.module
-            given = {k: (node, value.written_in) for k, node in value.params.items()}
-        elif value is None or value == NONE:
+        value = parent.scope.value(type_node) if type_node is not None else INVALID
+        if value is None or value == NONE:
             parent.left_out.add(name)
             return
-        elif value is FAULT:
-            module = None
-        else:
-            module = self.library.load(str(value), type_node, report)
-        if module is None:
+        module: ModuleType | None = None
+        chosen_arguments: dict[str, tuple[Node, Scope]] = {}
+        if isinstance(value, ModuleChoice):
+            module = value.module
+            chosen_arguments = {k: (node, value.written_in) for k, node in value.params.items()}
+        elif value is not INVALID and type_node is not None:
+            module = self.library.load(str(value), type_node, self.report)
+        if (
+            module is None
+            or type_node is None
+            or not self._is_within_limits(module, type_node, span, types)
+        ):
             parent.failed.add(name)
             return
+        arguments = self._arguments(parent, entry, module, chosen_arguments)
+        scope = Scope(module, arguments, self.library, self.report, entry)
+        scope.check_arguments()
+        scope.parameter_values()
         path = f"{parent.path}.{name}" if parent.path else name
-        if module.name in chain or len(chain) >= MAX_DEPTH:
-            if module.name in chain:
-                fault = f"`{module.name}` contains itself"
-            else:
-                fault = f"assemblies are nested more than {MAX_DEPTH} deep"
-            report.add(
-                "assembly-recursive",
-                f"{fault}: " + " -> ".join([*chain, module.name]),
-                type_node.span,
-            )
-            parent.failed.add(name)
-            return
-        self._count += 1
-        if self._count > MAX_MODULES:
-            report.add(
+        instance = Instance(path, module, scope, entry, span, parent, entry.get("can"))
+        parent.children[name] = instance
+        for child, child_entry in module.section("modules").items():
+            self._add_part(instance, child, child_entry, span, (*types, module.name))
+        if module.is_assembly:
+            self._pass_can_on(instance)
+
+    def _is_within_limits(
+        self, module: ModuleType, type_node: Node, span: Span, types: tuple[str, ...]
+    ) -> bool:
+        """Checks the nesting and the number of modules, so that expansion ends."""
+        if module.name in types or len(types) >= MAX_DEPTH:
+            problem = f"assemblies are nested more than {MAX_DEPTH} deep"
+            if module.name in types:
+                problem = f"`{module.name}` contains itself"
+            chain = " -> ".join([*types, module.name])
+            self.report.add("assembly-recursive", f"{problem}: {chain}", type_node.span)
+            return False
+        self._module_count += 1
+        if self._module_count > MAX_MODULES:
+            self.report.add(
                 "too-many-parts",
                 f"the robot has more than {MAX_MODULES} modules; no more are read",
                 span,
             )
-            parent.failed.add(name)
-            return
-        # An assembly's own word about a part comes before what the chosen module was given.
-        params = _entries(entry.get("params"))
-        given = {**{k: (node, scope) for k, node in params.items()}, **given}
+            return False
+        return True
+
+    def _arguments(
+        self,
+        parent: Instance,
+        entry: Node,
+        module: ModuleType,
+        chosen_arguments: dict[str, tuple[Node, Scope]],
+    ) -> dict[str, tuple[Node, Scope]]:
+        """Returns the parameter values of a part, each with the scope that it uses.
+
+        In order of priority: those of the module choice, `params` of the entry, `defaults` of
+        the robot (for its own modules), and the suggestions of the port that it is mounted on.
+        """
+        arguments = {k: (node, parent.scope) for k, node in entries(entry.get("params")).items()}
+        arguments.update(chosen_arguments)
         if not parent.path:
             for key, node in self._defaults.get(module.category, {}).items():
                 if key in module.section("params"):
                     self._used_defaults.add((module.category, key))
-                    given.setdefault(key, (node, scope))
-        for key, node in self._suggested(parent, entry).items():
+                    arguments.setdefault(key, (node, parent.scope))
+        for key, node in self._suggestions(parent, entry).items():
             if key in module.section("params"):
-                given.setdefault(key, (node, parent.scope))
-        inner = Scope(module, given, self.library, report, entry)
-        inner.check_given()
-        inner.evaluate_all()
-        instance = Instance(path, module, inner, entry, span, parent, entry.get("can"))
-        parent.children[name] = instance
-        for child, child_entry in module.section("modules").items():
-            self._expand(instance, child, child_entry, span, (*chain, module.name))
-        if module.is_assembly:
-            self._pass_can_on(instance)
+                arguments.setdefault(key, (node, parent.scope))
+        return arguments
 
-    def _suggested(self, parent: Instance, entry: Node) -> dict[str, Node]:
-        """What the port that an entry is mounted on suggests for its parameters.
+    def _suggestions(self, parent: Instance, entry: Node) -> dict[str, Node]:
+        """Returns the parameter values that the port under an entry suggests.
 
-        The holder may stand later in the file, so it is looked up in the document.
+        The module with the port may follow later in the file, so the document is searched and
+        not the instances.
         """
         mount = entry.get("mount")
         port = mount.get("port") if mount is not None and isinstance(mount.value, dict) else mount
         if port is None or not isinstance(port.value, str) or port.value.count(".") != 1:
             return {}
-        holder, name = port.value.split(".")
+        carrier, port_name = port.value.split(".")
         document = parent.type.document if parent.type is not None else parent.entry
-        found = _entries(document.get("modules")).get(holder)
-        type_node = found.get("type") if found is not None else None
+        carrier_entry = entries(document.get("modules")).get(carrier)
+        type_node = carrier_entry.get("type") if carrier_entry is not None else None
         if type_node is None or not isinstance(type_node.value, str):
             return {}
         module = self.library.load(type_node.value, type_node, self.report)
-        socket = module.section("ports").get(name) if module is not None else None
-        return _entries(socket.get("suggests")) if socket is not None else {}
+        port_section = module.section("ports").get(port_name) if module is not None else None
+        return entries(port_section.get("suggests")) if port_section is not None else {}
 
     def _pass_can_on(self, assembly: Instance) -> None:
-        """The assembly's `can` belongs to the part that its type names."""
-        if assembly.type is None:
+        """Passes the assembly's `can` to the part that its module document names."""
+        if assembly.type is None or assembly.can is None:
             return
-        taker = assembly.type.document.get("can")
-        name = str(taker.value) if taker is not None else ""
-        if assembly.can is None:
-            return
+        part_node = assembly.type.document.get("can")
+        name = str(part_node.value) if part_node is not None else ""
         child = assembly.children.get(name)
         if child is None and name in assembly.failed:
             return
@@ -234,126 +191,31 @@ class Resolver:
             self._pass_can_on(child)
 
     def _check_defaults(self, robot: Instance) -> None:
-        categories = [c.type.category for c in robot.children.values() if c.type is not None]
+        """Reports `defaults` that apply to no module."""
+        types = [c.type for c in robot.children.values() if c.type is not None]
+        categories = [module.category for module in types]
         for category, params in self._defaults.items():
             for key, node in params.items():
                 if (category, key) in self._used_defaults:
                     continue
                 if category in categories:
-                    known = [
-                        p
-                        for c in robot.children.values()
-                        if c.type is not None and c.type.category == category
-                        for p in c.type.section("params")
-                    ]
+                    known = [p for t in types if t.category == category for p in t.section("params")]
                     self.report.add(
                         "param-unknown",
                         f"no `{category}` module of this robot has a parameter `{key}`",
                         node.where,
-                        hint=nearest(key, list(dict.fromkeys(known))),
+                        hint=hint_of_known(key, list(dict.fromkeys(known))),
                     )
                 else:
                     self.report.add(
                         "default-unused",
                         f"this robot has no module of the category `{category}`",
                         node.where,
-                        hint=nearest(category, list(dict.fromkeys(categories))),
+                        hint=hint_of_known(category, list(dict.fromkeys(categories))),
                     )
-
-    # -- references -----------------------------------------------------------------
-
-    def find(
-        self, inside: Instance, reference: str, node: Node, *, optional: bool = False
-    ) -> tuple[Instance, list[str]] | None:
-        """The part that a dotted reference leads to, and what of it is left over.
-
-        ``None`` where there is no such part; that is reported, but for one that was
-        left out where the reference is ``optional``.
-        """
-        parts = reference.split(".")
-        current = inside
-        while parts and parts[0] in current.children:
-            current = current.children[parts.pop(0)]
-        if current is inside:
-            where = f" in `{inside.path}`" if inside.path else ""
-            if parts[0] in inside.left_out:
-                if not optional:
-                    self.report.add(
-                        "module-unknown",
-                        f"`{parts[0]}` is left out{where}",
-                        node.span,
-                        hint=f"leave out what needs it too, or choose a module for `{parts[0]}`",
-                    )
-            elif parts[0] not in inside.failed:
-                self.report.add(
-                    "module-unknown",
-                    f"there is no module `{parts[0]}`{where}",
-                    node.span,
-                    hint=nearest(parts[0], list(inside.children)),
-                )
-            return None
-        return current, parts
-
-    def find_port(
-        self, inside: Instance, reference: str, node: Node
-    ) -> tuple[Instance, str] | None:
-        """The leaf and the name of its port."""
-        return self._find_offered(inside, reference, node, "ports", "port")
-
-    def find_motor(
-        self, inside: Instance, reference: str, node: Node
-    ) -> tuple[Instance, str] | None:
-        """The leaf and the name of its motor."""
-        return self._find_offered(inside, reference, node, "motors", "motor")
-
-    def _find_offered(
-        self, inside: Instance, reference: str, node: Node, section: str, word: str
-    ) -> tuple[Instance, str] | None:
-        found = self.find(inside, reference, node, optional=section == "motors")
-        if found is None:
-            return None
-        part, rest = found
-        if not rest and part.parent is not None and part.parent is not inside:
-            # A part may have the name of what its assembly offers: `fl.steering` is a motor.
-            name = reference.rpartition(".")[2]
-            if part.parent.type is not None and name in part.parent.type.section(section):
-                part, rest = part.parent, [name]
-        offered = part.type.section(section) if part.type is not None else {}
-        if len(rest) != 1:
-            if not rest:
-                first = next(iter(offered), None)
-                message = f"`{reference}` is a module, not a {word}"
-                hint = f"name its {word}: `{reference}.{first}`" if first else "it has none"
-            elif rest[0] in offered:
-                message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
-                hint = f"write `{reference.removesuffix('.' + '.'.join(rest[1:]))}`"
-            else:
-                message = f"`{part.path}` has no part `{rest[0]}`"
-                hint = nearest(rest[0], [*part.children, *offered])
-            self.report.add(f"{word}-unknown", message, node.span, hint=hint)
-            return None
-        name = rest[0]
-        if name not in offered:
-            self.report.add(
-                f"{word}-unknown",
-                f"`{part.path}` ({part.type.name if part.type else ''}) has no {word} `{name}`",
-                node.span,
-                hint=nearest(name, list(offered)),
-            )
-            return None
-        if part.is_leaf:
-            if not part.scope.boolean(offered[name].get("when"), True):
-                self.report.add(
-                    f"{word}-unknown",
-                    f"`{part.path}` has no {word} `{name}` with these parameters",
-                    node.span,
-                )
-                return None
-            return part, name
-        return self._find_offered(part, str(offered[name].value), offered[name], section, word)
 
     def _check_devices(self, inside: Instance) -> None:
-        """Addresses and channels are a device's, and channels lead to motors."""
+        """Checks that only devices have `can` and `channels`, and that channels name motors."""
         for leaf in inside.leaves():
             if leaf.type is None:
                 continue
@@ -363,182 +225,13 @@ class Resolver:
                     if node is not None:
                         self.report.add(
                             "can-without-device",
-                            f"`{leaf.path}` is no device on a bus",
+                            f"`{leaf.path}` is not a device on a bus",
                             node.where,
                             hint=f"leave `{key}` out",
                         )
                 continue
-            written_in = leaf.parent or leaf
-            for node in _entries(channels).values():
-                reference = written_in.scope.text(node)
+            assembly = leaf.parent or leaf
+            for node in entries(channels).values():
+                reference = assembly.scope.text(node)
                 if reference:
-                    self.find_motor(written_in, reference, node)
-
-    # -- mounts -----------------------------------------------------------------------
-
-    def _root_part(self, assembly: Instance, where: Node) -> Instance | None:
-        """The part of an assembly that is mounted on nothing within it."""
-        roots = [
-            c for c in assembly.children.values() if c.is_mechanical and not c.entry.get("mount")
-        ]
-        if len(roots) == 1:
-            root = roots[0]
-            return root if root.is_leaf else self._root_part(root, root.entry)
-        name = f"`{assembly.path}`" if assembly.path else "the robot"
-        if not roots:
-            if not assembly.is_whole:
-                return None  # one of those may be the root
-            self.report.add(
-                "root-missing",
-                f"{name} has no root: every module is mounted on another, or there is none",
-                where.where if assembly.path else where.span,
-                hint="the part that carries the others has no `mount`"
-                if assembly.path
-                else "the frame has no `mount`",
-            )
-        else:
-            first, second = roots[0], roots[1]
-            self.report.add(
-                "root-ambiguous",
-                f"{name} has two modules without `mount`: "
-                f"`{_last(first.path)}` and `{_last(second.path)}`",
-                second.entry.where,
-                labels=[Label(first.entry.where, "the first one")],
-                hint=f"mount it: `mount: {_last(first.path)}.<port>`",
-            )
-        return None
-
-    def _mount_parts(self, assembly: Instance) -> None:
-        for child in assembly.children.values():
-            if not child.is_leaf:
-                self._mount_parts(child)
-            node = child.entry.get("mount")
-            if node is None:
-                continue
-            if not child.is_mechanical and child.is_whole:
-                self.report.add(
-                    "mount-without-hardware",
-                    f"`{child.path}` has no body that could be mounted",
-                    node.where,
-                    hint="leave `mount` out",
-                )
-                continue
-            plug = child if child.is_leaf else self._root_part(child, child.entry)
-            if plug is not None:
-                plug.mount = self._mount(assembly, plug, node)
-
-    def _mount(self, inside: Instance, plug: Instance, node: Node) -> Mount | None:
-        scope = inside.scope
-        if isinstance(node.value, dict):
-            pose = scope.pose(node)
-            parent, port = node.get("parent"), node.get("port")
-        else:
-            pose, parent, port = Pose(), None, node
-        if parent is not None:
-            return self._free_mount(inside, plug, parent, pose)
-        if port is None:
-            return None
-        reference = scope.text(port)
-        found = self.find_port(inside, reference, port) if reference else None
-        if found is None:
-            return None
-        leaf, name = found
-        if leaf.type is None:
-            return None
-        socket = leaf.type.section("ports")[name]
-        kind = leaf.scope.text(socket.get("kind"))
-        self._check_kind(plug, kind, reference, port, socket)
-        link = leaf.scope.text(socket.get("link"))
-        return Mount(leaf, link, leaf.scope.pose(socket) * pose, port.span)
-
-    def _free_mount(
-        self, inside: Instance, plug: Instance, parent: Node, pose: Pose
-    ) -> Mount | None:
-        reference = inside.scope.text(parent)
-        found = self.find(inside, reference, parent) if reference else None
-        if found is None:
-            return None
-        part, rest = found
-        if rest:
-            self.report.add(
-                "module-unknown",
-                f"`{part.path}` has no part `{rest[0]}`",
-                parent.span,
-                hint=nearest(rest[0], list(part.children)),
-            )
-            return None
-        leaf = part if part.is_leaf else self._root_part(part, part.entry)
-        if leaf is None or leaf.type is None:
-            return None
-        free = leaf.type.document.get("free_mount")
-        if free is None:
-            self.report.add(
-                "mount-not-free",
-                f"`{part.path}` ({leaf.type.name}) offers no free mounting",
-                parent.span,
-                hint="mount on one of its ports: "
-                + ", ".join(f"`{reference}.{p}`" for p in part.type.section("ports"))
-                if part.type is not None and part.type.section("ports")
-                else "it has no ports either",
-            )
-            return None
-        self._check_kind(plug, leaf.scope.text(free.get("kind")), reference, parent, free)
-        return Mount(
-            leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span
-        )
-
-    def _check_kind(
-        self, plug: Instance, kind: str, reference: str, node: Node, socket: Node
-    ) -> None:
-        if plug.type is None or not kind:
-            return
-        own = plug.type.document.get("mount")
-        kinds = own.get("kinds") if own is not None else None
-        fits = [str(k) for k in kinds.plain()] if kinds is not None else []
-        if kind in fits:
-            return
-        wanted = " or ".join(f"`{k}`" for k in fits) if fits else "no port at all"
-        self.report.add(
-            "port-kind",
-            f"`{reference}` is a `{kind}`; `{plug.path}` ({plug.type.name}) fits {wanted}",
-            node.span,
-            labels=[Label(socket.where, f"`{kind}` is declared here")],
-        )
-
-    def _check_reached(self, robot: Instance) -> None:
-        """Modules that hang on one another; one with a mount at fault holds up nothing."""
-        hangs: dict[int, bool] = {}  # by leaf: whether its way up ends somewhere
-        for leaf in robot.leaves():
-            way = [leaf]
-            while id(way[-1]) not in hangs and (mount := way[-1].mount) is not None:
-                hangs[id(way[-1])] = False  # so that a circle ends
-                way.append(mount.leaf)
-            ends = hangs.get(id(way[-1]), True)
-            hangs.update((id(part), ends) for part in way)
-        round_and_round = [leaf for leaf in robot.leaves() if not hangs[id(leaf)]]
-        if round_and_round:
-            leaf = round_and_round[0]
-            self.report.add(
-                "mount-cycle",
-                "these modules are mounted on one another and not on the frame: "
-                + ", ".join(f"`{w.path}`" for w in round_and_round),
-                leaf.mount.span if leaf.mount is not None else leaf.span,
-            )
-
-
-def _entries(node: Node | None) -> dict[str, Node]:
-    return node.value if node is not None and isinstance(node.value, dict) else {}
-
-
-def used_by(path: str, span: Span) -> Label:
-    """What a fault in a module's document says of the robot's module that uses it."""
-    return Label(span, f"`{path.split('.', 1)[0]}` uses it")
-
-
-def _last(path: str) -> str:
-    return path.rsplit(".", 1)[-1]
-
-
-def flat(path: str) -> str:
-    """The module's path as it begins the names of its links and joints."""
-    return path.replace(".", "_")
+                    self.references.find_motor(assembly, reference, node)

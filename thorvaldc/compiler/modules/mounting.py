@@ -1,0 +1,179 @@
+"""Mounts the parts of assemblies: on ports of other parts, or freely on a part's surface."""
+
+from __future__ import annotations
+
+from thorvaldc.compiler.modules.instance import Instance, Mount, last_name
+from thorvaldc.compiler.modules.references import References
+from thorvaldc.compiler.modules.scope import hint_of_known
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.spatial import Pose
+
+
+class Mounting:
+    """Reads the `mount` entries of parts."""
+
+    def __init__(self, references: References, report: Report) -> None:
+        self.references = references
+        self.report = report
+
+    def root_of(self, assembly: Instance, node: Node) -> Instance | None:
+        """Returns the leaf that carries the other parts of an assembly: it has no `mount`.
+
+        Reports at ``node`` if there is none; ``None`` also if there are several.
+        """
+        roots = [
+            child
+            for child in assembly.children.values()
+            if child.is_mechanical and not child.entry.get("mount")
+        ]
+        if len(roots) == 1:
+            root = roots[0]
+            return root if root.is_leaf else self.root_of(root, root.entry)
+        name = f"`{assembly.path}`" if assembly.path else "the robot"
+        if not roots:
+            if not assembly.is_complete:
+                return None  # The part that could not be created may be the root.
+            self.report.add(
+                "root-missing",
+                f"{name} has no root: every module is mounted on another, or there is none",
+                node.where if assembly.path else node.span,
+                hint="the part that carries the others has no `mount`"
+                if assembly.path
+                else "the frame has no `mount`",
+            )
+        else:
+            first, second = roots[0], roots[1]
+            self.report.add(
+                "root-ambiguous",
+                f"{name} has two modules without `mount`: "
+                f"`{last_name(first.path)}` and `{last_name(second.path)}`",
+                second.entry.where,
+                labels=[Label(first.entry.where, "the first one")],
+                hint=f"mount it: `mount: {last_name(first.path)}.<port>`",
+            )
+        return None
+
+    def mount_parts(self, assembly: Instance) -> None:
+        """Sets ``mount`` of all parts of an assembly that have a valid `mount` entry."""
+        for child in assembly.children.values():
+            if not child.is_leaf:
+                self.mount_parts(child)
+            node = child.entry.get("mount")
+            if node is None:
+                continue
+            if not child.is_mechanical and child.is_complete:
+                self.report.add(
+                    "mount-without-hardware",
+                    f"`{child.path}` has no body that could be mounted",
+                    node.where,
+                    hint="leave `mount` out",
+                )
+                continue
+            mounted_leaf = child if child.is_leaf else self.root_of(child, child.entry)
+            if mounted_leaf is not None:
+                mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
+
+    def _read_mount(self, inside: Instance, mounted_leaf: Instance, node: Node) -> Mount | None:
+        scope = inside.scope
+        if isinstance(node.value, dict):
+            pose = scope.pose(node)
+            parent, port = node.get("parent"), node.get("port")
+        else:
+            pose, parent, port = Pose(), None, node
+        if parent is not None:
+            return self._free_mount(inside, mounted_leaf, parent, pose)
+        if port is None:
+            return None
+        reference = scope.text(port)
+        leaf_and_port = self.references.find_port(inside, reference, port) if reference else None
+        if leaf_and_port is None:
+            return None
+        leaf, port_name = leaf_and_port
+        if leaf.type is None:
+            return None
+        port_section = leaf.type.section("ports")[port_name]
+        kind = leaf.scope.text(port_section.get("kind"))
+        self._check_kind(mounted_leaf, kind, reference, port, port_section)
+        link = leaf.scope.text(port_section.get("link"))
+        return Mount(leaf, link, leaf.scope.pose(port_section) * pose, port.span)
+
+    def _free_mount(
+        self, inside: Instance, mounted_leaf: Instance, parent: Node, pose: Pose
+    ) -> Mount | None:
+        """Reads a mount at any pose on a part that allows it by `free_mount`."""
+        reference = inside.scope.text(parent)
+        part_and_rest = self.references.find(inside, reference, parent) if reference else None
+        if part_and_rest is None:
+            return None
+        part, rest = part_and_rest
+        if rest:
+            self.report.add(
+                "module-unknown",
+                f"`{part.path}` has no part `{rest[0]}`",
+                parent.span,
+                hint=hint_of_known(rest[0], list(part.children)),
+            )
+            return None
+        leaf = part if part.is_leaf else self.root_of(part, part.entry)
+        if leaf is None or leaf.type is None:
+            return None
+        free = leaf.type.document.get("free_mount")
+        if free is None:
+            self.report.add(
+                "mount-not-free",
+                f"`{part.path}` ({leaf.type.name}) offers no free mounting",
+                parent.span,
+                hint="mount on one of its ports: "
+                + ", ".join(f"`{reference}.{p}`" for p in part.type.section("ports"))
+                if part.type is not None and part.type.section("ports")
+                else "it has no ports either",
+            )
+            return None
+        self._check_kind(mounted_leaf, leaf.scope.text(free.get("kind")), reference, parent, free)
+        return Mount(
+            leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span
+        )
+
+    def _check_kind(
+        self, mounted_leaf: Instance, kind: str, reference: str, node: Node, port_section: Node
+    ) -> None:
+        """Checks that the module fits a port of this kind."""
+        if mounted_leaf.type is None or not kind:
+            return
+        mount = mounted_leaf.type.document.get("mount")
+        kinds = mount.get("kinds") if mount is not None else None
+        fitting_kinds = [str(k) for k in kinds.plain()] if kinds is not None else []
+        if kind in fitting_kinds:
+            return
+        shown_kinds = " or ".join(f"`{k}`" for k in fitting_kinds) or "no port at all"
+        self.report.add(
+            "port-kind",
+            f"`{reference}` is a `{kind}`; "
+            f"`{mounted_leaf.path}` ({mounted_leaf.type.name}) fits {shown_kinds}",
+            node.span,
+            labels=[Label(port_section.where, f"`{kind}` is declared here")],
+        )
+
+    def check_no_cycle(self, robot: Instance) -> None:
+        """Reports modules that are mounted on each other in a cycle.
+
+        A module with an invalid mount ends a chain: its own error is already reported.
+        """
+        # By leaf: whether its chain of mounts ends.  Each leaf is visited once.
+        chain_ends: dict[int, bool] = {}
+        for leaf in robot.leaves():
+            chain = [leaf]
+            while id(chain[-1]) not in chain_ends and (mount := chain[-1].mount) is not None:
+                chain_ends[id(chain[-1])] = False  # A second visit in this chain is a cycle.
+                chain.append(mount.leaf)
+            ends = chain_ends.get(id(chain[-1]), True)
+            chain_ends.update((id(part), ends) for part in chain)
+        cycle = [leaf for leaf in robot.leaves() if not chain_ends[id(leaf)]]
+        if cycle:
+            self.report.add(
+                "mount-cycle",
+                "these modules are mounted on each other and not on the frame: "
+                + ", ".join(f"`{leaf.path}`" for leaf in cycle),
+                cycle[0].mount.span if cycle[0].mount is not None else cycle[0].span,
+            )

@@ -1,0 +1,110 @@
+"""Finds the modules, ports and motors that dotted references name."""
+
+from __future__ import annotations
+
+from thorvaldc.compiler.modules.instance import Instance
+from thorvaldc.compiler.modules.scope import hint_of_known
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+
+
+class References:
+    """Finds what references name; reports those that name nothing at ``node``."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+
+    def find(
+        self, inside: Instance, reference: str, node: Node, *, optional: bool = False
+    ) -> tuple[Instance, list[str]] | None:
+        """Returns the part that a dotted reference names, and the rest of the reference.
+
+        Returns ``None`` if there is no such part.  If the reference is ``optional``, a part that
+        was left out is not reported.
+        """
+        names = reference.split(".")
+        part = inside
+        while names and names[0] in part.children:
+            part = part.children[names.pop(0)]
+        if part is not inside:
+            return part, names
+        assembly = f" in `{inside.path}`" if inside.path else ""
+        if names[0] in inside.left_out:
+            if not optional:
+                self.report.add(
+                    "module-unknown",
+                    f"`{names[0]}` is left out{assembly}",
+                    node.span,
+                    hint=f"leave out what needs it too, or choose a module for `{names[0]}`",
+                )
+        elif names[0] not in inside.failed:
+            self.report.add(
+                "module-unknown",
+                f"there is no module `{names[0]}`{assembly}",
+                node.span,
+                hint=hint_of_known(names[0], list(inside.children)),
+            )
+        return None
+
+    def find_port(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, str] | None:
+        """Returns the leaf that has a port, and the port's name there."""
+        return self._find_in_section(inside, reference, node, "ports", "port")
+
+    def find_motor(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, str] | None:
+        """Returns the leaf that has a motor, and the motor's name there."""
+        return self._find_in_section(inside, reference, node, "motors", "motor")
+
+    def _find_in_section(
+        self, inside: Instance, reference: str, node: Node, section: str, word: str
+    ) -> tuple[Instance, str] | None:
+        """Finds an entry of a section; ``word`` is its name in messages.
+
+        An assembly's section maps names to references to its parts: these are followed to a leaf.
+        """
+        part_and_rest = self.find(inside, reference, node, optional=section == "motors")
+        if part_and_rest is None:
+            return None
+        part, rest = part_and_rest
+        if not rest and part.parent is not None and part.parent is not inside:
+            # A part and an entry of its assembly may have the same name: `fl.steering` is a motor.
+            name = reference.rpartition(".")[2]
+            if part.parent.type is not None and name in part.parent.type.section(section):
+                part, rest = part.parent, [name]
+        available = part.type.section(section) if part.type is not None else {}
+        if len(rest) != 1:
+            if not rest:
+                first = next(iter(available), None)
+                message = f"`{reference}` is a module, not a {word}"
+                hint = f"name its {word}: `{reference}.{first}`" if first else "it has none"
+            elif rest[0] in available:
+                message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
+                hint = f"write `{reference.removesuffix('.' + '.'.join(rest[1:]))}`"
+            else:
+                message = f"`{part.path}` has no part `{rest[0]}`"
+                hint = hint_of_known(rest[0], [*part.children, *available])
+            self.report.add(f"{word}-unknown", message, node.span, hint=hint)
+            return None
+        name = rest[0]
+        if name not in available:
+            self.report.add(
+                f"{word}-unknown",
+                f"`{part.path}` ({part.type.name if part.type else ''}) has no {word} `{name}`",
+                node.span,
+                hint=hint_of_known(name, list(available)),
+            )
+            return None
+        if not part.is_leaf:
+            target = available[name]
+            return self._find_in_section(part, str(target.value), target, section, word)
+        if not part.scope.boolean(available[name].get("when"), True):
+            self.report.add(
+                f"{word}-unknown",
+                f"`{part.path}` has no {word} `{name}` with these parameters",
+                node.span,
+            )
+            return None
+        return part, name

@@ -1,0 +1,206 @@
+"""Reads values of a document: evaluates expressions and converts quantities to SI.
+
+Each method returns a value of the requested type for every input.  If the value is invalid, the
+method reports a diagnostic and returns the default, so that one run reports the errors of the
+whole document.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from thorvaldc.compiler.source.expressions import ExpressionError, evaluate
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.units import UnitError, parse_quantity
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.spatial import Pose, Vec3
+
+# Bounds of every number in SI, except 0.  Squares and products of such numbers do not overflow.
+LARGEST = 1e12
+SMALLEST = 1e-15
+FULL_TURN = 2.0 * math.pi  # rad
+
+INVALID: Any = object()
+"""Replaces a value whose error is in the report."""
+
+
+class ReferenceCycleError(Exception):
+    """The value of a name depends on itself."""
+
+
+class InvalidNameError(Exception):
+    """An expression uses a name whose value is invalid; the report contains the error."""
+
+
+def entries(node: Node | None) -> dict[str, Node]:
+    """Returns the entries of a mapping; empty if the node is missing or is no mapping."""
+    return node.value if node is not None and isinstance(node.value, dict) else {}
+
+
+def items(node: Node | None) -> tuple[Node, ...]:
+    """Returns the elements of a list; empty if the node is missing or is no list."""
+    return node.value if node is not None and isinstance(node.value, tuple) else ()
+
+
+class ValueReader(Mapping[str, Any]):
+    """Reads scalars, quantities, vectors and poses.
+
+    As a mapping, it contains the names that expressions may use: none here, in ``Scope`` those
+    of a module.
+    """
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+
+    def __getitem__(self, name: str) -> Any:
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+    def value(self, node: Node) -> Any:
+        """Returns the value of the node, or of the expression in it.
+
+        Returns ``INVALID`` if there is an error.  ``None`` is the value of a module parameter
+        that is `none`.
+        """
+        value = node.value
+        if value is None:
+            return INVALID  # The schema check has reported it.
+        if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
+            return value
+        try:
+            return evaluate(value[2:-1], self)
+        except ExpressionError as error:
+            self.report.add(error.code, error.message, node.span, hint=error.hint)
+        except ReferenceCycleError as error:
+            self.report.add("expression-cycle", f"the value needs {error}", node.span)
+        except InvalidNameError:
+            pass
+        return INVALID
+
+    def evaluate(self, node: Node) -> Any:
+        """Returns the same as ``value``, but ``None`` in place of ``INVALID``."""
+        value = self.value(node)
+        return None if value is INVALID else value
+
+    def quantity(self, node: Node | None, quantity: str, default: float = 0.0) -> float:
+        """Returns a quantity in SI; the default if the node is missing or invalid."""
+        if node is None:
+            return default
+        return self._to_si(self.value(node), node, quantity, default)
+
+    def _to_si(self, value: Any, node: Node, quantity: str, default: float) -> float:
+        if value is INVALID:
+            return default
+        if isinstance(value, bool):
+            pass
+        elif isinstance(value, int | float):
+            if quantity == "angle" and abs(value) > FULL_TURN and node.value == value:
+                self._warn_of_radians(value, node)
+            return self._bounded(value, node, default)
+        elif isinstance(value, str):
+            try:
+                return self._bounded(parse_quantity(value, quantity), node, default)
+            except UnitError as error:
+                self.report.add(error.code, error.message, node.span, hint=error.hint)
+                return default
+        self._report_type(f"a {quantity.replace('_', ' ')}", node)
+        return default
+
+    def _warn_of_radians(self, value: float, node: Node) -> None:
+        self.report.add(
+            "angle-in-radians",
+            f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
+            node.span,
+            hint=f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
+        )
+
+    def _bounded(self, value: float, node: Node, default: float) -> float:
+        if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:
+            return float(value)
+        self.report.add(
+            "number-out-of-range",
+            f"{describe_value(node, value)} is too {'small' if abs(value) < 1 else 'large'} "
+            f"for a robot; numbers are from {SMALLEST:g} to {LARGEST:g} in SI units",
+            node.span,
+        )
+        return default
+
+    def boolean(self, node: Node | None, default: bool) -> bool:
+        if node is None:
+            return default
+        value = self.value(node)
+        if isinstance(value, bool):
+            return value
+        if value is not INVALID:
+            self._report_type("`true` or `false`", node)
+        return default
+
+    def text(self, node: Node | None, default: str = "") -> str:
+        if node is None:
+            return default
+        value = self.value(node)
+        if isinstance(value, str):
+            return value
+        if value is not INVALID:
+            self._report_type("text", node)
+        return default
+
+    def vector(self, node: Node | None, quantity: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
+        """Returns three quantities in SI: a list, or an expression whose value is a list."""
+        if node is None:
+            return default
+        if isinstance(node.value, str):
+            value = self.value(node)
+            if value is INVALID:
+                return default
+            if isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_number, value)):
+                x, y, z = (self._bounded(v, node, 0.0) for v in value)
+                return (x, y, z)
+        elements = items(node)
+        if len(elements) != 3:
+            self.report.add("wrong-type", "expected three numbers: x, y and z", node.span)
+            return default
+        x, y, z = (self.quantity(element, quantity) for element in elements)
+        return (x, y, z)
+
+    def pose(self, node: Node) -> Pose:
+        """Returns the pose of the keys `xyz` (m) and `rpy` (rad) of a mapping."""
+        return Pose.from_xyz_rpy(
+            self.vector(node.get("xyz"), "length"), self.vector(node.get("rpy"), "angle")
+        )
+
+    def _report_type(self, expected: str, node: Node) -> None:
+        self.report.add(
+            "wrong-type", f"expected {expected}, not {describe_node(node)}", node.span
+        )
+
+
+def describe_node(node: Node) -> str:
+    """Describes the content of a node for a message."""
+    if isinstance(node.value, dict):
+        return "a mapping"
+    if isinstance(node.value, tuple):
+        return "a list"
+    if node.value is None:
+        return "nothing"
+    if isinstance(node.value, bool):
+        return f"`{str(node.value).lower()}`"
+    return f"`{node.value}`"
+
+
+def describe_value(node: Node, value: Any) -> str:
+    """Describes the content of a node, and its value if the content is an expression."""
+    if isinstance(node.value, str) and "${" in node.value and isinstance(value, int | float):
+        return f"{value:g} (`{node.value}`)"
+    return describe_node(node)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
