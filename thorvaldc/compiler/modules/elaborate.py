@@ -328,7 +328,9 @@ class Elaborator:
             if own.links
         }
         named = {
-            leaf.path: roots[name_prefix(leaf.path)] for leaf in robot.leaves() if name_prefix(leaf.path) in roots
+            leaf.path: roots[name_prefix(leaf.path)]
+            for leaf in robot.leaves()
+            if name_prefix(leaf.path) in roots
         }
         links = {link.name: link.span for link in parts.links}
 

@@ -78,7 +78,10 @@ def _check_offers(
     assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
 ) -> None:
     """That what an assembly offers to the outside is there."""
-    for section, find in (("ports", resolver.references.find_port), ("motors", resolver.references.find_motor)):
+    for section, find in (
+        ("ports", resolver.references.find_port),
+        ("motors", resolver.references.find_motor),
+    ):
         for node in module.section(section).values():
             # What its defaults leave out may be there with other parameters.
             if str(node.value).partition(".")[0] not in assembly.left_out:

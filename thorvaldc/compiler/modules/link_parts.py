@@ -140,7 +140,8 @@ class PartReader:
             "color-unknown",
             f"`{text}` is no colour",
             node.span if node is not None else None,
-            hint='write "#rrggbb" or a name of the palette; ' + hint_of_known(text, list(self.palette)),
+            hint='write "#rrggbb" or a name of the palette; '
+            + hint_of_known(text, list(self.palette)),
         )
         return (0.5, 0.5, 0.5, 1.0)
 

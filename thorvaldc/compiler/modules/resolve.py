@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from thorvaldc.compiler.library import Library, ModuleType
-from thorvaldc.compiler.modules.instance import Instance, last_name, used_by
+from thorvaldc.compiler.modules.instance import Instance, used_by
 from thorvaldc.compiler.modules.mounting import Mounting
 from thorvaldc.compiler.modules.references import References
 from thorvaldc.compiler.modules.scope import NONE, ModuleChoice, Scope, hint_of_known
@@ -199,7 +199,9 @@ class Resolver:
                 if (category, key) in self._used_defaults:
                     continue
                 if category in categories:
-                    known = [p for t in types if t.category == category for p in t.section("params")]
+                    known = [
+                        p for t in types if t.category == category for p in t.section("params")
+                    ]
                     self.report.add(
                         "param-unknown",
                         f"no `{category}` module of this robot has a parameter `{key}`",

@@ -124,9 +124,7 @@ class Scope(ValueReader):
 
     def with_names(self, extra: dict[str, Any]) -> Scope:
         """Returns a copy with more names."""
-        inner = Scope(
-            self.module, self._arguments, self.library, self.report, self._entry, extra
-        )
+        inner = Scope(self.module, self._arguments, self.library, self.report, self._entry, extra)
         inner._values = {**self._values, **extra}
         return inner
 
@@ -336,9 +334,7 @@ class Scope(ValueReader):
                 return INVALID
         return value
 
-    def _one_of(
-        self, name: str, declaration: Node, choices: Node, node: Node, value: Any
-    ) -> Any:
+    def _one_of(self, name: str, declaration: Node, choices: Node, node: Node, value: Any) -> Any:
         known = [str(choice.value) for choice in items(choices)]
         if isinstance(value, ModuleChoice):
             is_known = value.module.name in known
