@@ -1,4 +1,4 @@
-"""What a robot is asked to do over time, and a default that suits its kinematics."""
+"""Manoeuvres: commanded twists over time, and default manoeuvres that suit a robot or a fleet."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
 
 
 class Segment(NamedTuple):
-    """From ``start`` (s) on, ``twist``, until the next segment."""
+    """A twist from ``start`` (s) until the start of the next segment."""
 
     start: float
     twist: Twist
 
 
 Manoeuvre = Sequence[Segment]
-"""In the order of their starts."""
-_LAST = (math.inf, math.inf, math.inf)
+"""Segments in the order of their start times."""
+_LARGEST = (math.inf, math.inf, math.inf)
 
 
 def twist_at(manoeuvre: Manoeuvre, time: float) -> Twist:
-    """The twist asked for at ``time``; zero before the first segment."""
-    after = bisect.bisect_right(manoeuvre, (time + 1e-9, _LAST))
-    return manoeuvre[after - 1].twist if after else ZERO_TWIST
+    """Returns the commanded twist at ``time`` (s); zero before the first segment."""
+    following = bisect.bisect_right(manoeuvre, (time + 1e-9, _LARGEST))
+    return manoeuvre[following - 1].twist if following else ZERO_TWIST
 
 
 PARTS = (
@@ -39,20 +39,23 @@ PARTS = (
 )
 """The default manoeuvre: durations (s) and names of its parts."""
 STOP = 2.0
-"""Time (s) that it ends with, standing."""
+"""Duration (s) of the standstill at the end."""
+_TIME_STEP = 0.1
+"""Time step (s) of the predicted paths of a fleet."""
 
 
 def default_manoeuvre(robot: Robot) -> tuple[list[Segment], float]:
-    """Forward, an arc, sideways and a turn on the spot, as far as the robot can; its duration.
+    """Returns a manoeuvre of all parts that the robot can drive, and its duration (s).
 
-    A part is left out where the wheels' arrangement or a steering limit does
-    not allow it.  Ends with a stop of ``STOP`` s.
+    The parts are forward, an arc, sideways and a turn on the spot.  A part is omitted if the
+    arrangement of the wheels or a steering limit does not allow it.  The manoeuvre ends with
+    a stop of ``STOP`` s.
     """
     segments: list[Segment] = []
     time = 0.0
     for duration, name in PARTS:
-        twist = _part(name, robot.driver)
-        if _possible(robot, twist):
+        twist = _part_twist(name, robot.driver)
+        if _is_possible(robot, twist):
             segments.append(Segment(time, twist))
             time += duration
     segments.append(Segment(time, ZERO_TWIST))
@@ -62,45 +65,46 @@ def default_manoeuvre(robot: Robot) -> tuple[list[Segment], float]:
 def fleet_manoeuvres(
     robots: Sequence[tuple[str, Robot, Pose2]],
 ) -> tuple[dict[str, list[Segment]], float]:
-    """A manoeuvre for each robot of a scene that keeps them apart; their duration.
+    """Returns a manoeuvre per robot without collisions between them, and the duration (s).
 
-    Each is given by name, robot and its pose in the world.  Of the default
-    manoeuvre in one time for all (who cannot do a part stands), then of it
-    without the parts sideways and arc, then at shorter ways, takes the first in
-    which no two come nearer than they can reach, or than they stood.
+    ``robots`` are names, robots and start poses in the world.  All robots drive the same
+    parts at the same times; a robot that cannot drive a part stands still.  The function
+    tries the whole default manoeuvre first, then simpler and shorter ones, and
+    returns the first in which the robots keep apart (``_keep_apart``).
     """
     if not robots:
         return {}, STOP
     settings = min((robot.driver for _, robot, _ in robots), key=lambda s: s.max_linear_velocity)
-    plans: dict[str, list[Segment]] = {}
+    manoeuvres: dict[str, list[Segment]] = {}
     duration = STOP
-    for names, factor in (
+    for parts, speed_factor in (
         (("forward", "arc", "sideways", "turn"), 1.0),
         (("forward", "arc", "turn"), 1.0),
         (("forward", "turn"), 1.0),
         (("forward", "turn"), 0.4),
         (("turn",), 1.0),
     ):
-        plans = {name: [] for name, _, _ in robots}
+        manoeuvres = {name: [] for name, _, _ in robots}
         time = 0.0
-        for length, part in PARTS:
-            if part not in names:
+        for part_duration, part in PARTS:
+            if part not in parts:
                 continue
-            twist = _part(part, settings)
+            twist = _part_twist(part, settings)
             if part != "turn":
-                twist = twist.scaled(factor)
+                twist = twist.scaled(speed_factor)
             for name, robot, _ in robots:
-                plans[name].append(Segment(time, twist if _possible(robot, twist) else ZERO_TWIST))
-            time += length
-        for plan in plans.values():
-            plan.append(Segment(time, ZERO_TWIST))
+                possible = twist if _is_possible(robot, twist) else ZERO_TWIST
+                manoeuvres[name].append(Segment(time, possible))
+            time += part_duration
+        for manoeuvre in manoeuvres.values():
+            manoeuvre.append(Segment(time, ZERO_TWIST))
         duration = time + STOP
-        if _apart(robots, plans, duration):
+        if _keep_apart(robots, manoeuvres, duration):
             break
-    return plans, duration
+    return manoeuvres, duration
 
 
-def _part(name: str, settings: DriverSettings) -> Twist:
+def _part_twist(name: str, settings: DriverSettings) -> Twist:
     v = min(1.0, 0.8 * settings.max_linear_velocity)
     w = min(0.5, 0.8 * settings.max_angular_velocity)
     return {
@@ -111,12 +115,16 @@ def _part(name: str, settings: DriverSettings) -> Twist:
     }[name]
 
 
-def _possible(robot: Robot, twist: Twist) -> bool:
+def _is_possible(robot: Robot, twist: Twist) -> bool:
+    """Reports if the wheels allow the nonzero components of the twist.
+
+    A component that the twist does not have may be added: an axle behind ``base_link`` moves
+    ``base_link`` sideways in a turn.
+    """
     calculator = for_robot(robot)
     allowed = calculator.feasible(twist)
     if abs(allowed.wz - twist.wz) > 1e-6:
         return False
-    # What the wheels add across (an axle behind base_link swings it) is no hindrance.
     if twist.vx and abs(allowed.vx - twist.vx) > 1e-6:
         return False
     if twist.vy and abs(allowed.vy - twist.vy) > 1e-6:
@@ -124,26 +132,29 @@ def _possible(robot: Robot, twist: Twist) -> bool:
     return not calculator.command(twist).unreachable
 
 
-def _apart(
+def _keep_apart(
     robots: Sequence[tuple[str, Robot, Pose2]],
-    plans: Mapping[str, Manoeuvre],
+    manoeuvres: Mapping[str, Manoeuvre],
     duration: float,
 ) -> bool:
-    """Whether the robots, as discs about their wheels, keep apart on these ways."""
-    step = 0.1
-    ways: list[list[Pose2]] = []
-    reach: list[float] = []
+    """Reports if no two robots come too close on their predicted paths.
+
+    Each robot is a disc around its wheels.  The discs must not touch; if they touch at the
+    start, the robots must not come more than 5 cm closer.
+    """
+    paths: list[list[Pose2]] = []
+    radii: list[float] = []
     for name, robot, start in robots:
-        pose, way = start, [start]
-        for k in range(round(duration / step)):
-            allowed = twist_at(plans[name], k * step)
-            pose = pose.moved(se2.exp(allowed, step))
-            way.append(pose)
-        ways.append(way)
-        reach.append(max((math.hypot(w.x, w.y) + w.width for w in robot.wheels), default=0.5))
+        pose, path = start, [start]
+        for k in range(round(duration / _TIME_STEP)):
+            twist = twist_at(manoeuvres[name], k * _TIME_STEP)
+            pose = pose.moved(se2.exp(twist, _TIME_STEP))
+            path.append(pose)
+        paths.append(path)
+        radii.append(max((math.hypot(w.x, w.y) + w.width for w in robot.wheels), default=0.5))
     for i in range(len(robots)):
         for j in range(i):
-            gaps = [math.dist(a[:2], b[:2]) for a, b in zip(ways[i], ways[j], strict=True)]
-            if min(gaps) < min(reach[i] + reach[j], gaps[0] - 0.05):
+            distances = [math.dist(a[:2], b[:2]) for a, b in zip(paths[i], paths[j], strict=True)]
+            if min(distances) < min(radii[i] + radii[j], distances[0] - 0.05):
                 return False
     return True

@@ -84,8 +84,8 @@ def test_a_robot_of_another_build_is_a_fault(files: dict[str, bytes]) -> None:
 
 
 def test_missing_and_broken_scenes_are_faults(files: dict[str, bytes], tmp_path: Path) -> None:
-    assert "there is no mjcf/scene.xml" in fault_of(tmp_path)
-    assert "there is no mjcf/scene.xml" in fault_of({})
+    assert "has no file mjcf/scene.xml" in fault_of(tmp_path)
+    assert "has no file mjcf/scene.xml" in fault_of({})
     broken = {**files, "mjcf/robot.xml": b"<mujoco><worldbody></mujoco>"}
     message = fault_of(broken)
     assert message.startswith("MuJoCo cannot read mjcf/scene.xml")

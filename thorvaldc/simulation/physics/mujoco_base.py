@@ -1,4 +1,8 @@
-"""A base in MuJoCo: physics, from the files that the compiler generated."""
+"""A base simulated in MuJoCo, from the MJCF files that the compiler generates.
+
+The MJCF has the contact and servo settings (``backends/mjcf.py``, ``docs/mjcf.md``); this
+module only loads a scene, steps it, and connects a robot's joints to a base driver.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +23,20 @@ SCENE = "mjcf/scene.xml"
 HOME = "home"
 Prepare = Callable[[Any], None] | None
 LONGEST_STEP = 0.2
-"""Time (s) between two commands beyond which they are no longer steps of one motion."""
-_OUT_OF_BOUNDS = 1e4
-"""Speed (m/s, rad/s) that nothing on a robot has."""
+"""Largest time (s) between two commands for which ``write`` computes their rate of change."""
+_DIVERGED_SPEED = 1e4
+"""Norm of all joint speeds (m/s, rad/s) from which a simulation counts as diverged."""
 
 
 def _ignore(message: str) -> None:
-    """A warning of MuJoCo's that is counted elsewhere."""
+    """Discards a warning of MuJoCo."""
 
 
 class MujocoScene:
-    """A compiled scene and its time.  Several robots may move in it.
+    """A compiled scene with one or more robots, and its simulated time.
 
-    ``model`` and ``data`` are MuJoCo's own objects; ``diverged`` says whether the last
-    advance left the numbers.
+    ``model`` and ``data`` are the objects of MuJoCo.  ``diverged`` is true after a step with
+    speeds that are not finite or absurdly large.
     """
 
     def __init__(
@@ -43,15 +47,15 @@ class MujocoScene:
         visuals: bool = False,
         prepare: Prepare = None,
     ) -> None:
-        """Load the scene ``scene`` from a build folder or from ``{path: bytes}``.
+        """Loads the file ``scene`` from a build folder or from ``{path: bytes}``.
 
-        Without ``visuals`` MuJoCo leaves out what is only seen and welds
-        together what does not move: the same physics in three quarters of the
-        time, with nothing to render and no body for a welded link.  ``prepare``
-        may change the ``MjSpec`` before it is compiled.
+        Without ``visuals`` MuJoCo discards visual geoms and fuses bodies that are fixed to
+        each other: the same physics in three quarters of the time, but there is nothing to
+        render, and fused links have no body.  ``prepare`` may change the ``MjSpec`` before it
+        is compiled.
 
-        Raises ``DiagnosticError`` (``simulation-scene``) where it is missing or
-        MuJoCo cannot read it.
+        Raises ``DiagnosticError`` (``simulation-scene``) if the file is missing or MuJoCo
+        cannot read it.
         """
         if isinstance(files, Mapping):
             self.model = _load_from_memory(files, scene, visuals, prepare)
@@ -62,12 +66,12 @@ class MujocoScene:
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
-        # MuJoCo's own reset on divergence would hide it.
+        # MuJoCo would reset a diverged simulation to its start without an error.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.reset()
 
     def reset(self) -> None:
-        """Back to the key frame ``home``, at time 0."""
+        """Resets the scene to the key frame ``home``, at time 0."""
         key = self._mujoco.mj_name2id(self.model, self._mujoco.mjtObj.mjOBJ_KEY, HOME)
         if key >= 0:
             self._mujoco.mj_resetDataKeyframe(self.model, self.data, key)
@@ -78,7 +82,7 @@ class MujocoScene:
         self._mujoco.mj_forward(self.model, self.data)
 
     def forward(self) -> None:
-        """Work out where everything is, after a change of ``data.qpos``."""
+        """Updates poses, contacts and other derived values after a change of ``data.qpos``."""
         self._mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -87,65 +91,74 @@ class MujocoScene:
         return self.steps * self.timestep
 
     def advance(self, now: float) -> None:
-        """Step to ``now`` in one call, to the nearest whole step; never back."""
+        """Runs the steps up to ``now`` (s, rounded) in one call; a past time has no effect."""
         steps = round(now / self.timestep) - self.steps
         if steps > 0 and not self.diverged:
-            # Its warnings would be printed and logged to a file; `diverged` tells of them.
+            # MuJoCo prints warnings and writes a log file; `diverged` replaces them.
             mujoco = self._mujoco
-            before = mujoco.get_mju_user_warning()
+            user_warning = mujoco.get_mju_user_warning()
             mujoco.set_mju_user_warning(_ignore)
             try:
                 mujoco.mj_step(self.model, self.data, steps)
             finally:
-                mujoco.set_mju_user_warning(before)
+                mujoco.set_mju_user_warning(user_warning)
             self.steps += steps
             speeds = self.data.qvel
-            # Once no number, a speed stays none, and so is their norm.
-            self.diverged = not speeds.dot(speeds) < _OUT_OF_BOUNDS**2
+            # A speed that is nan stays nan, so the last step of the call is enough;
+            # a comparison with nan is false, so `not <` detects it.
+            self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
 
     @property
     def fastest(self) -> str:
-        """The joint that moves fastest, or is no number, and how it moves."""
+        """Description of the fastest joint, or of a joint whose speed is not finite."""
         import numpy
 
         speeds = numpy.abs(self.data.qvel)
         if not len(speeds):
-            return "nothing moves"
-        wild = numpy.flatnonzero(~numpy.isfinite(speeds))
-        dof = int(wild[0]) if len(wild) else int(speeds.argmax())
+            return "no joint moves"
+        not_finite = numpy.flatnonzero(~numpy.isfinite(speeds))
+        dof = int(not_finite[0]) if len(not_finite) else int(speeds.argmax())
         joint = int(self.model.dof_jntid[dof])
         name = self._mujoco.mj_id2name(self.model, self._mujoco.mjtObj.mjOBJ_JOINT, joint)
         speed = float(speeds[dof])
-        how = f"moves at {speed:.3g} (SI)" if math.isfinite(speed) else "moves at no finite speed"
-        return f"the joint `{name}` {how}"
+        if not math.isfinite(speed):
+            return f"the speed of the joint `{name}` is not finite"
+        return f"the joint `{name}` moves at {speed:.3g} (SI)"
 
     def index(self, kind: str, name: str, robot: Robot) -> int:
-        """MuJoCo's number of the ``kind`` (``joint``, ``actuator``, ``body``) of that name."""
+        """Returns MuJoCo's index of an object; ``kind`` is ``joint``, ``actuator``, ``body``, ...
+
+        Raises ``DiagnosticError`` (``simulation-scene``) if the scene does not have it.
+        """
         objects = self._mujoco.mjtObj
-        found: int = self._mujoco.mj_name2id(
+        index: int = self._mujoco.mj_name2id(
             self.model, getattr(objects, f"mjOBJ_{kind.upper()}"), name
         )
-        if found < 0:
+        if index < 0:
             raise DiagnosticError(
                 "simulation-scene",
-                f"the scene has no {kind} `{name}`, which {robot.name} has",
+                f"the scene has no {kind} `{name}` of {robot.name}",
                 robot.span,
                 hint="model.json and the MJCF files come from different builds: build again",
             )
-        return found
+        return index
 
 
 class MujocoBase(GroundTruthBase):
-    """The joints of one robot of a scene, and what only a simulation knows.
+    """The joints and the true motion of one robot in a scene.
 
-    Joints, actuators and bodies are found by their names, which start with
-    ``prefix`` (by default the robot's name space and a slash).
+    The names of its joints, actuators and bodies begin with ``prefix`` (default: the name
+    space of the robot and a slash).
 
-    ``hidden`` errors are made between the joints and what is told of them: a wheel
-    that is larger by some ratio rolls as one of the model's radius that turns
-    faster by it.  With ``open_loop`` the drives get a voltage in place of a
-    speed that they hold: their torque falls in a line from the largest at rest
-    to none at the speed asked for, so that wheels give way to one another.
+    Wheel errors are applied between MuJoCo's joints and the driver, not in the scene: a wheel
+    whose true radius is ``ratio`` times the radius R of the model rolls ratio * R * w at the
+    reported speed w, exactly as a wheel of radius R that turns at ratio * w.  So commanded
+    speeds are multiplied by the ratio, and measured ones divided.
+
+    With ``open_loop`` the drives apply a voltage and do not control their speed.  The torque
+    of a DC motor at constant voltage falls linearly from stall to no-load speed; here the
+    commanded speed u is the no-load speed:  torque = k (u - w),  k = max_torque / max_speed.
+    Wheels that work against each other then give way.
     """
 
     def __init__(
@@ -157,7 +170,7 @@ class MujocoBase(GroundTruthBase):
         wheel_errors: WheelErrors | None = None,
         open_loop: bool = False,
     ) -> None:
-        """Raises ``DiagnosticError`` where the scene is not of this robot."""
+        """Raises ``DiagnosticError`` if the scene does not contain this robot."""
         if prefix is None:
             prefix = robot.prefix
         self.robot = robot
@@ -176,8 +189,8 @@ class MujocoBase(GroundTruthBase):
             )
         self._base = int(model.jnt_qposadr[free])
         self._base_velocity = int(model.jnt_dofadr[free])
-        # (wheel, place in qpos, in qvel) of the joints, (wheel, actuator) of the motors; places
-        # count from those of the base, after which a robot's joints lie.
+        # Joints: (wheel, index in qpos, index in qvel), counted from the free joint of the
+        # base, which all other joints of the robot follow.  Motors: (wheel, actuator).
         self._spin: list[tuple[int, int, int]] = []
         self._steering: list[tuple[int, int, int]] = []
         self._drive_motors: list[tuple[int, int]] = []
@@ -194,26 +207,26 @@ class MujocoBase(GroundTruthBase):
                 joints.append((i, q - self._base, v - self._base_velocity))
                 actuator = robot.actuator_of(name)
                 if actuator is not None:
-                    number = scene.index("actuator", prefix + actuator.name, robot)
-                    motors.append((i, number))
-        both = self._spin + self._steering
-        last_q = max((q for _, q, _ in both), default=6)
-        last_v = max((v for _, _, v in both), default=5)
+                    index = scene.index("actuator", prefix + actuator.name, robot)
+                    motors.append((i, index))
+        all_joints = self._spin + self._steering
+        last_q = max((q for _, q, _ in all_joints), default=6)
+        last_v = max((v for _, _, v in all_joints), default=5)
         self._qpos = slice(self._base, self._base + last_q + 1)
         self._qvel = slice(self._base_velocity, self._base_velocity + last_v + 1)
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
-            self._open_loops()
-        # What the servos lag behind set points that move (s): their damping over stiffness.
+            self._open_speed_loops()
+        # (wheel, actuator, lag of the servo in s) of each motor; see `write`.
         self._drives = tuple((i, m, self._lag(m)) for i, m in self._drive_motors)
         self._steerings = tuple((i, m, self._lag(m)) for i, m in self._steering_motors)
-        self._asked: JointCommands | None = None
-        self._asked_at = 0.0
+        self._last_commands: JointCommands | None = None
+        self._last_time = 0.0
 
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
         data, ratios, offsets = self.scene.data, self._ratios, self._offsets
-        # Lists: plain numbers come out of them several times as fast as out of arrays.
+        # Reading single numbers from a list is several times faster than from an array.
         qpos, qvel = data.qpos[self._qpos].tolist(), data.qvel[self._qvel].tolist()
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
@@ -226,10 +239,15 @@ class MujocoBase(GroundTruthBase):
         return JointStates(self.scene.time, speeds, angles, rates, positions)
 
     def write(self, commands: JointCommands, now: float) -> None:
-        """Servos with their set points' rates fed forward, as motor controllers have them.
+        """Sets the set points of the servos, with feed-forward of their rates of change.
 
-        Without, drives follow a ramp 0.1 s later and steering 0.02 s: while a robot turns
-        into a curve its wheels would roll at speeds of one motion in the directions of another.
+        A servo applies  torque = kp (s - q) - kv q',  with q the joint position and s the set
+        point, or for a drive the integral of the commanded speed.  While s moves at the rate
+        s', the joint follows at that rate with q = s - (kv/kp) s'.  Adding (kv/kp) s' to the
+        set point removes the lag kv/kp; for a drive, whose input is s', one adds (kv/kp) s''.
+        Motor controllers do the same.  Without it drives lag by 0.1 s and steering by 0.02 s:
+        while a robot turns into a curve, the wheels' speeds would belong to an earlier
+        motion than their directions.
         """
         ctrl = self.scene.data.ctrl
         speeds, angles, ratios, offsets = (
@@ -238,11 +256,11 @@ class MujocoBase(GroundTruthBase):
             self._ratios,
             self._offsets,
         )
-        before, dt = self._asked, now - self._asked_at
-        self._asked, self._asked_at = commands, now
-        if before is None or not 0.0 < dt <= LONGEST_STEP:
-            before, dt = commands, 1.0
-        last_speeds, last_angles = before.speeds, before.angles
+        last, dt = self._last_commands, now - self._last_time
+        self._last_commands, self._last_time = commands, now
+        if last is None or not 0.0 < dt <= LONGEST_STEP:
+            last, dt = commands, 1.0  # no feed-forward
+        last_speeds, last_angles = last.speeds, last.angles
         for i, motor, lag in self._drives:
             v = speeds[i]
             ctrl[motor] = (v + lag / dt * (v - last_speeds[i])) * ratios[i]
@@ -253,16 +271,17 @@ class MujocoBase(GroundTruthBase):
             self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
 
     def expect_single_commands(self) -> None:
-        """Nothing is fed forward any more: a step's length is not told."""
+        """Turns the feed-forward off: the time between commands is not known."""
         self._drives = tuple((i, motor, 0.0) for i, motor, _ in self._drives)
         self._steerings = tuple((i, motor, 0.0) for i, motor, _ in self._steerings)
 
     def _lag(self, motor: int) -> float:
+        """Returns kv/kp (s) of a servo."""
         _, stiffness, damping = self.scene.model.actuator_biasprm[motor, :3].tolist()
         return damping / stiffness if stiffness else 0.0
 
-    def _open_loops(self) -> None:
-        """Make dampers of the drives' servos; ``write`` adds the torque of the voltage."""
+    def _open_speed_loops(self) -> None:
+        """Replaces the drive servos by dampers -k w; ``write`` adds the torque k u."""
         model = self.scene.model
         joints = {i: v for i, _, v in self._spin}
         for i, motor in self._drive_motors:
@@ -275,16 +294,19 @@ class MujocoBase(GroundTruthBase):
             model.actuator_biasprm[motor, 2] = -slope
             self._voltages.append((i, self._base_velocity + joints[i], slope))
 
-    # -- what only a simulation knows ----------------------------------------------
+    # -- ground truth -----------------------------------------------------------------
 
     def true_pose(self) -> Pose2:
-        """As promised; yaw in -pi..pi."""
+        """Returns the pose of ``base_link`` in the world; yaw in -pi..pi."""
         x, y, _, w, i, j, k = self._base_position()
         yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return Pose2(x, y, yaw)
 
     def place(self, pose: Pose2) -> None:
-        """Put the robot there, as high, upright and fast as it is."""
+        """Moves the robot to ``pose``; its height, roll, pitch and speeds do not change.
+
+        The new orientation is a rotation about the vertical times the present one.
+        """
         data, start = self.scene.data, self._base
         w, i, j, k = data.qpos[start + 3 : start + 7].tolist()
         turn = (pose.yaw - self.true_pose().yaw) / 2.0
@@ -311,16 +333,19 @@ class MujocoBase(GroundTruthBase):
 
     def leaning(self) -> str:
         _, _, _, w, i, j, k = self._base_position()
-        # How far the robot's own x and y point up.
+        # Vertical components of the robot's x and y axes.
         x, y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
         if abs(x) > abs(y):
             return "forwards" if x < 0.0 else "backwards"
         return "to its left" if y < 0.0 else "to its right"
 
     def _base_position(self) -> list[float]:
-        # Read from qpos: MuJoCo's xpos lags a step behind it.
-        found: list[float] = self.scene.data.qpos[self._base : self._base + 7].tolist()
-        return found
+        """Returns x, y, z (m) and the quaternion wxyz.
+
+        They come from ``qpos``: after a step MuJoCo's ``xpos`` is still that of its beginning.
+        """
+        position: list[float] = self.scene.data.qpos[self._base : self._base + 7].tolist()
+        return position
 
 
 def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
@@ -330,7 +355,7 @@ def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
     if not path.is_file():
         raise DiagnosticError(
             "simulation-scene",
-            f"there is no {scene} in {folder}",
+            f"{folder} has no file {scene}",
             hint="build the robot with --target mjcf first",
         )
     try:
@@ -340,16 +365,16 @@ def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
         if prepare is not None:
             prepare(spec)
         return spec.compile()
-    except ValueError as fault:
-        text = str(fault).replace(f"{folder}/", "").strip().replace("\n", "; ")
-        raise DiagnosticError("simulation-scene", f"MuJoCo cannot read {scene}: {text}") from fault
+    except ValueError as error:
+        text = str(error).replace(f"{folder}/", "").strip().replace("\n", "; ")
+        raise DiagnosticError("simulation-scene", f"MuJoCo cannot read {scene}: {text}") from error
 
 
 def _load_from_memory(
     files: Mapping[str, bytes], scene: str, visuals: bool, prepare: Prepare
 ) -> Any:
-    # MuJoCo's own virtual files are told apart by their base names alone, which robots
-    # of a fleet share; a folder that lives as long as the reading does has no such trap.
+    # MuJoCo identifies virtual files by their base names alone, and the robots of a fleet have
+    # files of equal base names.  So the files go to a temporary folder.
     with tempfile.TemporaryDirectory(prefix="thorvaldc_") as folder:
         for name, data in files.items():
             parts = PurePosixPath(name).parts

@@ -1,4 +1,10 @@
-"""A base of ideal joints on ideal ground, where no wheel slips."""
+"""A base of ideal joints on ideal ground: no wheel slips, and the drives give way.
+
+Method: the commanded joints rarely agree exactly, for instance with wrong wheel radii.  In each
+step the twist (vx, vy, wz) is the least-squares solution of the rolling and no-slip conditions of
+all wheels.  Then each joint is set to what this twist requires, so that the encoders
+agree exactly with the true motion and the true wheels, as a calibration assumes.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +22,14 @@ from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
-_STANDS = 1e-3
-"""Speed (m/s) over ground below which a wheel is not turned by it."""
+_LEAST_SPEED = 1e-3
+"""Ground speed (m/s) of a wheel below which its direction of motion is not defined."""
 
 
 class RollingBase(SimBase, GroundTruthBase):
-    """Joints give way to the ground: the robot moves as its wheels ask for on the whole.
+    """Joints that give way: the robot moves as the commanded joints agree best.
 
-    Then each wheel rolls as that motion wants and points where it wants, so
-    that what the joints tell agrees with the true motion and the true wheels,
-    by which it can be found what the model does not know.  A real drive
-    without speed control gives way like this; a steering motor does not.
+    A real drive without speed control behaves like this; a steering motor does not.
     """
 
     def __init__(
@@ -36,7 +39,7 @@ class RollingBase(SimBase, GroundTruthBase):
         radii: Sequence[float] | None = None,
         start: float = 0.0,
     ) -> None:
-        """``radii`` (m) are those that the wheels roll on but for their errors."""
+        """``radii`` (m) are the wheel radii before the errors; default: those of the model."""
         super().__init__(robot, start)
         wheel_errors = wheel_errors or WheelErrors.none(robot)
         self._ratios, self._offsets = wheel_errors.radius_ratios, wheel_errors.steering_offsets
@@ -51,20 +54,20 @@ class RollingBase(SimBase, GroundTruthBase):
         n = len(self._true)
         self._pose = ORIGIN
         self._twist = ZERO_TWIST
-        # What the ground makes of the joints, as their encoders tell it.
-        self._rolled = [0.0] * n
-        self._rolling = [0.0] * n
-        self._pointed = [0.0] * n
-        self._turning = [0.0] * n
+        # Encoder readings: position and speed of the drives, angle and rate of the steering.
+        self._encoder_positions = [0.0] * n
+        self._encoder_speeds = [0.0] * n
+        self._encoder_angles = [0.0] * n
+        self._encoder_rates = [0.0] * n
 
     def read(self, now: float) -> JointStates:
-        asked = super().read(now)
+        ideal = super().read(now)
         return JointStates(
-            asked.time,
-            tuple(self._rolling),
-            tuple(self._pointed),
-            tuple(self._turning),
-            tuple(self._rolled),
+            ideal.time,
+            tuple(self._encoder_speeds),
+            tuple(self._encoder_angles),
+            tuple(self._encoder_rates),
+            tuple(self._encoder_positions),
         )
 
     def true_pose(self) -> Pose2:
@@ -75,42 +78,50 @@ class RollingBase(SimBase, GroundTruthBase):
 
     def _advance(self, dt: float) -> None:
         super()._advance(dt)
-        before, self._twist = self._twist, self._motion()
-        mean = Twist(*((a + b) / 2.0 for a, b in zip(before, self._twist, strict=True)))
+        last_twist, self._twist = self._twist, self._fitted_twist()
+        mean = Twist(*((a + b) / 2.0 for a, b in zip(last_twist, self._twist, strict=True)))
         self._pose = self._pose.moved(se2.exp(mean, dt))
         vx, vy, wz = self._twist
         for i, wheel in enumerate(self._true):
-            angle = self._pointed[i]
+            angle = self._encoder_angles[i]
             if wheel.steered:
                 ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
-                asked = self._angles[i] + self._offsets[i]
-                direction = wheel.heading + wheel.sign * asked
-                if math.hypot(ux, uy) > _STANDS:
-                    # Along the ground's direction, forwards or backwards, whichever is nearer.
-                    off = math.remainder(math.atan2(uy, ux) - direction, math.pi)
-                    asked += wheel.sign * off
-                angle = asked - self._offsets[i]
-            self._turning[i] = (angle - self._pointed[i]) / dt
-            self._pointed[i] = angle
+                true_angle = self._angles[i] + self._offsets[i]
+                direction = wheel.heading + wheel.sign * true_angle
+                if math.hypot(ux, uy) > _LEAST_SPEED:
+                    # Turn the wheel into its direction of motion, forwards or backwards,
+                    # whichever is nearer.
+                    error = math.remainder(math.atan2(uy, ux) - direction, math.pi)
+                    true_angle += wheel.sign * error
+                angle = true_angle - self._offsets[i]
+            self._encoder_rates[i] = (angle - self._encoder_angles[i]) / dt
+            self._encoder_angles[i] = angle
             if wheel.encoder:
                 (l1, l2, l3), _ = wheel.rows(angle + self._offsets[i])
                 rolled = l1 * vx + l2 * vy + l3 * wz
-                rolled -= wheel.lateral * wheel.sign * self._turning[i]
+                rolled -= wheel.lateral * wheel.sign * self._encoder_rates[i]
                 speed = rolled / wheel.radius
-                self._rolled[i] += (self._rolling[i] + speed) / 2.0 * dt
-                self._rolling[i] = speed
+                self._encoder_positions[i] += (self._encoder_speeds[i] + speed) / 2.0 * dt
+                self._encoder_speeds[i] = speed
 
-    def _motion(self) -> Twist:
-        """The twist on which the joints as they are asked for agree best."""
+    def _fitted_twist(self) -> Twist:
+        """Returns the twist that agrees best with the ideal joints.
+
+        Two conditions per wheel, linear in the twist, with the true angle and radius: the
+        speed across the wheel is zero, and for a driven wheel the speed along it is the
+        wheel speed times the radius; both corrected for a contact beside the steering axis.
+        The normal equations have a small weight on the identity, for robots with fewer
+        conditions than unknowns.
+        """
         a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
         for i, wheel in enumerate(self._true):
             if wheel.swivel:
                 continue
             rolling, across = wheel.rows(self._angles[i] + self._offsets[i])
-            turning = wheel.sign * self._rates[i] if wheel.steered else 0.0
-            rows = [(across, -wheel.trail * turning)]
+            rate = wheel.sign * self._rates[i] if wheel.steered else 0.0
+            rows = [(across, -wheel.trail * rate)]
             if wheel.driven:
-                speed = self._speeds[i] * wheel.radius + wheel.lateral * turning
+                speed = self._speeds[i] * wheel.radius + wheel.lateral * rate
                 rows.append((rolling, speed))
             for (r1, r2, r3), z in rows:
                 a11 += r1 * r1
@@ -122,6 +133,6 @@ class RollingBase(SimBase, GroundTruthBase):
                 b1 += r1 * z
                 b2 += r2 * z
                 b3 += r3 * z
-        weak = 1e-9
-        a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * self._length2
+        weight = 1e-9
+        a11, a22, a33 = a11 + weight, a22 + weight, a33 + weight * self._length2
         return self._fixed.feasible(Twist(*solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)))

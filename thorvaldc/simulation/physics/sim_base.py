@@ -1,4 +1,4 @@
-"""A base of ideal joints: no mass, no ground, only the joints' own limits."""
+"""A base of ideal joints: no mass and no ground, only the limits of the joints."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 
-GAP = 0.5
-"""Time (s) between two reads beyond which the base is taken to have stood still."""
+MAX_STEP = 0.5
+"""Time (s) between two reads beyond which the base does not move (the driver was suspended)."""
 
 
 class SimBase(BaseHandle):
-    """Wheels ramp by their maximum acceleration, steering slews by its maximum speed.
+    """Joints that follow their commands within their limits.
 
-    Moves on when it is read.  Wheels without a motor stay at 0.
+    Wheel speeds change by at most the maximum acceleration, steering angles by at most the
+    maximum steering rate.  ``read`` advances the joints to its time.  Wheels without a motor
+    stay at 0.
     """
 
     def __init__(self, robot: Robot, start: float = 0.0) -> None:
@@ -28,7 +30,7 @@ class SimBase(BaseHandle):
 
     def read(self, now: float) -> JointStates:
         dt = now - self._time
-        if 0.0 < dt <= GAP:
+        if 0.0 < dt <= MAX_STEP:
             self._advance(dt)
         self._time = max(now, self._time)
         return JointStates(
@@ -45,21 +47,21 @@ class SimBase(BaseHandle):
     def _advance(self, dt: float) -> None:
         for i, wheel in enumerate(self._wheels):
             if wheel.driven:
-                asked = min(max(self._commands.speeds[i], -wheel.max_speed), wheel.max_speed)
-                before = self._speeds[i]
+                goal = min(max(self._commands.speeds[i], -wheel.max_speed), wheel.max_speed)
+                start = self._speeds[i]
                 step = wheel.max_acceleration * dt
-                after = min(max(asked, before - step), before + step)
-                # The ramp takes part of the interval, the speed reached the rest of it.
-                ramp = min(abs(after - before) / wheel.max_acceleration, dt)
-                self._positions[i] += (before + after) / 2.0 * ramp + after * (dt - ramp)
-                self._speeds[i] = after
+                end = min(max(goal, start - step), start + step)
+                # Position: the integral of a ramp for `ramp` s, then of constant speed.
+                ramp = min(abs(end - start) / wheel.max_acceleration, dt)
+                self._positions[i] += (start + end) / 2.0 * ramp + end * (dt - ramp)
+                self._speeds[i] = end
             if wheel.steered:
-                asked = self._commands.angles[i]
+                goal = self._commands.angles[i]
                 if wheel.lower is not None:
-                    asked = max(asked, wheel.lower)
+                    goal = max(goal, wheel.lower)
                 if wheel.upper is not None:
-                    asked = min(asked, wheel.upper)
-                before = self._angles[i]
+                    goal = min(goal, wheel.upper)
+                start = self._angles[i]
                 step = wheel.max_rate * dt
-                self._angles[i] = min(max(asked, before - step), before + step)
-                self._rates[i] = (self._angles[i] - before) / dt
+                self._angles[i] = min(max(goal, start - step), start + step)
+                self._rates[i] = (self._angles[i] - start) / dt

@@ -1,10 +1,17 @@
-"""Recorded joint states as a plain CSV file: written while driving, read back strictly.
+"""Joint logs: encoder readings as a CSV file, the input of ``calibrate``.
 
-The first line names the columns: ``time`` (s), then ``<joint>.<quantity>``.  Of a
-driven wheel's joint ``position`` (rad, not wrapped) or ``velocity`` (rad/s), and
-if it was recorded ``velocity_command`` (rad/s, what its motor was asked for from
-then on); of a steering joint ``position`` (rad).  All are encoders' readings: the
-steering offsets of a calibration are not applied.  One line per tick.
+The first line names the columns: ``time`` (s), then ``<joint>.<quantity>``.  One line per
+tick of the driver.
+
+===============  =====================================================================
+drive joint      ``position`` (rad, not wrapped) or ``velocity`` (rad/s); optionally
+                 ``velocity_command`` (rad/s), which the motor gets until the next line
+steering joint   ``position`` (rad)
+===============  =====================================================================
+
+All values are raw encoder readings: the steering offsets of a calibration are not applied.  A
+calibration needs complete data, so the reader accepts no empty cells and no incomplete line;
+the records of ``csv_record`` may have both.
 """
 
 from __future__ import annotations
@@ -28,13 +35,13 @@ if TYPE_CHECKING:
 
 TIME = "time"
 POSITION, VELOCITY, COMMAND = "position", "velocity", "velocity_command"
-_MOST_FAULTS = 10
-"""Faults of values that are told before reading ends."""
+_MAX_ERRORS = 10
+"""Number of invalid lines after which the reader stops."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Joint:
-    """A joint with an encoder and the index of (the first of) its wheels."""
+    """A joint with an encoder, the index of its (first) wheel, and the encoder offset (rad)."""
 
     name: str
     wheel: int
@@ -42,27 +49,27 @@ class _Joint:
 
 
 def drive_joints(robot: Robot) -> list[_Joint]:
-    """The joints whose turning a motor's encoder tells, each once."""
-    found: dict[str, _Joint] = {}
+    """Returns the spin joints that have a motor with an encoder, each once."""
+    joints: dict[str, _Joint] = {}
     for i, wheel in enumerate(robot.wheels):
         if robot.actuator_of(wheel.spin_joint) is not None:
-            found.setdefault(wheel.spin_joint, _Joint(wheel.spin_joint, i))
-    return list(found.values())
+            joints.setdefault(wheel.spin_joint, _Joint(wheel.spin_joint, i))
+    return list(joints.values())
 
 
 def steering_joints(robot: Robot) -> list[_Joint]:
-    """The joints that a motor steers, each once."""
-    found: dict[str, _Joint] = {}
+    """Returns the steering joints that have a motor, each once."""
+    joints: dict[str, _Joint] = {}
     for i, wheel in enumerate(robot.wheels):
         name = wheel.steering_joint
         motor = robot.actuator_of(name) if name is not None else None
         if name is not None and motor is not None:
-            found.setdefault(name, _Joint(name, i, motor.encoder_offset))
-    return list(found.values())
+            joints.setdefault(name, _Joint(name, i, motor.encoder_offset))
+    return list(joints.values())
 
 
 class JointLogWriter:
-    """Writes the joints of a robot's ticks to a stream, line by line."""
+    """Writes the joint states of each tick to a stream."""
 
     def __init__(self, robot: Robot, stream: TextIO) -> None:
         self._stream = stream
@@ -72,15 +79,15 @@ class JointLogWriter:
         self._quantities: tuple[str, ...] = ()
 
     def record(self, state: DriverState) -> None:
-        """A line for the tick; none where its joints could not be used."""
+        """Writes a line, unless the joint states of the tick are missing, faulty or repeated."""
         joints, command = state.joints, state.command
         if joints is None or command is None or state.fault or not joints.time > self._time:
             return
         positions = joints.positions
         if not self._quantities:
-            counted = (POSITION,) if positions is not None else ()
-            self._quantities = (*counted, VELOCITY, COMMAND)
-            self._head()
+            position = (POSITION,) if positions is not None else ()
+            self._quantities = (*position, VELOCITY, COMMAND)
+            self._write_header()
         self._time = joints.time
         cells = [_text(joints.time)]
         for joint in self._drives:
@@ -92,10 +99,10 @@ class JointLogWriter:
         self._stream.write(",".join(cells) + "\n")
 
     def on_tick(self, loop: ControlLoop) -> None:
-        """``record``, for ``Simulation.run``."""
+        """Records the tick of a simulation (a ``TickCallback``)."""
         self.record(loop.driver.state)
 
-    def _head(self) -> None:
+    def _write_header(self) -> None:
         columns = [TIME]
         for joint in self._drives:
             columns += [f"{joint.name}.{quantity}" for quantity in self._quantities]
@@ -109,10 +116,11 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class JointLog:
-    """A log as columns; joints in the order of the robot's, each once.
+    """The columns of a log by joint name, in the order of the robot's joints.
 
-    Per drive joint ``positions`` or ``velocities`` (the other is empty), and
-    ``commands`` where they were recorded; per steering joint its ``angles``.
+    A drive joint is in ``positions`` (rad) or in ``velocities`` (rad/s), not in both; if they
+    were recorded, its commands (rad/s) are in ``commands``.  ``angles`` (rad) are the positions
+    of the steering joints.
     """
 
     times: list[float]
@@ -123,22 +131,22 @@ class JointLog:
 
 
 def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog | None:
-    """The log of ``robot`` in a file called ``display``; ``None`` where it is none.
+    """Reads the log of ``robot``; returns ``None`` if it is invalid.
 
-    All that is wrong with it goes to ``report``, with the line and column.
+    Problems go to ``report`` with line and column; ``display`` is the name of the file in them.
     """
     text = read_utf8(path, display, report)
     if text is None:
         return None
     lines = text.split("\n")
     header = _header(lines[0].rstrip("\r"), display, report)
-    if header is None or not _joints_fit(header, display, robot, report):
+    if header is None or not _joints_match(header, display, robot, report):
         return None
     columns = _values(lines, header, display, report)
     if columns is None:
         return None
     times = columns[TIME]
-    _tell_gaps(times, display, report)
+    _report_gaps(times, display, report)
     positions: dict[str, list[float]] = {}
     velocities: dict[str, list[float]] = {}
     commands: dict[str, list[float]] = {}
@@ -154,33 +162,32 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
 
 
 def _header(line: str, display: str, report: Report) -> list[str] | None:
+    """Returns the names of the columns; ``None`` if the file is not a joint log."""
     names = [name.strip() for name in line.split(",")]
-    wrong = False
     for i, name in enumerate(names):
         span = cell_span(display, 1, line, i)
         joint, _, quantity = name.rpartition(".")
         if name in names[:i]:
-            report.add("joint-log-header", f"two columns are called `{name}`", span)
+            report.add("joint-log-header", f"two columns have the name `{name}`", span)
         elif name != TIME and not (joint and quantity in (POSITION, VELOCITY, COMMAND)):
             report.add(
                 "joint-log-header",
-                f"`{name}` is no column of a joint log",
+                f"a joint log has no column `{name}`",
                 span,
-                hint="a column is called `time` or by a joint and a quantity, such as "
+                hint="a column is `time`, or a joint and a quantity, such as "
                 "fl_drive_axle.position; quantities are position, velocity, velocity_command",
             )
         else:
             continue
-        wrong = True
-        break  # one is enough: the file is none of ours
-    if not wrong and TIME not in names:
+        return None  # after one unknown column, this is probably another kind of file
+    if TIME not in names:
         report.add("joint-log-header", "the log has no column `time`", Span(display, 1, 1, 1, 1))
-        wrong = True
-    return None if wrong else names
+        return None
+    return names
 
 
-def _joints_fit(header: Sequence[str], display: str, robot: Robot, report: Report) -> bool:
-    """Whether the log has all joints of the robot that are needed, and no others."""
+def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Report) -> bool:
+    """Checks that the log has all motorised joints of the robot, and only joints of the robot."""
     line = ",".join(header)
     known = {joint.name for joint in robot.joints}
     logged = list(dict.fromkeys(name.rpartition(".")[0] for name in header if name != TIME))
@@ -189,12 +196,12 @@ def _joints_fit(header: Sequence[str], display: str, robot: Robot, report: Repor
     if logged and not known.intersection(logged):
         report.add(
             "joint-log-joint",
-            f"none of the log's {len(logged)} joints is a joint of {robot.name}",
+            f"{robot.name} has none of the {len(logged)} joints in the log",
             cell_span(display, 1, line, 1),
             hint=f"is it the log of another robot? {robot.name} has {', '.join(needed[:3])} ..",
         )
         return False
-    fits = True
+    matches = True
     for joint in logged:
         if joint not in known:
             first = next(i for i, name in enumerate(header) if name.startswith(f"{joint}."))
@@ -204,7 +211,7 @@ def _joints_fit(header: Sequence[str], display: str, robot: Robot, report: Repor
                 cell_span(display, 1, line, first),
                 hint=did_you_mean(joint, needed, "is it the log of another robot?"),
             )
-            fits = False
+            matches = False
     for name, quantities in (
         *((joint.name, (POSITION, VELOCITY)) for joint in drives),
         *((joint.name, (POSITION,)) for joint in steering),
@@ -216,18 +223,19 @@ def _joints_fit(header: Sequence[str], display: str, robot: Robot, report: Repor
                 Span(display, 1, 1, 1, 1),
                 hint="record every joint that has a motor",
             )
-            fits = False
-    return fits
+            matches = False
+    return matches
 
 
 def _values(
     lines: Sequence[str], header: Sequence[str], display: str, report: Report
 ) -> dict[str, list[float]] | None:
+    """Returns the columns by name; ``None`` if a line is invalid."""
     rows: list[list[float]] = []
-    faults = 0
-    before = -math.inf
-    clock = list(header).index(TIME)
-    for count, raw in enumerate(lines[1:], start=2):
+    errors = 0
+    last_time = -math.inf
+    time_column = list(header).index(TIME)
+    for line_number, raw in enumerate(lines[1:], start=2):
         line = raw.rstrip("\r")
         if not line.strip():
             continue
@@ -236,38 +244,39 @@ def _values(
             report.add(
                 "joint-log-value",
                 f"the line has {len(cells)} values; the header has {len(header)} columns",
-                Span(display, count, 1, count, len(line) + 1),
+                Span(display, line_number, 1, line_number, len(line) + 1),
             )
-            faults += 1
+            errors += 1
         else:
             row = [parse_number(cell) for cell in cells]
-            bad = next((i for i, value in enumerate(row) if not math.isfinite(value)), None)
-            if bad is not None:
+            invalid = next((i for i, value in enumerate(row) if not math.isfinite(value)), None)
+            if invalid is not None:
                 report.add(
                     "joint-log-value",
-                    f"`{cells[bad].strip()}` in column {header[bad]} is not a finite number",
-                    cell_span(display, count, line, bad),
+                    f"`{cells[invalid].strip()}` in column {header[invalid]} is not a "
+                    "finite number",
+                    cell_span(display, line_number, line, invalid),
                 )
-                faults += 1
-            elif not row[clock] > before:
+                errors += 1
+            elif not row[time_column] > last_time:
                 report.add(
                     "joint-log-time",
-                    f"the time goes from {before:.10g} s to {row[clock]:.10g} s",
-                    cell_span(display, count, line, clock),
-                    hint="a log is of one run, in order of time; split runs into files",
+                    f"the time goes from {last_time:.10g} s to {row[time_column]:.10g} s",
+                    cell_span(display, line_number, line, time_column),
+                    hint="times must increase; write each run to a file of its own",
                 )
-                faults += 1
+                errors += 1
             else:
-                before = row[clock]
+                last_time = row[time_column]
                 rows.append(row)
-        if faults >= _MOST_FAULTS:
+        if errors >= _MAX_ERRORS:
             break
-    if faults:
+    if errors:
         return None
     return {name: [row[i] for row in rows] for i, name in enumerate(header)}
 
 
-def _tell_gaps(times: Sequence[float], display: str, report: Report) -> None:
+def _report_gaps(times: Sequence[float], display: str, report: Report) -> None:
     gaps = [(a, b) for a, b in pairwise(times) if b - a > LONGEST_INTERVAL]
     if gaps:
         a, b = max(gaps, key=lambda gap: gap[1] - gap[0])
@@ -276,5 +285,5 @@ def _tell_gaps(times: Sequence[float], display: str, report: Report) -> None:
             f"the log has {len(gaps)} gap{'s' if len(gaps) > 1 else ''} of more than "
             f"{LONGEST_INTERVAL:g} s, the longest from {a:.6g} s to {b:.6g} s",
             Span(display, 1, 1, 1, 1),
-            hint="what the robot did in between is left out",
+            hint="the motion in a gap is ignored",
         )

@@ -1,18 +1,20 @@
-"""Records of runs as one MCAP file of ROS 2 messages, written by rosbags.
+"""Writes records of runs as one MCAP file of ROS 2 messages, with rosbags.
 
-Of each robot, under its name space, at simulated times from 0 on:
+Topics of each robot, in its name space, at simulated times from 0 on:
 
 ====================  ===============  ====================================================
-``odom``              Odometry         what the odometry makes of the encoders
-``ground_truth/odom`` Odometry         where the robot is, with height, roll and pitch
-``cmd_vel``           TwistStamped     what is asked for
-``cmd_vel_limited``   TwistStamped     the same within limits and ramps
-``joint_states``      JointState       as the driver is told them
-``joint_commands``    JointState       what the driver asks of the joints
+``odom``              Odometry         the estimate of the odometry from the encoders
+``ground_truth/odom`` Odometry         the true pose with height, roll and pitch
+``cmd_vel``           TwistStamped     the commanded twist
+``cmd_vel_limited``   TwistStamped     the commanded twist after limits and ramps
+``joint_states``      JointState       the joint states that the driver reads
+``joint_commands``    JointState       the joint commands of the driver
 ====================  ===============  ====================================================
 
-``/tf`` and ``/tf_static`` have the frames ``map`` to ``odom`` (fixed, where it started) to
-``base_link`` (estimated), and ``map`` to ``base_link_true``.
+Frames in ``/tf`` and ``/tf_static``::
+
+    map --(static: start pose)--> odom --(estimated)--> base_link
+     \\--(true)--> base_link_true
 """
 
 from __future__ import annotations
@@ -43,7 +45,17 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorder import SampleInterval, errors_with_name
-from thorvaldc.simulation.records.ros_messages import RosMessages, covariance, place, velocity
+from thorvaldc.simulation.records.ros_messages import (
+    MessageTypes,
+    covariance_numbers,
+    joints_template,
+    latched_qos,
+    odometry_template,
+    pose_numbers,
+    transforms_template,
+    twist_numbers,
+    twist_template,
+)
 
 _TF = "tf2_msgs/msg/TFMessage"
 _GROUPS = {
@@ -53,18 +65,18 @@ _GROUPS = {
     "joints": (JOINTS, COMMANDS),
 }
 OURS = "thorvaldc"
-"""The key in a bag's custom data by which a record is known as ours."""
+"""The key in a bag's custom data that marks a record of this program."""
 _NAME = "record"
-"""What a bag is called within: the bytes shall not depend on where the file lies."""
+"""Name of the file in the bag: the same for all files, so that equal runs give equal bytes."""
 _BATCH = 500
-"""Messages that are handed to the file at once."""
+"""Number of messages per write."""
 
 
 class McapRecorder:
-    """One MCAP file of all robots; ``groups`` and ``every`` as of ``CsvRecorder``.
+    """Writes one MCAP file of all robots; ``groups`` and ``every`` as for ``CsvRecorder``.
 
-    The same run gives the same bytes.  While it runs the file grows in a hidden folder beside
-    its place, which it takes when the recorder is closed, whatever ended the run.
+    Equal runs give equal bytes.  During the run the file grows in a hidden folder next to
+    ``path``; ``close`` moves it to ``path``, also after an error or Ctrl-C.
     """
 
     def __init__(
@@ -80,7 +92,7 @@ class McapRecorder:
 
         self.path = path
         self._interval = SampleInterval(every)
-        self._make = RosMessages()
+        self._types = MessageTypes()
         self._pending: list[tuple[Any, int, bytes]] = []
         self._tf: Any = None
         self._tf_static: Any = None
@@ -103,15 +115,15 @@ class McapRecorder:
             if ODOM in topics:
                 self._tf_static = self._connect("/tf_static", _TF, latched=True)
         except BaseException:
-            self._drop()
+            self._remove_folder()
             raise
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
         if not self._interval.is_due(robot, sample.time):
             return
-        self._robots[robot].say(sample, commands)
+        self._robots[robot].send(sample, commands)
         if len(self._pending) >= _BATCH:
-            # A message that is written by half would spoil all that is written with it.
+            # Ctrl-C in the middle of a message would make the whole chunk unreadable.
             with uninterrupted(), errors_with_name(self.path):
                 self._write()
 
@@ -123,18 +135,22 @@ class McapRecorder:
                 self._write()
                 self._writer.close()
             except OSError:
-                # The disk is full: what there is of the file is kept, without an index.
+                # The disk is full: keep the messages so far; the file has no index.
                 with contextlib.suppress(OSError):
                     self._writer.abort()
                 raise
             finally:
                 with contextlib.suppress(FileNotFoundError):
                     os.replace(self._folder / _NAME / f"{_NAME}.mcap", self.path)
-                self._drop()
+                self._remove_folder()
 
     def send(self, connection: Any, time: int, data: bytes) -> None:
-        """Queue a message for ``time`` in ns."""
+        """Queues a message for ``time`` (ns)."""
         self._pending.append((connection, time, data))
+
+    def send_tf(self, time: int, data: bytes, *, static: bool = False) -> None:
+        """Queues a TFMessage."""
+        self.send(self._tf_static if static else self._tf, time, data)
 
     def _write(self) -> None:
         pending, self._pending = self._pending, []
@@ -142,102 +158,108 @@ class McapRecorder:
             self._writer.write(connection, time, data)
 
     def _open(self, robot: Robot, topics: Sequence[str]) -> _RobotTopics:
-        prefix = robot.prefix
-        found = {topic: self._connect(f"/{prefix}{topic}", TYPES[topic]) for topic in topics}
-        return _RobotTopics(robot, prefix, found, self, self._make)
+        connections = {
+            topic: self._connect(f"/{robot.prefix}{topic}", TYPES[topic]) for topic in topics
+        }
+        return _RobotTopics(robot, connections, self)
 
-    def _connect(self, topic: str, kind: str, *, latched: bool = False) -> Any:
-        qos = [self._make.latched()] if latched else []
-        text, digest = self._make.definition(kind)
+    def _connect(self, topic: str, type_name: str, *, latched: bool = False) -> Any:
+        definition, type_hash = self._types.definition(type_name)
         return self._writer.add_connection(
-            topic, kind, msgdef=text, rihs01=digest, offered_qos_profiles=qos
+            topic,
+            type_name,
+            msgdef=definition,
+            rihs01=type_hash,
+            offered_qos_profiles=[latched_qos()] if latched else [],
         )
 
-    def send_tf(self, time: int, data: bytes, *, static: bool = False) -> None:
-        """Queue a TFMessage."""
-        self.send(self._tf_static if static else self._tf, time, data)
-
-    def _drop(self) -> None:
+    def _remove_folder(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
 class _RobotTopics:
-    """The topics of one robot, by their names without its name space."""
+    """Encodes the samples of one robot; ``connections`` by topic without the name space."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        prefix: str,
-        topics: dict[str, Any],
-        recorder: McapRecorder,
-        make: RosMessages,
-    ) -> None:
-        self._topics = topics
+    def __init__(self, robot: Robot, connections: dict[str, Any], recorder: McapRecorder) -> None:
+        self._connections = connections
         self._recorder = recorder
-        odom, base = f"{prefix}odom", f"{prefix}base_link"
+        odom, base = f"{robot.prefix}odom", f"{robot.prefix}base_link"
+        true_base = f"{base}_true"
         drives, steering = recorded_joints(robot)
         self._drives, self._steering = list(drives.values()), list(steering.values())
-        self._odometry = make.odometry(odom, base)
-        self._truth = make.odometry("map", f"{base}_true")
-        self._start_frame = make.transforms([("map", odom)])
-        frames = [(odom, base)] * (ODOM in topics) + [("map", f"{base}_true")] * (
-            TRUE_ODOM in topics
-        )
-        self._frames = make.transforms(frames)
-        self._twist = make.twist(base)
-        self._joints = make.joints([*drives, *steering])
+        self._odometry = odometry_template(odom, base)
+        self._truth = odometry_template("map", true_base)
+        self._start_frame = transforms_template([("map", odom)])
+        frames = [(odom, base)] if ODOM in connections else []
+        frames += [("map", true_base)] if TRUE_ODOM in connections else []
+        self._frames = transforms_template(frames)
+        self._twist = twist_template(base)
+        self._joints = joints_template([*drives, *steering])
         self._start: Pose2 | None = None
 
-    def say(self, sample: Sample, commands: JointCommands | None) -> None:
-        topics, send = self._topics, self._recorder.send
+    def send(self, sample: Sample, commands: JointCommands | None) -> None:
+        """Queues the messages of a sample."""
+        connections, send = self._connections, self._recorder.send
         time = round(sample.time * 1e9)
-        places: tuple[float, ...] = ()
-        if ODOM in topics:
+        poses: tuple[float, ...] = ()
+        if ODOM in connections:
             if self._start is None:
                 self._start = sample.pose_estimated
-                data = self._start_frame.bytes(time, place(self._start))
+                data = self._start_frame.encode(time, pose_numbers(self._start))
                 self._recorder.send_tf(time, data, static=True)
-            pose = sample.pose_estimated.relative_to(self._start)
-            where = places = place(pose)
-            known = covariance(sample.pose_covariance, pose.yaw)
-            moving = (*velocity(sample.estimated), *covariance(sample.twist_covariance))
-            send(topics[ODOM], time, self._odometry.bytes(time, (*where, *known, *moving)))
-        if TRUE_ODOM in topics:
-            where = place(sample.pose_true, sample.posture)
-            places += where
-            none = covariance(ZERO_COV)
-            numbers = (*where, *none, *velocity(sample.true), *none)
-            send(topics[TRUE_ODOM], time, self._truth.bytes(time, numbers))
-        if places:
-            self._recorder.send_tf(time, self._frames.bytes(time, places))
+            local = sample.pose_estimated.relative_to(self._start)
+            poses = pose_numbers(local)
+            numbers = (
+                *poses,
+                *covariance_numbers(sample.pose_covariance, local.yaw),
+                *twist_numbers(sample.estimated),
+                *covariance_numbers(sample.twist_covariance),
+            )
+            send(connections[ODOM], time, self._odometry.encode(time, numbers))
+        if TRUE_ODOM in connections:
+            true_pose = pose_numbers(sample.pose_true, sample.posture)
+            poses += true_pose
+            unknown = covariance_numbers(ZERO_COV)
+            numbers = (*true_pose, *unknown, *twist_numbers(sample.true), *unknown)
+            send(connections[TRUE_ODOM], time, self._truth.encode(time, numbers))
+        if poses:
+            self._recorder.send_tf(time, self._frames.encode(time, poses))
         for topic, twist in ((COMMANDED_TWIST, sample.commanded), (LIMITED_TWIST, sample.limited)):
-            if topic in topics:
-                send(topics[topic], time, self._twist.bytes(time, velocity(twist)))
-        if JOINTS in topics and sample.joints is not None:
-            send(topics[JOINTS], time, self._joints.bytes(time, self._states(sample.joints)))
-        if COMMANDS in topics and commands is not None:
-            send(topics[COMMANDS], time, self._joints.bytes(time, self._asked(commands)))
+            if topic in connections:
+                send(connections[topic], time, self._twist.encode(time, twist_numbers(twist)))
+        if JOINTS in connections and sample.joints is not None:
+            data = self._joints.encode(time, self._state_numbers(sample.joints))
+            send(connections[JOINTS], time, data)
+        if COMMANDS in connections and commands is not None:
+            data = self._joints.encode(time, self._command_numbers(commands))
+            send(connections[COMMANDS], time, data)
 
-    def _states(self, joints: JointStates) -> list[float]:
-        """Positions, then velocities, in the order of the names."""
+    def _state_numbers(self, joints: JointStates) -> list[float]:
+        """Returns the positions, then the velocities, in the order of the joint names."""
         drives, steering = self._drives, self._steering
-        turned = joints.positions
-        found = [turned[i] if turned is not None else math.nan for i in drives]
-        found += [joints.angles[i] for i in steering]
-        found += [joints.speeds[i] for i in drives]
-        return found + [joints.angle_rates[i] for i in steering]
+        positions = joints.positions
+        return [
+            *(positions[i] if positions is not None else math.nan for i in drives),
+            *(joints.angles[i] for i in steering),
+            *(joints.speeds[i] for i in drives),
+            *(joints.angle_rates[i] for i in steering),
+        ]
 
-    def _asked(self, commands: JointCommands) -> list[float]:
-        """A position of each steering joint, a velocity of each drive; else nan."""
+    def _command_numbers(self, commands: JointCommands) -> list[float]:
+        """Returns a position per steering joint and a velocity per drive; nan for the others."""
         drives, steering = self._drives, self._steering
-        found = [math.nan] * len(drives) + [commands.angles[i] for i in steering]
-        return found + [commands.speeds[i] for i in drives] + [math.nan] * len(steering)
+        return [
+            *(math.nan for _ in drives),
+            *(commands.angles[i] for i in steering),
+            *(commands.speeds[i] for i in drives),
+            *(math.nan for _ in steering),
+        ]
 
 
 def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
-    """The joints that are recorded, with the index of (the first of) their wheels.
+    """Returns the drive joints and the steering joints with the index of their (first) wheel.
 
-    First those by which driven wheels spin, then those that steer.
+    Two wheels may share a joint.
     """
     drives: dict[str, int] = {}
     steering: dict[str, int] = {}
