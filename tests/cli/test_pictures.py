@@ -47,7 +47,7 @@ def test_without_matplotlib(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch)
     ("arguments", "status", "says"),
     [
         (["render", "good.yaml", "--size", "big"], 2, "'big' is not a size such as 1000x700"),
-        (["render", "good.yaml", "--view", "behind"], 2, "'behind' is none of corner, front"),
+        (["render", "good.yaml", "--view", "behind"], 2, "'behind' is not corner, front"),
         (["render", "good.yaml", "-o", "a.jpg"], 2, "does not end in .png"),
         (["render", "good.yaml", "-o", "nowhere/a.png"], 3, "cannot write nowhere/a.png"),
         (["render", "bad.yaml", "-o", "a.png"], 1, "unknown-key"),
@@ -73,7 +73,7 @@ def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -
     for arguments in (["render", "good.yaml"], ["sim", "good.yaml", "--video", "a.gif"]):
         done = thorvaldc(*arguments)
         assert done.status == 3
-        assert done.err.startswith("error: nothing here draws without a screen: neither EGL nor")
+        assert done.err.startswith("error: cannot draw without a display: neither EGL nor")
 
 
 def test_view_without_a_display_writes_a_page(

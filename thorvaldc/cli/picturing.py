@@ -36,7 +36,8 @@ def render_file(
     at: str = "",
 ) -> int:
     """A picture of the robots as they stand, or as the record ``replay`` has them ``at`` a time."""
-    from thorvaldc.simulation.pictures.opengl_backend import check_pillow, choose_opengl_backend
+    from thorvaldc.simulation.pictures import check_pillow
+    from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 
     with outside_errors():
         check_pillow()
@@ -158,7 +159,8 @@ class RunPictures:
             check_plotting()
 
     def _prepare_video(self, ideal: bool) -> None:
-        from thorvaldc.simulation.pictures.opengl_backend import check_pillow, choose_opengl_backend
+        from thorvaldc.simulation.pictures import check_pillow
+        from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
         from thorvaldc.simulation.pictures.video import FORMATS, RATES, VideoRecorder, encoder
 
         check_output(self.video, FORMATS, "--video")
@@ -187,7 +189,7 @@ class RunPictures:
         self._samples = {name: list(of) for name, of in samples.items()}
         if self._film is not None and show is not None:
             for _ in show.times(self._film.rate):
-                self._film.keep(show.scene)
+                self._film.store(show.scene)
 
     def write(
         self,
@@ -204,7 +206,7 @@ class RunPictures:
             if self._film is not None and files is not None:
                 progress = Progress(len(self._film), "pictures", self.video)
                 try:
-                    self._film.write(files, Path(self.video), drawn=progress.show)
+                    self._film.write(files, Path(self.video), progress=progress.show)
                 finally:
                     progress.clear()
                 message(self.video)

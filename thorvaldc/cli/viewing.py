@@ -53,10 +53,10 @@ def has_display() -> bool:
 
 def page_of(model: Robot | Fleet) -> str:
     from thorvaldc.compiler.library import data_folder
-    from thorvaldc.simulation.pictures.web_page import page
+    from thorvaldc.simulation.pictures.web_page import robot_page
 
     template = data_folder("templates") / "view" / "page.html"
-    return page(model, template.read_text(encoding="utf-8"))
+    return robot_page(model, template.read_text(encoding="utf-8"))
 
 
 def _open_viewer(files: dict[str, bytes]) -> None:

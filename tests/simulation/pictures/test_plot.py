@@ -59,7 +59,7 @@ def test_paths_on_a_grid_of_a_metre_with_the_robot_to_scale() -> None:
     true, estimated = (list(line.get_xdata()) for line in ground.lines)
     assert true[-1] == pytest.approx(4.9)
     assert estimated[-1] == pytest.approx(0.9 * 4.9)
-    assert "490 mm apart" in ground.get_title()
+    assert "end error 490 mm" in ground.get_title()
     grid = ground.xaxis.get_minorticklocs()
     assert all(tick == pytest.approx(round(tick)) for tick in grid)
     assert ground.get_aspect() == 1.0

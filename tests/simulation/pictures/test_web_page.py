@@ -21,8 +21,9 @@ from tests.examples import example_fleet, example_robot
 from thorvaldc.cli.viewing import page_of
 from thorvaldc.model import Fleet, Robot, Sphere
 from thorvaldc.model.spatial import Pose
-from thorvaldc.simulation.pictures.visible_shapes import link_poses, surface
-from thorvaldc.simulation.pictures.web_page import page
+from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.simulation.pictures.surfaces import surface
+from thorvaldc.simulation.pictures.web_page import robot_page
 
 NAME = "4wd4ws_wide"
 OPTIONS = (
@@ -91,8 +92,8 @@ def test_text_of_the_robot_stays_text() -> None:
 
 
 def test_a_template_without_a_place() -> None:
-    with pytest.raises(ValueError, match="no single"):
-        page(example_robot(NAME), "<html></html>")
+    with pytest.raises(ValueError, match="exactly once"):
+        robot_page(example_robot(NAME), "<html></html>")
 
 
 def test_surfaces_are_closed_and_of_the_right_size() -> None:
@@ -166,12 +167,14 @@ def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
     assert 'data-ready="yes"' in document
     triangles = sum(len(surface(robot, v.shape)[1]) for link in robot.links for v in link.visuals)
     assert f'data-triangles="{triangles}"' in document
-    poses = link_poses(robot, {steering: 0.7, travel: 0.03})
+    poses = JointTree(robot.links, robot.joints, {steering: 0.7, travel: 0.03}).pose
     told = places(document)
     assert wheel.link in told
     for name, xyz in told.items():
         assert xyz == pytest.approx(poses[name].xyz, abs=6e-4)
-    assert told[wheel.link] != pytest.approx(link_poses(robot)[wheel.link].xyz, abs=0.02)
+    assert told[wheel.link] != pytest.approx(
+        JointTree(robot.links, robot.joints).pose[wheel.link].xyz, abs=0.02
+    )
     shown = texts(document)
     for word in [robot.name, module, steering, "40.1°", "30.0 mm", "190.6 kg"]:
         assert word in shown
@@ -199,6 +202,6 @@ def test_a_fleet_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
         p.name for p in fleet.placements
     ]
     link = six.robot.wheels[0].link
-    expected = (six.pose * link_poses(six.robot)[link]).xyz
+    expected = (six.pose * JointTree(six.robot.links, six.robot.joints).pose[link]).xyz
     assert places(document)[link] == pytest.approx(expected, abs=6e-4)
     assert f"{six.robot.inertial.mass:.1f} kg" in texts(document)

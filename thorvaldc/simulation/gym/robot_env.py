@@ -338,11 +338,11 @@ class _Drawing:
         self._distance = 0.0
 
     def picture(self, scene: MujocoScene) -> Any:
-        from thorvaldc.simulation.pictures.render import aim
+        from thorvaldc.simulation.pictures.render import fit_camera
 
         self._scene.data.qpos[:] = scene.data.qpos
         self._scene.forward()
-        camera = aim(self._boxes.corners(self._scene), self._view, self._aspect)
+        camera = fit_camera(self._boxes.corners(self._scene), self._view, self._aspect)
         # Steady: a robot that turns or steers does not come nearer.
         self._distance = camera.distance = max(self._distance, camera.distance)
         self._renderer.update_scene(self._scene.data, camera)

@@ -1,4 +1,4 @@
-"""Drawing without a screen: by EGL, or by OSMesa where there is no EGL."""
+"""The OpenGL backend of MuJoCo for drawing without a display: EGL, or OSMesa."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from thorvaldc.simulation.pictures import PictureError
 VARIABLE = "MUJOCO_GL"
 _PROBE = "import mujoco; mujoco.GLContext(8, 8).make_current()"
 _MISSING = (
-    "nothing here draws without a screen: neither EGL nor OSMesa works"
+    "cannot draw without a display: neither EGL nor OSMesa works"
     " (on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri, or libosmesa6)"
 )
 
 
 def choose_opengl_backend() -> None:
-    """Choose what MuJoCo draws by; best before anything imports MuJoCo, which looks once.
+    """Sets ``MUJOCO_GL`` to a backend that works, best before MuJoCo is imported.
 
-    What the user says in ``MUJOCO_GL`` stands.  On Linux EGL and then OSMesa are tried, in
-    a process of their own: one that fails leaves its libraries behind.  Raises
-    ``PictureError`` where neither works.
+    A value that the user sets has priority.  On Linux the function tries EGL, then OSMesa, each
+    in a process of its own, because a backend that fails leaves its libraries loaded.  Raises
+    ``PictureError`` if no backend works.
     """
     if sys.platform != "linux":
         return
-    said = os.environ.get(VARIABLE, "")
-    late = "mujoco" in sys.modules
-    if late and said:
+    user_choice = os.environ.get(VARIABLE, "")
+    is_imported = "mujoco" in sys.modules
+    if is_imported and user_choice:
         return
-    for name in [said] if said else ["egl", "osmesa"]:
+    for name in [user_choice] if user_choice else ["egl", "osmesa"]:
         if _works(name):
             os.environ[VARIABLE] = name
-            if late:
-                _look_again()
+            if is_imported:
+                _reload_mujoco_context()
             return
-    if said:
-        raise PictureError(f"MuJoCo cannot draw with {VARIABLE}={said}; leave it out, or mend it")
+    if user_choice:
+        raise PictureError(f"MuJoCo cannot draw with {VARIABLE}={user_choice}; unset or correct it")
     raise PictureError(_MISSING)
 
 
-def _look_again() -> None:
-    """Let MuJoCo, which is imported already, see the variable."""
+def _reload_mujoco_context() -> None:
+    """Reloads the modules of MuJoCo that read the variable on import."""
     for name in ("mujoco.rendering.classic.gl_context", "mujoco.gl_context"):
         module = sys.modules.get(name)
         if module is not None:
@@ -51,7 +51,7 @@ def _look_again() -> None:
 
 def _works(name: str) -> bool:
     try:
-        done = subprocess.run(
+        probe = subprocess.run(
             [sys.executable, "-c", _PROBE],
             env={**os.environ, VARIABLE: name},
             stdin=subprocess.DEVNULL,
@@ -61,14 +61,4 @@ def _works(name: str) -> bool:
         )
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return done.returncode == 0
-
-
-def check_pillow() -> None:
-    """Raises ``PictureError`` where Pillow is missing."""
-    try:
-        import PIL.Image  # noqa: F401
-    except ImportError:
-        raise PictureError(
-            "a picture needs Pillow, which is not installed: pip install 'thorvaldc[video]'"
-        ) from None
+    return probe.returncode == 0

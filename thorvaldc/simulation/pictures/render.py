@@ -1,4 +1,4 @@
-"""Pictures of a scene, by MuJoCo off the screen."""
+"""Pictures of a scene, drawn by MuJoCo without a display."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoScene
 from thorvaldc.simulation.pictures import PictureError
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.pictures.visible_shapes import Points
+    from thorvaldc.simulation.pictures.surfaces import Points
 
 SAMPLING = 2
-"""A single picture is drawn so much larger, then scaled down."""
+"""A single picture is drawn larger by this factor and scaled down, for smooth edges."""
 LARGEST = 8000
-"""Of a picture's width and height, in pixels."""
+"""Largest width and height of a picture in pixels."""
 FIELD_OF_VIEW = math.radians(28.0)
 MARGIN = 1.06
-# Directions of the light with the shadow and of the one without, in the camera's
-# heading: ahead, to the right, up.
+# Directions of the key light (with shadow) and of the fill light (without), in a frame that
+# turns with the camera's azimuth: ahead, right, up.
 KEY = (0.57, 0.03, -1.0)
 FILL = (-0.35, -0.86, -0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where the camera looks, in degrees: 0 ahead along x, counter-clockwise; up is positive."""
+    """Viewing direction in degrees: azimuth counter-clockwise from x, elevation upwards."""
 
     azimuth: float = 145.0
     elevation: float = -18.0
@@ -49,7 +49,7 @@ VIEWS = {
 
 
 def parse_view(text: str) -> View:
-    """A name of ``VIEWS``, or ``azimuth,elevation`` in degrees.  Raises ``ValueError``."""
+    """Parses a name of ``VIEWS``, or ``azimuth,elevation`` in degrees.  Raises ``ValueError``."""
     if text in VIEWS:
         return VIEWS[text]
     parts = text.split(",")
@@ -59,12 +59,12 @@ def parse_view(text: str) -> View:
         azimuth = math.nan
     if not (math.isfinite(azimuth) and -90.0 <= elevation <= 90.0):
         names = ", ".join(VIEWS)
-        raise ValueError(f"{text!r} is none of {names}, nor azimuth,elevation such as 145,-18")
+        raise ValueError(f"{text!r} is not {names}, or azimuth,elevation such as 145,-18")
     return View(azimuth % 360.0, min(max(elevation, -89.9), 89.9))
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """``1000x700``: width and height in pixels.  Raises ``ValueError``."""
+    """Parses width and height in pixels, such as ``1000x700``.  Raises ``ValueError``."""
     parts = text.lower().split("x")
     if len(parts) == 2 and all(part.isascii() and part.isdigit() for part in parts):
         width, height = int(parts[0]), int(parts[1])
@@ -83,11 +83,11 @@ def render(
     spin: float = 0.0,
     arrange: Callable[[MujocoScene], None] | None = None,
 ) -> bytes:
-    """A PNG of a robot or fleet as it stands, from the outputs of the ``mjcf`` backend.
+    """Returns a PNG of a robot or fleet in its home pose, from the ``mjcf`` outputs ``files``.
 
-    Its wheels are steered for ``twist`` and each turned by ``spin`` rad more than the
-    last, or ``arrange`` moves the robots to where they shall be.  Raises ``DiagnosticError``
-    where MuJoCo cannot read the files and ``PictureError`` where it cannot draw here.
+    The wheels are steered for ``twist``, and each is turned by ``spin`` rad more than the one
+    before.  If ``arrange`` is set, it moves the robots instead.  Raises
+    ``DiagnosticError`` if MuJoCo cannot read the files, ``PictureError`` if it cannot draw.
     """
     from PIL import Image
 
@@ -101,13 +101,13 @@ def render(
         _turn_wheels(model, scene, twist, spin)
     points = visible_points(scene)
     with renderer(scene, large, points) as drawing:
-        drawing.update_scene(scene.data, aim(points, view, width / height))
+        drawing.update_scene(scene.data, fit_camera(points, view, width / height))
         pixels = drawing.render()
     image = Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS)
     image = image.quantize(256, Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE)
-    out = io.BytesIO()
-    image.save(out, "PNG", optimize=True)
-    return out.getvalue()
+    png = io.BytesIO()
+    image.save(png, "PNG", optimize=True)
+    return png.getvalue()
 
 
 def picture_scene(
@@ -117,7 +117,7 @@ def picture_scene(
     *,
     quick: bool = False,
 ) -> MujocoScene:
-    """The scene in the light of a picture; ``quick`` leaves out shadows and smooth edges."""
+    """Loads a scene with lights for pictures; ``quick`` omits shadows and smooth edges."""
     return MujocoScene(
         files, visuals=True, prepare=lambda spec: _set_lights(spec, view, size, quick)
     )
@@ -125,7 +125,7 @@ def picture_scene(
 
 @contextmanager
 def renderer(scene: MujocoScene, size: tuple[int, int], points: Points) -> Iterator[Any]:
-    """MuJoCo's renderer of pictures of that size; ``points`` say how large the scene is."""
+    """Opens MuJoCo's renderer; ``points`` (n, 3) in m determine the extent of the scene."""
     import mujoco
     import numpy as np
 
@@ -134,16 +134,16 @@ def renderer(scene: MujocoScene, size: tuple[int, int], points: Points) -> Itera
     model.stat.extent = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
     model.vis.map.znear = 0.01
     try:
-        made = mujoco.Renderer(model, size[1], size[0], max_geom=model.ngeom + 1000)
-    except Exception as fault:  # each library fails in its own way
-        what = " ".join(str(fault).split()) or type(fault).__name__
-        raise PictureError(f"MuJoCo cannot draw without a screen: {what}") from fault
-    with made:
-        yield made
+        mujoco_renderer = mujoco.Renderer(model, size[1], size[0], max_geom=model.ngeom + 1000)
+    except Exception as error:  # each OpenGL library raises its own kind of error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise PictureError(f"MuJoCo cannot draw without a display: {reason}") from error
+    with mujoco_renderer:
+        yield mujoco_renderer
 
 
 def _set_lights(spec: Any, view: View, size: tuple[int, int], quick: bool) -> None:
-    """A key light with a soft shadow, a fill from the other side, a plain ground."""
+    """Sets a key light with a soft shadow, a fill light from the other side, a plain ground."""
     import mujoco
 
     for light in list(spec.lights):
@@ -191,7 +191,7 @@ def _set_lights(spec: Any, view: View, size: tuple[int, int], quick: bool) -> No
 
 
 def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: float) -> None:
-    """Steer the wheels for the twist, and turn each a little further than the last."""
+    """Steers the wheels for the twist and turns each one ``spin`` rad further than the last."""
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     position = scene.data.qpos
     for robot in robots:
@@ -202,18 +202,18 @@ def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: f
             if wheel.steering_joint is not None and any(twist):
                 angle = math.atan2(twist.vy + twist.wz * wheel.x, twist.vx - twist.wz * wheel.y)
                 joint = scene.index("joint", prefix + wheel.steering_joint, robot)
-                turned = wheel.steering_sign * (angle - wheel.heading)
-                position[scene.model.jnt_qposadr[joint]] = turned
+                steering = wheel.steering_sign * (angle - wheel.heading)
+                position[scene.model.jnt_qposadr[joint]] = steering
     scene.forward()
 
 
 def visible_points(scene: MujocoScene) -> Points:
-    """World coordinates (n, 3) of the corners of all that is seen of what can move."""
+    """Returns corner points (n, 3) in the world of all visible geoms of bodies that can move."""
     import mujoco
     import numpy as np
 
     model, data = scene.model, scene.data
-    found = []
+    points = []
     for g in range(model.ngeom):
         if model.geom_group[g] > 2 or model.geom_bodyid[g] == 0:
             continue
@@ -225,12 +225,18 @@ def visible_points(scene: MujocoScene) -> Points:
             centre, half = model.geom_aabb[g][:3], model.geom_aabb[g][3:]
             signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
             local = centre + signs * half
-        found.append(local @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
-    return np.vstack(found) if found else np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
+        points.append(local @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
+    return np.vstack(points) if points else np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
 
 
-def aim(points: Points, view: View, aspect: float) -> Any:
-    """A camera (``MjvCamera``) that has all points in the picture and them in its middle."""
+def fit_camera(points: Points, view: View, aspect: float) -> Any:
+    """Returns a camera (``MjvCamera``) with all points in the picture, centred.
+
+    For a look-at point c and a distance d, a point at (x, y, depth) from c in the camera's axes
+    (right, up, forward) is in the picture if |x| <= (d + depth) tan(fov_x / 2), and the same
+    for y.  So the least distance is the largest |x| / tan - depth over all points.  Then c moves
+    to the middle of the projected points.  Both steps repeat until they converge.
+    """
     import mujoco
     import numpy as np
 

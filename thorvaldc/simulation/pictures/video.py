@@ -1,4 +1,4 @@
-"""Films of runs: positions are kept while it runs and drawn when it is over."""
+"""Videos of runs: the positions are stored during the run and drawn afterwards."""
 
 from __future__ import annotations
 
@@ -13,51 +13,51 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.simulation.physics.mujoco_base import MujocoScene
 from thorvaldc.simulation.pictures import PictureError
-from thorvaldc.simulation.pictures.render import View, aim, picture_scene, renderer
+from thorvaldc.simulation.pictures.render import View, fit_camera, picture_scene, renderer
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.pictures.visible_shapes import Points
+    from thorvaldc.simulation.pictures.surfaces import Points
 
 FORMATS = ("mp4", "gif")
 RATES = {"mp4": 25.0, "gif": 12.5}
-"""Pictures a second; a GIF counts in hundredths of a second."""
+"""Pictures per second; the duration of a GIF picture is a multiple of 1/100 s."""
 SIZES = {"mp4": (960, 540), "gif": (640, 360)}
 
 
 def encoder() -> str:
-    """The ``ffmpeg`` to make MP4 by.  Raises ``PictureError`` where there is none."""
-    found = shutil.which("ffmpeg")
-    if found:
-        return found
+    """Returns the path of ``ffmpeg``.  Raises ``PictureError`` if there is none."""
+    path = shutil.which("ffmpeg")
+    if path:
+        return path
     try:
         import imageio_ffmpeg
 
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError):
         raise PictureError(
-            "an MP4 needs an encoder, and there is none: pip install 'thorvaldc[video]', put"
-            " ffmpeg on the PATH, or ask for a .gif"
+            "an MP4 needs the encoder ffmpeg: pip install 'thorvaldc[video]', put ffmpeg on the"
+            " PATH, or name a .gif file"
         ) from None
 
 
 class VideoRecorder:
-    """What is to be seen of a run in ``scene``, at ``rate`` pictures a second."""
+    """Stores the positions of a scene during a run, ``rate`` times per second, and draws them."""
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
         self._positions: list[Any] = []
 
     def on_tick(self, scene: MujocoScene) -> None:
-        """Keep where everything is, if it is time for a picture.  Call it at each tick."""
+        """Stores the positions if a picture is due.  Call it at each tick."""
         if scene.time >= len(self._positions) / self.rate - 1e-9:
-            self.keep(scene)
+            self.store(scene)
 
-    def keep(self, scene: MujocoScene) -> None:
-        """Keep where everything is, for the next picture."""
+    def store(self, scene: MujocoScene) -> None:
+        """Stores the positions for the next picture."""
         self._positions.append(scene.data.qpos.copy())
 
     def __len__(self) -> int:
-        """How many pictures there will be."""
+        """Number of pictures."""
         return len(self._positions)
 
     def write(
@@ -66,20 +66,21 @@ class VideoRecorder:
         path: Path,
         size: tuple[int, int] | None = None,
         view: View | None = None,
-        drawn: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> None:
-        """Draw the scene of ``files`` (the ``mjcf`` outputs) at those positions, to MP4 or GIF.
+        """Draws the scene of ``files`` (the ``mjcf`` outputs) at the stored positions.
 
-        The camera follows the robots; ``drawn`` is told how many pictures are.  A file that is
-        there is replaced when the new one is whole.  Raises ``PictureError`` and ``OSError``.
+        The suffix of ``path`` selects MP4 or GIF.  The camera follows the robots.
+        ``progress`` is called with the number of pictures drawn so far.  An existing file is
+        replaced when the new one is complete.  Raises ``PictureError`` and ``OSError``.
         """
-        kind = path.suffix.lower().lstrip(".")
-        size = size or SIZES[kind]
-        pictures = self._pictures(files, size, view or View(), drawn)
+        video_format = path.suffix.lower().lstrip(".")
+        size = size or SIZES[video_format]
+        pictures = self._pictures(files, size, view or View(), progress)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         os.close(handle)
         try:
-            if kind == "gif":
+            if video_format == "gif":
                 _write_gif(pictures, temporary, self.rate)
             else:
                 _write_mp4(pictures, temporary, self.rate, size)
@@ -95,63 +96,63 @@ class VideoRecorder:
         files: Mapping[str, bytes],
         size: tuple[int, int],
         view: View,
-        drawn: Callable[[float], None] | None,
+        progress: Callable[[float], None] | None,
     ) -> Iterator[Any]:
-        """Arrays (height, width, 3) of bytes."""
+        """Yields pictures as arrays (height, width, 3) of bytes."""
         import numpy as np
 
         scene = picture_scene(files, size, view, quick=True)
         if self._positions and len(self._positions[0]) != scene.model.nq:
-            raise PictureError("the scene to draw is not the one that was simulated")
+            raise PictureError("the scene to draw differs from the simulated one")
         boxes = BoundingBoxes(scene)
         cameras, limits = [], []
         for position in self._positions:
-            self._place(scene, position)
+            self._apply(scene, position)
             points = boxes.corners(scene)
             limits += [points.min(axis=0), points.max(axis=0)]
-            cameras.append(aim(points, view, size[0] / size[1]))
+            cameras.append(fit_camera(points, view, size[0] / size[1]))
         if not cameras:
             raise PictureError("the run ended before its first picture")
-        # Near enough for the moment at which the robots are furthest apart, and steady.
+        # One distance for the whole video: that of the picture with the robots furthest apart.
         distance = max(camera.distance for camera in cameras)
         with renderer(scene, size, np.array(limits)) as drawing:
             for number, (position, camera) in enumerate(
                 zip(self._positions, cameras, strict=True), start=1
             ):
-                self._place(scene, position)
+                self._apply(scene, position)
                 camera.distance = distance
                 drawing.update_scene(scene.data, camera)
                 yield drawing.render()
-                if drawn is not None:
-                    drawn(number)
+                if progress is not None:
+                    progress(number)
 
-    def _place(self, scene: MujocoScene, position: Any) -> None:
+    def _apply(self, scene: MujocoScene, position: Any) -> None:
         scene.data.qpos[:] = position
         scene.forward()
 
 
 class BoundingBoxes:
-    """The boxes about all that is seen of what can move: quick to tell where it is."""
+    """Bounding boxes of the visible geoms that can move: a fast estimate of the robots' extent."""
 
     def __init__(self, scene: MujocoScene) -> None:
         import numpy as np
 
         model = scene.model
-        seen = (model.geom_group <= 2) & (model.geom_bodyid > 0)
-        self._geoms = np.flatnonzero(seen)
+        visible = (model.geom_group <= 2) & (model.geom_bodyid > 0)
+        self._geoms = np.flatnonzero(visible)
         signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        centre, half = model.geom_aabb[seen, None, :3], model.geom_aabb[seen, None, 3:]
+        centre, half = model.geom_aabb[visible, None, :3], model.geom_aabb[visible, None, 3:]
         self._local = centre + signs * half
 
     def corners(self, scene: MujocoScene) -> Points:
-        """Their corners in the world, (n, 3)."""
+        """Returns the corners of the boxes in the world, (n, 3)."""
         import numpy as np
 
         if not len(self._geoms):
             return np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
-        turned = scene.data.geom_xmat[self._geoms].reshape(-1, 3, 3)
-        places = scene.data.geom_xpos[self._geoms][:, None, :]
-        world: Points = (self._local @ turned.transpose(0, 2, 1) + places).reshape(-1, 3)
+        rotations = scene.data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        positions = scene.data.geom_xpos[self._geoms][:, None, :]
+        world: Points = (self._local @ rotations.transpose(0, 2, 1) + positions).reshape(-1, 3)
         return world
 
 
@@ -173,18 +174,18 @@ def _write_mp4(pictures: Iterator[Any], path: str, rate: float, size: tuple[int,
     command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:g}", "-i", "-"]
     command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", path]
     with (
-        tempfile.TemporaryFile() as said,
+        tempfile.TemporaryFile() as messages,
         subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages
         ) as process,
     ):
-        with contextlib.suppress(BrokenPipeError):  # it says why
+        with contextlib.suppress(BrokenPipeError):  # ffmpeg ended; its message has the reason
             for pixels in pictures:
                 if process.stdin is not None:
                     process.stdin.write(pixels.tobytes())
             if process.stdin is not None:
                 process.stdin.close()
         if process.wait():
-            said.seek(0)
-            lines = said.read().decode(errors="replace").split("\n")
-            raise PictureError(f"ffmpeg could not make the MP4: {lines[0] or process.returncode}")
+            messages.seek(0)
+            lines = messages.read().decode(errors="replace").split("\n")
+            raise PictureError(f"ffmpeg could not write the MP4: {lines[0] or process.returncode}")

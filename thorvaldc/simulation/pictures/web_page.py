@@ -1,4 +1,4 @@
-"""A web page to look at a robot or a fleet: one file that loads nothing from elsewhere."""
+"""A web page that shows a robot or a fleet in 3D: one file with all its data."""
 
 from __future__ import annotations
 
@@ -13,70 +13,72 @@ import numpy as np
 from thorvaldc.model import Fleet, MeshShape, Robot
 from thorvaldc.model.robot import Joint, Shape
 from thorvaldc.model.spatial import Pose
-from thorvaldc.simulation.pictures.visible_shapes import surface
+from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.simulation.pictures.surfaces import surface
 
-PLACE = "/*DATA*/"
-"""Where the template takes the data."""
+PLACEHOLDER = "/*DATA*/"
+"""The text of the template that the data replaces."""
 
 
-def page(model: Robot | Fleet, template: str) -> str:
-    """The page: ``template`` with what it shows of the model put in as JSON.
+def robot_page(model: Robot | Fleet, template: str) -> str:
+    """Returns ``template`` with the model's data as JSON.
 
-    Lengths in m, angles in rad, quaternions wxyz, masses in kg.  The model must carry the
-    data of its meshes.  Raises ``ValueError`` where the template has no place for the data.
+    Lengths in m, angles in rad, quaternions wxyz, masses in kg.  The model must contain the
+    data of its meshes.  Robots of equal design share their data.  Raises ``ValueError`` if the
+    template has no placeholder.
     """
-    if template.count(PLACE) != 1:
-        raise ValueError(f"the template has no single {PLACE}")
+    if template.count(PLACEHOLDER) != 1:
+        raise ValueError(f"the template must have {PLACEHOLDER} exactly once")
     shapes = _Shapes()
     designs: list[str] = []
     robots: list[dict[str, Any]] = []
-    placed = (
+    placements = (
         [(p.name, p.pose, p.robot) for p in model.placements]
         if isinstance(model, Fleet)
         else [(model.name, Pose(), model)]
     )
-    for name, pose, robot in placed:
+    for name, pose, robot in placements:
         design = json.dumps(_design(robot, shapes))
         if design not in designs:
             designs.append(design)
-        robots.append({"name": name, "pose": _numbers(pose), "design": designs.index(design)})
+        robots.append({"name": name, "pose": _pose_values(pose), "design": designs.index(design)})
     value = {
         "name": model.name,
         "description": model.description,
         "robots": robots,
         "designs": [json.loads(design) for design in designs],
-        "shapes": shapes.made,
+        "shapes": shapes.meshes,
     }
-    # In a script element only `<` could end the data.
+    # In a script element, `</script` would end the data.
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
-    return template.replace(PLACE, text)
+    return template.replace(PLACEHOLDER, text)
 
 
 class _Shapes:
-    """Surfaces, each once."""
+    """The meshes of all shapes; equal shapes share one."""
 
     def __init__(self) -> None:
-        self.made: list[dict[str, str]] = []
-        self._known: dict[tuple[Shape, str], int] = {}
+        self.meshes: list[dict[str, str]] = []
+        self._indices: dict[tuple[Shape, str], int] = {}
 
-    def number(self, robot: Robot, shape: Shape) -> int:
+    def index(self, robot: Robot, shape: Shape) -> int:
         content = ""
         if isinstance(shape, MeshShape):
             content = next(mesh.sha256 for mesh in robot.meshes if mesh.name == shape.mesh)
         key = (shape, content)
-        if key not in self._known:
+        if key not in self._indices:
             points, faces = surface(robot, shape)
-            self._known[key] = len(self.made)
-            self.made.append(
+            self._indices[key] = len(self.meshes)
+            self.meshes.append(
                 {
-                    "points": _packed(points.astype("<f4")),
-                    "faces": _packed(faces.astype("<u4")),
+                    "points": _base64(points.astype("<f4")),
+                    "faces": _base64(faces.astype("<u4")),
                 }
             )
-        return self._known[key]
+        return self._indices[key]
 
 
-def _packed(array: Any) -> str:
+def _base64(array: Any) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
 
 
@@ -84,14 +86,16 @@ def _rounded(values: Sequence[float]) -> list[float]:
     return [round(value, 9) for value in values]
 
 
-def _numbers(pose: Pose) -> list[float]:
+def _pose_values(pose: Pose) -> list[float]:
     return _rounded((*pose.xyz, *pose.quat))
 
 
 def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
-    """What is shown of a robot wherever it stands."""
+    """Returns the data of a robot that do not depend on its pose."""
     driven = sum(wheel.driven for wheel in robot.wheels)
     steered = sum(wheel.steered for wheel in robot.wheels)
+    tree = JointTree(robot.links, robot.joints)
+    links = tree.links_below(robot.links[0].name)  # parents first: the page computes poses so
     return {
         "facts": f"{robot.inertial.mass:.1f} kg, {len(robot.wheels)} wheels"
         f" ({driven} driven, {steered} steered)",
@@ -102,8 +106,8 @@ def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
                 "mass": 0.0 if link.inertial is None else round(link.inertial.mass, 6),
                 "visuals": [
                     {
-                        "shape": shapes.number(robot, visual.shape),
-                        "pose": _numbers(visual.pose),
+                        "shape": shapes.index(robot, visual.shape),
+                        "pose": _pose_values(visual.pose),
                         "color": _rounded(visual.color),
                     }
                     for visual in link.visuals
@@ -111,7 +115,7 @@ def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
             }
             for link in robot.links
         ],
-        "joints": [_joint(joint) for joint in _parents_first(robot)],
+        "joints": [_joint(tree.parent_joint[link]) for link in links[1:]],
         "nodes": [
             {
                 "bus": bus.name,
@@ -135,7 +139,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
         "type": joint.type,
         "parent": joint.parent,
         "child": joint.child,
-        "pose": _numbers(joint.pose),
+        "pose": _pose_values(joint.pose),
         "axis": _rounded(joint.axis),
         "lower": lower,
         "upper": upper,
@@ -147,16 +151,3 @@ def _joint(joint: Joint) -> dict[str, Any]:
             "offset": joint.mimic.offset,
         }
     return value
-
-
-def _parents_first(robot: Robot) -> list[Joint]:
-    children: dict[str, list[Joint]] = {}
-    for joint in robot.joints:
-        children.setdefault(joint.parent, []).append(joint)
-    found: list[Joint] = []
-    waiting = [robot.links[0].name]
-    while waiting:
-        below = children.get(waiting.pop(0), [])
-        found += below
-        waiting += [joint.child for joint in below]
-    return found

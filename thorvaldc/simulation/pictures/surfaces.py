@@ -1,10 +1,9 @@
-"""Where a robot's visible shapes are, and their surfaces."""
+"""Triangle meshes of a robot's visual shapes."""
 
 from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -12,45 +11,23 @@ import numpy as np
 import numpy.typing as npt
 
 from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Sphere
-from thorvaldc.model.robot import Joint, Shape
-from thorvaldc.model.spatial import Pose, Vec3, quat_from_axis_angle, scale
+from thorvaldc.model.robot import Shape
+from thorvaldc.model.spatial import Vec3
 
 Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 SIDES = 24
-"""Corners of what is round."""
-
-
-def link_poses(robot: Robot, positions: Mapping[str, float] | None = None) -> dict[str, Pose]:
-    """Pose of each link in ``base_link``; ``positions`` (rad, m) of joints that are not at 0."""
-    positions = positions or {}
-    found = {robot.links[0].name: Pose()}
-    children: dict[str, list[Joint]] = {}
-    for joint in robot.joints:
-        children.setdefault(joint.parent, []).append(joint)
-    waiting = [robot.links[0].name]
-    while waiting:
-        parent = waiting.pop()
-        for joint in children.get(parent, ()):
-            moved = _motion(joint, positions.get(joint.name, 0.0))
-            found[joint.child] = found[parent] * joint.pose * moved
-            waiting.append(joint.child)
-    return found
-
-
-def _motion(joint: Joint, position: float) -> Pose:
-    if joint.type == "prismatic":
-        return Pose(scale(position, joint.axis))
-    return Pose((0.0, 0.0, 0.0), quat_from_axis_angle(joint.axis, position))
+"""Number of corners of a circle."""
 
 
 def surface(robot: Robot, shape: Shape) -> tuple[Points, Faces]:
-    """Vertices (n, 3) in m in the shape's frame and triangles (m, 3) of their numbers."""
+    """Returns vertices (n, 3) in m in the frame of the shape, and triangles (m, 3) of indices."""
     if isinstance(shape, MeshShape):
         mesh = next(mesh for mesh in robot.meshes if mesh.name == shape.mesh)
         points, faces = _mesh(mesh.name, mesh.data)
-        turned = faces[:, ::-1] if np.prod(shape.scale) < 0 else faces
-        return points * np.asarray(shape.scale), turned
+        if np.prod(shape.scale) < 0:  # a mirrored mesh: turn the triangles outside again
+            faces = faces[:, ::-1]
+        return points * np.asarray(shape.scale), faces
     if isinstance(shape, Box):
         return _box(shape.size)
     if isinstance(shape, Cylinder):
