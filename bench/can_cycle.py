@@ -42,11 +42,11 @@ def figures() -> Iterator[Figure]:
     gaps = [gap for a, b in pairwise(timing.starts) if (gap := b - a) < 1.0]
     spread = statistics.pstdev(gaps)
     off = sorted(abs(gap - runner.period) for gap in gaps)
-    link = runner.base.links[0]
+    connection = runner.base.connections[0]
     said = (
         f"9WD9WS at {1.0 / runner.period:g} Hz for {SECONDS:g} s of driving,"
         f" {timing.cycles} cycles,"
-        f" {link.receiver.received / timing.starts[-1]:.0f} frames/s received;"
+        f" {connection.receiver.received / timing.starts[-1]:.0f} frames/s received;"
         f" bus and driver share {os.cpu_count()} cores"
     )
     yield Figure("CAN cycle, mean", 1e3 * statistics.fmean(gaps), "ms", None, "lower", said)
@@ -67,7 +67,7 @@ def figures() -> Iterator[Figure]:
         "lower",
         f"of {timing.cycles} cycles, {timing.skipped} of them left out; begun late by"
         f" {1e3 * timing.latest:.2f} ms at the most; {runner.base.incomplete} not sent whole,"
-        f" {link.receiver.dropped} events dropped;"
+        f" {connection.receiver.dropped} events dropped;"
         f" {len(faults)} times stopped and reset{': ' + faults[0] if faults else ''}",
     )
     work.sort()

@@ -155,7 +155,7 @@ def test_a_bus_without_power_and_nobody_there(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("run", "good.yaml", "--bus", "virtual:empty", "--duration", "1 s")
     assert status == 3
     assert out.startswith("fault")
-    assert "error[TV878] bus-start: no controller answers" in err
+    assert "error[TV878] bus-start: no controller responds" in err
 
 
 # -- by the clock, and by signals -----------------------------------------------------------------

@@ -111,7 +111,7 @@ def test_our_codec_and_cantools_agree(robot: Robot, database: Any) -> None:
                 choice = draw.choice([raw for s in frame.signals for raw in s.selected_by])
                 data = data[:at] + bytes([choice]) + data[at + 1 :]
             theirs = message.decode(data, decode_choices=False, scaling=True)
-            ours = codec.named(data)
+            ours = codec.decode_named(data)
             assert ours == pytest.approx(theirs, rel=1e-12), frame.name
             if chooser is None:
                 kept = {s.name: ours[s.name] for s in frame.signals}
@@ -133,7 +133,7 @@ def test_cantools_decodes_what_the_driver_sends_to_what_it_wants(name: str) -> N
     )
     rig.drive(Twist(0.4, 0.0, 0.2), 4.0)
     last = {frame.id: frame.data for _, frame in rig.frames}
-    controllers = [c for link in rig.base.links for c in link.controllers]
+    controllers = [c for connection in rig.base.connections for c in connection.controllers]
     axes = {axis.joint: axis for c in controllers for axis in c.axes}
     checked = 0
     for frame in rig.robot.buses[0].frames:

@@ -23,8 +23,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import State
-from thorvaldc.runtime.can_base.frame_receiver import Receiver
-from thorvaldc.runtime.runner import Refused
+from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
+from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.battery_and_io_devices import BATTERY_FRAMES
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -107,7 +107,7 @@ def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
 def test_a_full_receive_queue_keeps_the_newest() -> None:
     """It kept the oldest frames: the robot went by what had been."""
     wire = Wire(Timeline())
-    receiver = Receiver(VirtualTimeInterface(wire, "driver"), {0x701}, ring=8)
+    receiver = FrameReceiver(VirtualTimeInterface(wire, "driver"), {0x701}, ring=8)
     node = VirtualTimeInterface(wire, "node")
     for number in range(30):
         node.send(CanFrame(0x701, bytes([number])), timeout=1.0)
@@ -122,14 +122,14 @@ def test_what_cannot_be_written_is_noticed() -> None:
     rig = Rig(example_robot("4wd4ws_wide"))
     rig.drive(seconds=1.0)
     complete = rig.base.cycles
-    sends = rig.port.send
-    rig.port.send = lambda frame, timeout=0.0: False  # type: ignore[method-assign]
+    sends = rig.interface.send
+    rig.interface.send = lambda frame, timeout=0.0: False  # type: ignore[method-assign]
     took = rig.until(lambda: rig.state is State.FAULT, 0.5)
     assert took <= 0.1
-    assert "nothing can be sent" in rig.reason
+    assert "frames cannot be sent" in rig.reason
     assert rig.base.cycles <= complete + 1
-    assert rig.base.links[0].failed > 0
-    rig.port.send = sends  # type: ignore[method-assign]
+    assert rig.base.connections[0].not_sent > 0
+    rig.interface.send = sends  # type: ignore[method-assign]
 
 
 def test_a_hundred_frames_for_a_device_do_not_lose_all() -> None:
@@ -141,7 +141,7 @@ def test_a_hundred_frames_for_a_device_do_not_lose_all() -> None:
     for number in range(100):
         try:
             rig.runner.send_to_device(COMMAND, bytes([number]))
-        except Refused:
+        except RequestRefused:
             refused += 1
     rig.run(0.5)
     passed = [frame for _, frame in rig.frames[at:] if frame.id == COMMAND]
@@ -155,7 +155,7 @@ def test_not_every_identifier_passes_the_relay(cob_id: int) -> None:
     """Any node could send any identifier through it: to the drives, or as the master."""
     rig = Rig(cia402_robot())
     rig.ready()
-    with pytest.raises(Refused, match="not allowed"):
+    with pytest.raises(RequestRefused, match="not allowed"):
         rig.runner.send_to_device(cob_id, b"\xaa\xbb")
     rig.run(0.2)
     assert all(frame.data != b"\xaa\xbb" for _, frame in rig.frames)
@@ -187,7 +187,7 @@ def test_the_safety_stop_does_more_than_to_command_zero() -> None:
         rig.run(2.0)  # and motion is still commanded
         assert rig.state is State.ESTOP
         assert rig.speed() == 0.0
-        assert all(c.is_off for link in rig.base.links for c in link.controllers)
+        assert all(c.is_off for connection in rig.base.connections for c in connection.controllers)
         rig.runner.safety_stop(False)
         rig.run(1.0)
         assert rig.state is State.ESTOP, "a release alone starts nothing"
@@ -257,7 +257,7 @@ def test_nothing_jumps_when_the_driver_goes_on_after_a_fault() -> None:
     rig.until(lambda: rig.state is State.FAULT, 2.0)
     device.power_on()
     rig.until(lambda: rig.speed() == 0.0, 3.0)
-    with pytest.raises(Refused, match="command zero first"):
+    with pytest.raises(RequestRefused, match="command zero first"):
         rig.runner.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.5)

@@ -111,8 +111,8 @@ def test_every_file_for_the_bus_has_it(pair: tuple[Robot, Robot]) -> None:
 def angles(rig: Rig) -> dict[str, tuple[float, float]]:
     """Of each steering: where the base says that it is, and where it is."""
     found = {}
-    for link in rig.base.links:
-        for controller in link.controllers:
+    for connection in rig.base.connections:
+        for controller in connection.controllers:
             for axis in controller.axes:
                 if axis.steering:
                     motor = rig.simulated.motors[axis.actuator.name].read(rig.now)

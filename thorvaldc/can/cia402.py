@@ -41,10 +41,7 @@ class DriveState(enum.Enum):
     @classmethod
     def of(cls, status_word: int) -> DriveState | None:
         """Returns the state in a status word; ``None`` where the bits match no state."""
-        for state in cls:
-            if status_word & _MASKS[state] == state.value:
-                return state
-        return None
+        return _STATES[status_word & 0x6F]
 
 
 # Bit 5 of the status word (quick stop inactive) belongs to the pattern of these states only.
@@ -54,7 +51,12 @@ _WITH_BIT_5 = (
     DriveState.OPERATION_ENABLED,
     DriveState.QUICK_STOP_ACTIVE,
 )
-_MASKS = {state: 0x6F if state in _WITH_BIT_5 else 0x4F for state in DriveState}
+_STATES = {
+    word: next(
+        (s for s in DriveState if word & (0x6F if s in _WITH_BIT_5 else 0x4F) == s.value), None
+    )
+    for word in range(0x70)
+}
 
 # Other bits of the status word.  Bits 12 and 13 have these meanings in homing mode.
 VOLTAGE_ENABLED = 1 << 4

@@ -204,7 +204,7 @@ class Session:
         if self.stop:
             return True
         if runner.state in (State.FAULT, State.ESTOP):
-            lost = any(link.receiver.lost for link in runner.base.links)
+            lost = any(c.receiver.lost for c in runner.base.connections)
             return self.alone or lost or not runner.base.supervisor.was_ready
         return now - self.ready_at >= self.seconds - 1e-9
 
@@ -292,13 +292,13 @@ class Session:
                 "longest": timing.longest,
             },
             "buses": {
-                link.bus.name: {
-                    "received": link.receiver.received,
-                    "dropped": link.receiver.dropped,
-                    "malformed": link.malformed,
-                    "not_sent": link.failed,
+                connection.bus.name: {
+                    "received": connection.receiver.received,
+                    "dropped": connection.receiver.dropped,
+                    "malformed": connection.malformed,
+                    "not_sent": connection.not_sent,
                 }
-                for link in runner.base.links
+                for connection in runner.base.connections
             },
             "changes": [
                 {"time": c.time - self.started, "state": c.state.value, "reason": c.reason}

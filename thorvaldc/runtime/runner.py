@@ -1,4 +1,12 @@
-"""The base driver on its bus: the loop, and all that can be asked of a robot that runs."""
+"""The control loop of a robot on its buses, and the services that a running robot offers.
+
+Deadlines are absolute: the loop sleeps until start, start + T, start + 2T and so on.  So errors do
+not add up.  A cycle that takes too long skips deadlines; the loop goes on at the next one to come:
+
+    deadlines   |--------|--------|--------|--------|
+    work        [##]     [################]         [##]
+                           overrun: 1      skipped: 1
+"""
 
 from __future__ import annotations
 
@@ -9,34 +17,37 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
+from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.interface import CanInterface
+from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.base_state_machine import State
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState, IoBoardDriver
-from thorvaldc.runtime.can_base.bus_health import BusLink
+from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.can_base.foreign_frame_relay import Relayed
+from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
-from thorvaldc.runtime.control.service_table import ServiceError
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
+from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST
 
 Feed = Callable[[BaseDriver, float], object]
-"""Called first in each cycle with the driver and the time (s): it commands, or does not.
+"""Called first in each cycle with the driver and the time (s); it may command a twist.
 
-A multiplexer's ``feed`` is one.
+``Multiplexer.feed`` is such a function.
 """
 Watch = Callable[["BaseRunner", DriverState], None]
+"""Called after each cycle."""
 T = TypeVar("T")
 
 
-class Refused(ServiceError):
-    """A service was not done; the message says why, and nothing was changed."""
+class RequestRefused(ValueError):
+    """A service was refused and changed nothing; the message is the reason."""
 
 
-class Change(NamedTuple):
-    """A change of the supervisor's state: when (s), to which, and why."""
+class StateChange(NamedTuple):
+    """A change of the base's state: time (s), new state, and the reason of FAULT or ESTOP."""
 
     time: float
     state: State
@@ -45,11 +56,11 @@ class Change(NamedTuple):
 
 @dataclass(slots=True)
 class Timing:
-    """How the loop keeps its time.  s; counted from the start of the loop.
+    """How precisely the loop keeps its deadlines.  All times in s.
 
-    ``overruns`` counts cycles that ended after their deadline, ``skipped`` the cycles
-    that were left out for it: none is ever caught up.  ``latest`` is the longest time by which
-    a cycle began after its deadline, ``longest`` the longest work of a cycle.
+    ``overruns`` counts cycles that ended after the next deadline, ``skipped`` the deadlines that
+    were left out because of them.  ``latest`` is the longest delay between a deadline and the start
+    of its cycle, ``longest`` the longest duration of a cycle.
     """
 
     cycles: int = 0
@@ -58,15 +69,15 @@ class Timing:
     latest: float = 0.0
     longest: float = 0.0
     starts: list[float] = field(default_factory=list)
-    """Times of the cycles' starts, where they are wanted (``keep_starts``)."""
+    """Start times of the cycles; recorded with ``keep_starts``."""
 
 
 class BaseRunner:
-    """One robot that runs: its ``base`` on the buses, its ``driver``, and its services.
+    """A running robot: its ``base`` on the buses, its ``driver``, and its services.
 
     Everything happens in the thread that calls ``cycle`` or ``run``.  Services raise
-    ``Refused``; from another thread go through ``submit``.  Time is that of the first
-    bus's port: virtual where that is.
+    ``RequestRefused``; other threads use ``submit``.  ``clock`` is the CAN interface of the first
+    bus: in a simulation its time is virtual.
     """
 
     def __init__(
@@ -78,25 +89,24 @@ class BaseRunner:
         parameters: str | None = None,
         keep_starts: bool = False,
     ) -> None:
-        """``parameters`` names the parameter set to start with.  Raises ``DiagnosticError``."""
+        """``parameters``: the parameter set to start with.  Raises ``DiagnosticError``."""
         self.robot = robot
         self.base = base
         self.clock = clock
         self.driver = BaseDriver(robot, base, parameters=parameters)
         self.period = base.period
         self.timing = Timing()
-        self.changes: list[Change] = []
+        self.changes: list[StateChange] = []
         self.feed: Feed | None = None
         self.pace: Callable[[float], None] | None = None
-        """Called with the time of each cycle before it begins: virtual time waits here."""
+        """Called with the time (s) of each cycle before it; it can slow down virtual time."""
         self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = (
             queue.SimpleQueue()
         )
         self._keep_starts = keep_starts
         self._deadline: float | None = None
-        self._started = False
-        self._asked = ZERO_TWIST
-        base.supervisor.changed = self._changed
+        self._was_ready = False
+        base.supervisor.changed = self._note_change
 
     # -- the loop ----------------------------------------------------------------------------------
 
@@ -106,22 +116,22 @@ class BaseRunner:
 
     @property
     def ready(self) -> bool:
-        """Whether it stands and waits for a command, or drives."""
+        """``True`` where the robot follows commands."""
         return self.state.drives and not self.base.supervisor.ending
 
     def cycle(self, now: float) -> DriverState:
-        """One turn: services, the command, health, driver, frames, and what state that makes."""
-        self._serve()
+        """Runs one control cycle: services, command, measurement, driver, frames, state."""
+        self._run_requests()
         if self.feed is not None:
             self.feed(self.driver, now)
-        asked = self.driver.commanded_twist(now) != ZERO_TWIST
-        self.base.arm(asked)
+        commanded = self.driver.commanded_twist(now) != ZERO_TWIST
+        self.base.arm(commanded)
         state = self.driver.tick(now)
         stale = state.mode is not DriveMode.DRIVING
-        self.base.supervisor.drive(now, not self.base.standing, stale)
-        if self.ready and not self._started:
-            # What the joints did while they were set up was no way driven.
-            self._started = True
+        self.base.supervisor.note_motion(now, not self.base.standing, stale)
+        if self.ready and not self._was_ready:
+            # Motions of the joints during homing moved the odometry, but not the robot.
+            self._was_ready = True
             self.driver.reset_pose()
         return state
 
@@ -132,10 +142,9 @@ class BaseRunner:
         watch: Watch | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        """Cycle after cycle on absolute deadlines, to the time ``until`` (s) or ``stop()``.
+        """Runs cycles at absolute deadlines, up to the time ``until`` (s) or until ``stop()``.
 
-        A cycle that takes too long is counted, and the next begins at the next deadline
-        that is still to come.  Nothing is sent outside of cycles.
+        Nothing is sent outside of cycles.
         """
         clock, timing, period = self.clock, self.timing, self.period
         deadline = self._deadline if self._deadline is not None else clock.now
@@ -153,54 +162,53 @@ class BaseRunner:
             state = self.cycle(now)
             if watch is not None:
                 watch(self, state)
-            ended = clock.now
-            timing.longest = max(timing.longest, ended - now)
+            end = clock.now
+            timing.longest = max(timing.longest, end - now)
             deadline += period
-            if ended > deadline:
-                late = math.ceil((ended - deadline) / period)
+            if end > deadline:
+                skipped = math.ceil((end - deadline) / period)
                 timing.overruns += 1
-                timing.skipped += late
-                deadline += late * period
+                timing.skipped += skipped
+                deadline += skipped * period
             self._deadline = deadline
 
     def shutdown(self) -> None:
-        """Quick stop, disable, pre-operational; then let go of the bus.
+        """Stops the robot, switches the motors off, and closes the CAN interfaces.
 
-        It takes as long as the robot needs to come to rest, two seconds at most.
+        Quick stop, torque off, NMT pre-operational.  Takes until the robot stands, at most
+        ``Times.stop``.
         """
-        from thorvaldc.runtime.can_base.bus_health import PRE_OPERATION
-
         supervisor = self.base.supervisor
         supervisor.end()
         self.feed = None
         try:
             limit = self.clock.now + supervisor.times.stop
             self._deadline = None
-            # At least two cycles: the first tells, the second hears what became of it.
-            least = self.clock.now + 2.5 * self.period
-            self.run(limit, stop=lambda: supervisor.ended and self.clock.now > least)
-            if supervisor.sends:
-                for link in self.base.links:
-                    link.outbox.clear()
-                    link.nmt(PRE_OPERATION)
-                    while link.outbox:
-                        link.send(link.outbox.popleft(), self.period)
+            # At least two cycles: the first sends the commands, the second reads the reports.
+            earliest = self.clock.now + 2.5 * self.period
+            self.run(limit, stop=lambda: supervisor.ended and self.clock.now > earliest)
+            if supervisor.may_send:
+                for connection in self.base.connections:
+                    connection.outbox.clear()
+                    connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+                    while connection.outbox:
+                        connection.send(connection.outbox.popleft(), self.period)
                 self.clock.sleep(self.period)
         finally:
             self.base.close()
 
-    def _changed(self, now: float, state: State, reason: str) -> None:
-        self.changes.append(Change(now, state, reason))
+    def _note_change(self, now: float, state: State, reason: str) -> None:
+        self.changes.append(StateChange(now, state, reason))
 
     # -- services ----------------------------------------------------------------------------------
 
     def submit(self, service: Callable[[], T]) -> Future[T]:
-        """Have a service done by the loop's thread in its next cycle; from any thread."""
+        """Lets the loop's thread run a service in its next cycle.  Any thread may call this."""
         future: Future[T] = Future()
         self._requests.put((future, service))
         return future
 
-    def _serve(self) -> None:
+    def _run_requests(self) -> None:
         while True:
             try:
                 future, service = self._requests.get_nowait()
@@ -210,46 +218,49 @@ class BaseRunner:
                 continue
             try:
                 future.set_result(service())
-            except Exception as fault:  # whoever asked for it is told
-                future.set_exception(fault)
+            except Exception as error:  # raised again where the result is read
+                future.set_exception(error)
 
     def safety_stop(self, engaged: bool = True) -> None:
-        """Stop all drives at once and take their torque; ``False`` releases the stop.
+        """Stops all motors and switches them off; ``False`` releases the stop.
 
-        To drive again it takes ``reset``.  It is a stop in software, no safety function.
+        To drive again, ``reset`` is necessary.  A stop in software is not a safety function.
         """
         self.base.supervisor.safety_stop(engaged)
 
     def reset(self) -> None:
-        """Leave a fault or a stop: the stop released, a command of zero, and this."""
+        """Leaves FAULT or ESTOP.
+
+        Requires that the safety stop is released and that no motion is commanded.
+        """
         now = self.clock.now
         commanded = self.driver.commanded_twist(now) != ZERO_TWIST
-        _refuse(self.base.supervisor.reset(now, commanded))
+        _raise_if(self.base.supervisor.reset(now, commanded))
 
     def home_steering(self) -> None:
-        """Find the zero of every steering again.  The wheels turn in place."""
-        _refuse(self.base.supervisor.home(self.clock.now))
+        """Homes every steering again.  The steerings turn."""
+        _raise_if(self.base.supervisor.home(self.clock.now))
 
     def set_home_count_current_position_zero(self, node: str = "") -> None:
-        """Let the steering's present angle be 0 from the next homing on; of one node or all.
+        """Makes the present steering angle 0 from the next homing on, of one node or of all.
 
-        The controllers keep it without power.  Only for controllers that count from a home
-        switch, and only while the robot stands.
+        The controllers store it.  Requires controllers that count from a home switch, and a
+        standing robot.
         """
-        self._must_stand()
-        told = 0
-        for link, controller in self._controllers(node):
+        self._require_standing()
+        frames = 0
+        for connection, controller in self._controllers(node):
             if not controller.homed:
-                raise Refused(f"{controller.node.name} has not been homed")
-            message = controller.zero_here()
-            if message is not None:
-                link.outbox.append(message)
-                told += 1
-        if not told:
-            raise Refused("no controller here counts from a home switch")
+                raise RequestRefused(f"{controller.node.name} is not homed")
+            frame = controller.set_zero_frame()
+            if frame is not None:
+                connection.outbox.append(frame)
+                frames += 1
+        if not frames:
+            raise RequestRefused("none of these controllers counts from a home switch")
 
     def reset_odometry(self) -> None:
-        """The pose is the origin from now on."""
+        """Sets the pose to the origin."""
         self.driver.reset_pose(ORIGIN)
 
     def set_drive_parameters(
@@ -259,116 +270,119 @@ class BaseRunner:
         radii: Mapping[str, float] | None = None,
         limits: Mapping[str, float] | None = None,
     ) -> None:
-        """Switch to a parameter set of the robot's file, or change wheel radii (m) and limits (SI).
+        """Changes to a parameter set of the robot file, or changes wheel radii (m) and limits (SI).
 
-        All or nothing, between two cycles.
+        Applies all changes between two cycles, or none.
         """
-        from thorvaldc.diagnostics.error import DiagnosticError
-        from thorvaldc.runtime.errors import ParameterError
-
         try:
             if radii or limits:
                 self.driver.update(radii=radii, noise=None, **(limits or {}))
             else:
                 self.driver.use(parameters)
-        except (ParameterError, DiagnosticError) as fault:
-            raise Refused(str(fault)) from None
+        except (ParameterError, DiagnosticError) as error:
+            raise RequestRefused(str(error)) from None
 
     def setup_motor_controller(self, node: str, setting: str, value: float) -> None:
-        """Set one of a controller's own values, by the names that its frame has, in its units.
+        """Writes a setting of a motor controller, in the controller's units.
 
-        Only while the robot stands.
+        ``setting`` is a name in the controller's frame of settings.  Requires a standing robot.
         """
-        self._must_stand()
-        found = list(self._controllers(node))
-        for link, controller in found:
+        self._require_standing()
+        for connection, controller in self._controllers(node):
             try:
-                link.outbox.append(controller.setting(setting, value))
-            except ValueError as fault:
-                known = ", ".join(controller.settings())
-                raise Refused(f"{fault}; there are {known}" if known else str(fault)) from None
+                connection.outbox.append(controller.setting_frame(setting, value))
+            except ValueError as error:
+                known = ", ".join(controller.setting_names())
+                reason = f"{error}; there are {known}" if known else str(error)
+                raise RequestRefused(reason) from None
 
     def mute_devices(self, muted: bool = True) -> None:
-        """Pass nothing on to foreign devices; ``False``: pass it on again."""
-        for link in self.base.links:
-            link.relay.mute(muted)
+        """Stops relaying frames to foreign devices; ``False`` starts it again."""
+        for connection in self.base.connections:
+            connection.relay.mute(muted)
 
     def set_output(self, board: str, output: str, on: bool) -> None:
-        """Switch an output of an IO board."""
-        for link in self.base.links:
-            for found in link.boards:
-                if found.node.name == board:
+        """Switches an output of an IO board."""
+        for connection in self.base.connections:
+            for io_board in connection.boards:
+                if io_board.node.name == board:
                     try:
-                        link.outbox.append(found.switch(output, on))
+                        connection.outbox.append(io_board.switch(output, on))
                     except KeyError:
-                        known = ", ".join(found.outputs)
-                        raise Refused(f"{board} has no output `{output}`; it has {known}") from None
+                        known = ", ".join(io_board.outputs)
+                        reason = f"{board} has no output `{output}`; it has {known}"
+                        raise RequestRefused(reason) from None
                     return
         boards = ", ".join(b.node.name for b in self.boards)
         known = f"; there are {boards}" if boards else ""
-        raise Refused(f"there is no IO board `{board}`{known}")
+        raise RequestRefused(f"there is no IO board `{board}`{known}")
 
     def send_to_device(self, cob_id: int, data: bytes, bus: str = "") -> None:
-        """Pass a frame on to a foreign device, if the robot's file allows it."""
-        link = self._link(bus)
-        reason = link.relay.offer(CanFrame(cob_id, data), self.clock.now)
-        _refuse(f"{cob_id:#05x}: {reason}" if reason else "")
+        """Relays a frame to a foreign device, where the robot file allows it."""
+        connection = self._connection(bus)
+        reason = connection.relay.offer(CanFrame(cob_id, data), self.clock.now)
+        _raise_if(f"{cob_id:#05x}: {reason}" if reason else "")
 
-    def from_devices(self, bus: str = "") -> list[Relayed]:
-        """What foreign devices have sent since it was asked last."""
-        return self._link(bus).relay.received()
+    def from_devices(self, bus: str = "") -> list[RelayedFrame]:
+        """Returns the frames of foreign devices since the last call."""
+        return self._connection(bus).relay.received()
 
-    # -- what can be looked at -------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------
 
     @property
     def boards(self) -> list[IoBoardDriver]:
-        return [board for link in self.base.links for board in link.boards]
+        return [board for connection in self.base.connections for board in connection.boards]
 
     def batteries(self) -> dict[str, BatteryState]:
-        """By the node's name."""
-        return {b.node.name: b.state for link in self.base.links for b in link.batteries}
+        """Returns the batteries by the names of their nodes."""
+        return {b.node.name: b.state for c in self.base.connections for b in c.batteries}
 
     def warnings(self) -> list[str]:
-        """What does not stop the robot, and somebody should know."""
+        """Returns warnings for the operator; none of them stops the robot."""
         now = self.clock.now
-        found = [
+        warnings = [
             f"{battery.node.name}: {battery.warning}"
-            for link in self.base.links
-            for battery in link.batteries
+            for connection in self.base.connections
+            for battery in connection.batteries
             if battery.warning
         ]
-        found += [f"{name} is silent" for link in self.base.links for name in link.stale(now)]
-        return found
+        for connection in self.base.connections:
+            warnings += [f"{name}: no reports" for name in connection.silent_devices(now)]
+        return warnings
 
     def relay_drops(self) -> dict[str, int]:
-        """Frames of foreign devices that did not pass, by ``0x240 too often``."""
+        """Returns the number of frames that were not relayed, by ``0x240 too often``."""
         return {
             f"{cob_id:#05x} {reason}": number
-            for link in self.base.links
-            for (cob_id, reason), number in sorted(link.relay.dropped.items())
+            for connection in self.base.connections
+            for (cob_id, reason), number in sorted(connection.relay.dropped.items())
         }
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _controllers(self, node: str) -> Sequence[tuple[BusLink, MotorController]]:
-        every = [(link, c) for link in self.base.links for c in link.controllers]
-        found = [(link, c) for link, c in every if node in ("", c.node.name)]
-        if not found:
-            known = ", ".join(c.node.name for _, c in every)
-            raise Refused(f"there is no controller `{node}`; there are {known}")
-        return found
+    def _controllers(self, node: str) -> Sequence[tuple[BusConnection, MotorController]]:
+        """Returns the controllers of this name, or all for an empty name, with their buses."""
+        every = [(c, controller) for c in self.base.connections for controller in c.controllers]
+        matching = [
+            (c, controller) for c, controller in every if node in ("", controller.node.name)
+        ]
+        if not matching:
+            known = ", ".join(controller.node.name for _, controller in every)
+            raise RequestRefused(f"there is no controller `{node}`; there are {known}")
+        return matching
 
-    def _link(self, bus: str) -> BusLink:
-        for link in self.base.links:
-            if bus in ("", link.bus.name):
-                return link
-        raise Refused(f"there is no bus `{bus}`")
+    def _connection(self, bus: str) -> BusConnection:
+        for connection in self.base.connections:
+            if bus in ("", connection.bus.name):
+                return connection
+        raise RequestRefused(f"there is no bus `{bus}`")
 
-    def _must_stand(self) -> None:
+    def _require_standing(self) -> None:
         if self.state is State.ACTIVE or not self.base.standing:
-            raise Refused("the robot drives; stop it first")
+            raise RequestRefused("the robot drives; stop it first")
 
 
-def _refuse(reason: str) -> None:
+def _raise_if(reason: str) -> None:
+    """Raises ``RequestRefused`` where there is a reason."""
     if reason:
-        raise Refused(reason)
+        raise RequestRefused(reason)

@@ -37,12 +37,12 @@ class Rig:
         self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base)
         if power:
             self.simulated.power_on()
-        self.ports = {
+        self.interfaces = {
             bus.name: self.simulated.interface(bus.name, fifo=True) for bus in robot.buses
         }
-        self.base = CanBase(robot, self.ports, threaded=False)
-        self.port = next(iter(self.ports.values()))
-        self.runner = BaseRunner(robot, self.base, self.port)
+        self.base = CanBase(robot, self.interfaces, threaded=False)
+        self.interface = next(iter(self.interfaces.values()))
+        self.runner = BaseRunner(robot, self.base, self.interface)
         self.twist: Twist | None = ZERO_TWIST
         self.runner.feed = self._command
         self.frames: list[tuple[int, CanFrame]] = []
@@ -55,7 +55,7 @@ class Rig:
 
     @property
     def now(self) -> float:
-        return self.port.now
+        return self.interface.now
 
     @property
     def state(self) -> State:

@@ -18,7 +18,7 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.can_base.base_state_machine import State
 from thorvaldc.runtime.can_base.motor_controller import Intent
-from thorvaldc.runtime.runner import Refused
+from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
@@ -117,7 +117,7 @@ def test_an_exception_in_the_cycle_leaves_no_heartbeat() -> None:
 def test_an_incomplete_cycle_has_neither_sync_nor_heartbeat() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    send = rig.port.send
+    send = rig.interface.send
     refused: list[int] = []
 
     def failing(frame: CanFrame, timeout: float = 0.0) -> bool:
@@ -126,7 +126,7 @@ def test_an_incomplete_cycle_has_neither_sync_nor_heartbeat() -> None:
             return False
         return send(frame, timeout)
 
-    rig.port.send = failing  # type: ignore[method-assign]
+    rig.interface.send = failing  # type: ignore[method-assign]
     at, complete = rig.now, rig.base.cycles
     rig.run(2 * PERIOD)
     sent = [f.id for t, f in rig.frames if t / 1e9 > at + 0.001]
@@ -138,7 +138,7 @@ def test_an_incomplete_cycle_has_neither_sync_nor_heartbeat() -> None:
     assert rig.state is State.ACTIVE
     rig.run(3 * PERIOD)
     assert rig.state is State.FAULT
-    assert "can be sent" in rig.reason
+    assert "frames cannot be sent" in rig.reason
 
 
 def test_overruns_are_counted_and_never_caught_up() -> None:
@@ -148,7 +148,7 @@ def test_overruns_are_counted_and_never_caught_up() -> None:
 
     def slow(runner: object, state: object) -> None:
         if rig.now < at + 1.5 * PERIOD:
-            rig.port.sleep(0.03)  # the second half of it belongs to cycles that are left out
+            rig.interface.sleep(0.03)  # the second half of it belongs to cycles that are left out
 
     rig.runner.run(at + 0.5, watch=slow)
     timing = rig.runner.timing
@@ -215,7 +215,7 @@ def test_a_command_from_before_the_start_does_not_move_it() -> None:
     rig.run(1.0)
     assert rig.state is State.READY
     assert rig.speed() == 0.0
-    assert "before it was ready" in rig.base.hold_reason
+    assert "before the base was ready" in rig.base.hold_reason
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.twist = FORWARD
@@ -236,7 +236,7 @@ def lose(rig: Rig, cob_id: int, number: int) -> None:
             return False
         return True
 
-    rig.port.controller.accepts = accepts  # type: ignore[attr-defined]
+    rig.interface.controller.accepts = accepts  # type: ignore[attr-defined]
 
 
 @both
@@ -305,11 +305,11 @@ def test_a_driver_that_was_held_up_does_not_blame_others() -> None:
     """Its own pause of 80 ms is no silence of the nodes; silence after it is."""
     rig = Rig(four_wheels())
     rig.drive()
-    drain = rig.base.links[0].receiver.drain
+    drain = rig.base.connections[0].receiver.drain
     rig.simulated.run(0.08)
-    rig.base.links[0].receiver.drain = list  # type: ignore[method-assign]
+    rig.base.connections[0].receiver.drain = list  # type: ignore[method-assign]
     rig.run(PERIOD)  # the thread that receives has not come to it yet
-    rig.base.links[0].receiver.drain = drain  # type: ignore[method-assign]
+    rig.base.connections[0].receiver.drain = drain  # type: ignore[method-assign]
     rig.run(0.5)
     assert rig.state is State.ACTIVE
     device(rig).power_off()
@@ -329,7 +329,7 @@ def test_a_node_that_leaves_operational_is_a_fault() -> None:
 def test_the_interface_off_the_bus_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    rig.port.controller.go_bus_off()  # type: ignore[attr-defined]
+    rig.interface.controller.go_bus_off()  # type: ignore[attr-defined]
     rig.until(lambda: rig.state is State.FAULT, 1.0)
     assert "bus-off" in rig.reason
     rig.simulated.run(2.0)
@@ -359,7 +359,7 @@ def test_another_master_is_noticed_before_anything_is_sent(frame: CanFrame) -> N
     rig.until(lambda: rig.state is State.FAULT, 1.0)
     assert "another master" in rig.reason
     rig.run(0.5)
-    assert rig.port.controller.sent == 0  # type: ignore[attr-defined]
+    assert rig.interface.controller.sent == 0  # type: ignore[attr-defined]
 
 
 def test_another_master_while_it_drives_stops_it() -> None:
@@ -397,7 +397,7 @@ def test_a_home_switch_that_does_not_work_is_a_fault() -> None:
 def test_home_steering_homes_again() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    with pytest.raises(Refused, match="not ready"):
+    with pytest.raises(RequestRefused, match="not ready"):
         rig.runner.home_steering()
     rig.twist = ZERO_TWIST
     rig.until(lambda: rig.state is State.READY)
@@ -429,7 +429,7 @@ def writes(rig: Rig) -> list[CanFrame]:
     ("change", "says"),
     [
         ({"version": (1, 2, 0)}, "version 1.2.0, not 1.0.0"),
-        ({"controller_type": 1}, "type 1, not 0"),
+        ({"controller_type": 1}, "the type 1, not 0"),
     ],
 )
 def test_another_script_is_refused(change: dict[str, object], says: str) -> None:
@@ -451,7 +451,7 @@ def test_another_encoder_is_refused() -> None:
     settings = drive.channels[0].settings
     drive.channels[0].settings = replace(settings, encoder_pulses=4096)
     rig.until(lambda: rig.state is State.FAULT)
-    assert "set up for 4096 pulses, the robot's file says 1024" in rig.reason
+    assert "configured for 4096 pulses, but the robot file has 1024" in rig.reason
 
 
 def test_another_product_is_refused_before_any_write() -> None:
@@ -462,7 +462,7 @@ def test_another_product_is_refused_before_any_write() -> None:
     drive.power_off()
     drive.power_on()
     rig.until(lambda: rig.state is State.FAULT)
-    assert "fl_controller: product_code (0x1018:2) is 403, the robot's file says 402" in rig.reason
+    assert "fl_controller: product_code (0x1018:2) is 403, but the robot file has 402" in rig.reason
     rig.run(1.0)
     assert writes(rig) == []
 
@@ -482,7 +482,7 @@ def test_a_parameter_that_was_never_flashed_is_refused_before_any_write() -> Non
 def test_nobody_there() -> None:
     rig = Rig(four_wheels(), power=False)
     rig.until(lambda: rig.state is State.FAULT)
-    assert "no controller answers" in rig.reason
+    assert "no controller responds" in rig.reason
     assert rig.now < 6.0
 
 
@@ -490,7 +490,7 @@ def test_one_is_missing() -> None:
     rig = Rig(four_wheels())
     device(rig).power_off()
     rig.until(lambda: rig.state is State.FAULT)
-    assert "no sign of fl_controller" in rig.reason
+    assert "no heartbeat of fl_controller" in rig.reason
 
 
 # -- stops, and the way back ------------------------------------------------------------------
@@ -505,12 +505,12 @@ def test_the_safety_stop_stops_at_once_and_takes_three_things_to_leave(make: Mak
     rig.until(lambda: rig.speed() == 0.0, 2.0)
     rig.run(0.3)
     assert all(c.is_off for c in rig.base.supervisor.controllers)
-    with pytest.raises(Refused, match="release it first"):
+    with pytest.raises(RequestRefused, match="release it first"):
         rig.runner.reset()
     rig.runner.safety_stop(False)
     rig.run(1.0)
     assert rig.state is State.ESTOP  # a release alone starts nothing
-    with pytest.raises(Refused, match="command zero first"):
+    with pytest.raises(RequestRefused, match="command zero first"):
         rig.runner.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.05)
@@ -527,7 +527,7 @@ def test_the_safety_stop_stops_at_once_and_takes_three_things_to_leave(make: Mak
 def test_there_is_nothing_to_reset_where_nothing_is_wrong() -> None:
     rig = Rig(four_wheels())
     rig.ready()
-    with pytest.raises(Refused, match="nothing to reset"):
+    with pytest.raises(RequestRefused, match="nothing to reset"):
         rig.runner.reset()
 
 

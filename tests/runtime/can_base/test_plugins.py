@@ -14,11 +14,11 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base import battery_and_io_drivers as devices
 from thorvaldc.runtime.can_base import motor_controller as controller
 from thorvaldc.runtime.can_base.battery_and_io_drivers import KcBatteryDriver
-from thorvaldc.runtime.can_base.roboteq_driver import RoboteqScript
+from thorvaldc.runtime.can_base.roboteq_driver import RoboteqScriptController
 from thorvaldc.simulation.bus import device_builders as builders
 
 
-class Mine(RoboteqScript):
+class Mine(RoboteqScriptController):
     """A controller of another kind, which happens to speak the same."""
 
 

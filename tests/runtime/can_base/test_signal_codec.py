@@ -16,7 +16,7 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import FrameDefinition, Signal
-from thorvaldc.runtime.can_base.frame_receiver import Receiver
+from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 
@@ -38,7 +38,7 @@ def test_values_are_those_of_cantools(make: Callable[[], Robot]) -> None:
                 theirs = message.decode(data, decode_choices=False)
             except cantools.database.DecodeError:
                 continue  # a multiplexer's value that is none
-            ours = codec.named(data)
+            ours = codec.decode_named(data)
             assert ours.keys() == theirs.keys(), frame.name
             for name, value in theirs.items():
                 assert ours[name] == pytest.approx(value, rel=1e-12), (frame.name, name)
@@ -117,9 +117,9 @@ class Fed:
         self.waiting += [ReceivedFrame(1_000_000 * i, f, own) for i, f in enumerate(frames)]
 
 
-def receiver(ring: int = 4) -> tuple[Receiver, Fed]:
+def receiver(limit: int = 4) -> tuple[FrameReceiver, Fed]:
     fed = Fed()
-    return Receiver(fed, {0x181}, ring=ring), fed  # type: ignore[arg-type]
+    return FrameReceiver(fed, {0x181}, limit=limit), fed  # type: ignore[arg-type]
 
 
 def test_a_full_ring_loses_the_oldest() -> None:
@@ -148,7 +148,7 @@ def test_strange_frames_and_own_ones_do_not_count() -> None:
     fed.feed(CanFrame(0x181, b"\1"), own=True)
     assert found.drain() == []
     assert found.latest == {}
-    assert found.strange == 2
+    assert found.ignored == 2
 
 
 @pytest.mark.parametrize("threaded", [False, True])

@@ -13,8 +13,8 @@ from tests.simulation.bus.robots import compiled
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import State
-from thorvaldc.runtime.can_base.foreign_frame_relay import WAITING, Relay
-from thorvaldc.runtime.runner import Refused
+from thorvaldc.runtime.can_base.foreign_frame_relay import QUEUE_LIMIT, Relay
+from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice, IoBoard, KcBattery
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -49,11 +49,11 @@ def test_zero_of_all_and_of_none() -> None:
     rig = Rig(four_wheels())
     rig.ready()
     rig.runner.set_home_count_current_position_zero()
-    with pytest.raises(Refused, match="no controller `nobody`"):
+    with pytest.raises(RequestRefused, match="no controller `nobody`"):
         rig.runner.set_home_count_current_position_zero("nobody")
     other = Rig(drives())
     other.ready()
-    with pytest.raises(Refused, match="home switch"):
+    with pytest.raises(RequestRefused, match="home switch"):
         other.runner.set_home_count_current_position_zero()
 
 
@@ -68,22 +68,22 @@ def test_a_controllers_own_settings() -> None:
     assert drive.channels[0].max_rpm == 300
     assert drive.pdos is not None
     assert drive.pdos.event_period(1) == 0.05
-    with pytest.raises(Refused, match="no setting `max_speed`; there are direction"):
+    with pytest.raises(RequestRefused, match="no setting `max_speed`; there are direction"):
         rig.runner.setup_motor_controller("fl_controller", "max_speed", 1)
-    with pytest.raises(Refused, match="cannot be"):
+    with pytest.raises(RequestRefused, match="cannot be"):
         rig.runner.setup_motor_controller("fl_controller", "home_count", float("nan"))
     rig.twist = FORWARD
     rig.run(1.0)
-    with pytest.raises(Refused, match="stop it first"):
+    with pytest.raises(RequestRefused, match="stop it first"):
         rig.runner.setup_motor_controller("fl_controller", "direction", 1)
 
 
 def test_drive_parameters_and_odometry() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    with pytest.raises(Refused):
+    with pytest.raises(RequestRefused):
         rig.runner.set_drive_parameters("rail")
-    with pytest.raises(Refused):
+    with pytest.raises(RequestRefused):
         rig.runner.set_drive_parameters(radii={"nobody": 0.3})
     name = rig.robot.wheels[0].name
     rig.runner.set_drive_parameters(radii={name: 0.21}, limits={"max_linear_velocity": 0.2})
@@ -125,15 +125,15 @@ def test_outputs_of_an_io_board() -> None:
     rig.runner.set_output("board", "beacon_red", True)
     rig.run(0.3)
     assert board.outputs == 0b110
-    assert rig.runner.boards[0].state_of("beacon_red") is True
+    assert rig.runner.boards[0].reported_output("beacon_red") is True
     rig.runner.set_output("board", "relay_1", False)
     board.inputs = 5
     rig.run(0.3)
     assert board.outputs == 0b100
     assert rig.runner.boards[0].inputs == 5
-    with pytest.raises(Refused, match="no output `horn`; it has relay_0"):
+    with pytest.raises(RequestRefused, match="no output `horn`; it has relay_0"):
         rig.runner.set_output("board", "horn", True)
-    with pytest.raises(Refused, match="no IO board `bord`; there are board"):
+    with pytest.raises(RequestRefused, match="no IO board `bord`; there are board"):
         rig.runner.set_output("bord", "relay_0", True)
 
 
@@ -164,7 +164,7 @@ def test_all_three_frames_of_a_battery_are_its_own() -> None:
     assert rig.runner.warnings() == ["battery: 5 % left"]
     battery.power_off()
     rig.run(1.5)
-    assert "battery is silent" in rig.runner.warnings()
+    assert "battery: no reports" in rig.runner.warnings()
     assert rig.state is State.READY  # it drives nothing
 
 
@@ -182,7 +182,7 @@ def test_frames_of_foreign_devices_pass_both_ways() -> None:
     assert sprayer.heard == [CanFrame(COMMAND, b"\x01\x02")]
     assert [found.cob_id for found in rig.runner.from_devices()] == [STATE]  # its answer
     rig.runner.mute_devices()
-    with pytest.raises(Refused, match="muted"):
+    with pytest.raises(RequestRefused, match="muted"):
         rig.runner.send_to_device(COMMAND, b"")
     rig.runner.mute_devices(False)
     rig.run(0.2)
@@ -196,7 +196,7 @@ def test_nothing_else_passes(cob_id: int) -> None:
     rig = Rig(drives())
     rig.ready()
     at = rig.now
-    with pytest.raises(Refused, match="not allowed"):
+    with pytest.raises(RequestRefused, match="not allowed"):
         rig.runner.send_to_device(cob_id, b"\xde\xad")
     rig.run(0.2)
     assert not [f for t, f in rig.frames if t / 1e9 > at and f.data == b"\xde\xad"]
@@ -214,7 +214,7 @@ def test_the_rate_is_limited_on_the_average() -> None:
     assert [found.offer(CanFrame(COMMAND, b""), t) for t in jittery] == [""] * 20
     found = relay()
     said = [found.offer(CanFrame(COMMAND, b""), 0.01 * i) for i in range(1000)]
-    assert 98 <= said.count("") <= 102 or said.count("waiting")
+    assert 98 <= said.count("") <= 102 or said.count("queue full")
     assert found.dropped[COMMAND, "too often"] >= 890
 
 
@@ -224,16 +224,16 @@ def test_a_burst_keeps_what_is_allowed_and_counts_the_rest() -> None:
     reasons = [found.offer(CanFrame(COMMAND, bytes([i])), 1.0) for i in range(100)]
     assert 1 <= reasons.count("") <= 2
     assert found.dropped[COMMAND, "too often"] == 100 - reasons.count("")
-    assert found.to_send() == CanFrame(COMMAND, b"\0")
+    assert found.next_outgoing() == CanFrame(COMMAND, b"\0")
 
 
 def test_a_full_queue_of_reports_loses_the_oldest() -> None:
     found = relay()
-    for i in range(WAITING + 10):
+    for i in range(QUEUE_LIMIT + 10):
         found.take(STATE, bytes([i]), 0.1 * i)
     kept = found.received()
-    assert [r.data[0] for r in kept] == list(range(10, WAITING + 10))
-    assert found.dropped[STATE, "waiting"] == 10
+    assert [r.data[0] for r in kept] == list(range(10, QUEUE_LIMIT + 10))
+    assert found.dropped[STATE, "queue full"] == 10
     found.take(0x1C1, b"", 0.0)
     assert found.received() == []
 
@@ -244,9 +244,9 @@ def test_too_long_a_frame_and_one_that_could_not_be_sent() -> None:
     found = Relay(replace(bus, frames=tuple(short)))
     assert found.offer(CanFrame(COMMAND, b"123"), 0.0) == "too long"
     assert found.offer(CanFrame(COMMAND, b"12"), 1.0) == ""
-    frame = found.to_send()
+    frame = found.next_outgoing()
     assert frame is not None
-    found.sent(frame, False)
+    found.count_sent(frame, False)
     assert found.dropped == {(COMMAND, "too long"): 1, (COMMAND, "not sent"): 1}
     assert found.passed[COMMAND] == 0
 

@@ -152,7 +152,7 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
     assert rig.runner.driver.state.pose.x > 1.0
     assert rig.speed() < 0.1
     assert any("homing  drives: teleop_joy" in lines[1] for lines in shown)
-    held = "ready  drives: teleop_joy  held: a motion was commanded before it was ready"
+    held = "ready  drives: teleop_joy  held: a motion was commanded before the base was ready"
     assert any(held in lines[1] for lines in shown)
     assert any("active  drives: teleop_joy" in lines[1] for lines in shown)
     vehicle.close()

@@ -1,4 +1,31 @@
-"""The states of a base on its buses, and what leads from one to the other."""
+"""The states of a base on its buses, and the conditions of each transition.
+
+Start-up, as messages between the driver and one node.  The watchdog of each side starts when it has
+heard the other one:
+
+    state    driver (master)                          node
+    INIT     listens 0.25 s; sends nothing      <---  heartbeat 05, if it was running
+             (SYNC, NMT or the master's heartbeat: another master is on the bus, FAULT)
+    PREOP    NMT enter pre-operational          --->
+             heartbeat 7F every 100 ms          --->  its heartbeat consumer (0x1016) starts
+                                                <---  heartbeat 7F
+             (repeated every 0.5 s to nodes that are not pre-operational; FAULT after 5 s)
+    CONFIG   SDO upload of each expected object --->
+                                                <---  value   (a mismatch: FAULT)
+             NMT start                          --->
+             SYNC every cycle                   --->
+                                                <---  heartbeat 05, reports (PDOs)
+             all nodes operational, identities match, all reports have come: the driver's
+             watchdog starts, commands are sent from now on
+    HOMING   PDO: home the steering             --->
+                                                <---  homed
+             PDO: enable, hold or straighten    --->
+                                                <---  enabled, in position
+    READY    PDO: speed 0                       --->
+
+FAULT and ESTOP are reached from every state, and left by ``reset`` only, to PREOP: every check is
+made again.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +34,23 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
-from thorvaldc.runtime.can_base.bus_health import (
-    OPERATIONAL,
-    PRE_OPERATION,
-    PRE_OPERATIONAL,
-    RESET_NODE,
-    START,
-    BusLink,
-)
+from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 
 
 class State(enum.Enum):
-    """``INIT`` listens, ``PREOP`` gathers the nodes, ``CONFIG`` compares them with the
-    robot's file, ``HOMING`` powers the motors, finds the steerings' zero and turns them
-    straight ahead, ``READY`` stands, ``ACTIVE`` drives, ``STOPPING`` ramps to rest.  ``FAULT``
-    and ``ESTOP`` stop all at once and stay until they are reset.
+    """State of the base.
+
+    - ``INIT``: listens to the bus;
+    - ``PREOP``: brings all nodes to the NMT state pre-operational;
+    - ``CONFIG``: compares the nodes with the robot file and starts them;
+    - ``HOMING``: powers the motors, homes the steerings and turns them straight ahead;
+    - ``READY``: stands and waits for a commanded twist;
+    - ``ACTIVE``: drives;
+    - ``STOPPING``: ramps to rest, because the command is too old;
+    - ``FAULT``, ``ESTOP``: quick stop of all motors, until ``reset``.
     """
 
     INIT = "init"
@@ -38,16 +65,23 @@ class State(enum.Enum):
 
     @property
     def drives(self) -> bool:
+        """``True`` in the states in which the wheels follow commands."""
         return self in (State.READY, State.ACTIVE, State.STOPPING)
 
     @property
     def starts(self) -> bool:
+        """``True`` in the states of the start-up."""
         return self in (State.INIT, State.PREOP, State.CONFIG, State.HOMING)
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """s.  How long it listens before it sends anything, and how long the rest may take."""
+    """Limits of the state machine, in s.
+
+    ``listen``: time in INIT.  ``repeat``: time after which an NMT command is repeated.  The others
+    are the longest durations: ``gather`` of PREOP, ``configure`` of CONFIG, ``home`` of homing,
+    ``enable`` of switching the motors on, ``stop`` of the last quick stop.
+    """
 
     listen: float = 0.25
     gather: float = 5.0
@@ -59,294 +93,317 @@ class Times:
 
 
 class Supervisor:
-    """What all controllers are to do, from how each of them is.
+    """The state machine of a base.
 
-    ``reason`` says why it is in ``FAULT`` or ``ESTOP``; ``was_ready``: it has once got as far
-    as ``READY``; ``mismatch``: what is on the bus is not what the robot's file says.
+    ``reason``: why the state is FAULT or ESTOP.  ``was_ready``: READY was reached once.
+    ``mismatch``: the state is FAULT because the nodes do not match the robot file.
     ``changed`` is called with the time (s), the new state and the reason.
     """
 
-    def __init__(self, links: Sequence[BusLink], times: Times | None = None) -> None:
-        self.links = links
+    def __init__(self, connections: Sequence[BusConnection], times: Times | None = None) -> None:
+        self.connections = connections
         self.times = times or Times()
         self.state = State.INIT
         self.since = -math.inf
+        """Time (s) at which the state was entered."""
         self.reason = ""
         self.stop_engaged = False
         self.ending = False
         self.was_ready = False
         self.mismatch = False
         self.changed: Callable[[float, State, str], None] | None = None
-        self._commanded = -math.inf
+        self._nmt_sent_at = -math.inf
         self._repeat_at = -math.inf
-        self._speaks = False
-        self._checked = False
-        self._started = False
-        self._enabling: float | None = None
-        self._finds_home = False
-        self._restart: list[tuple[BusLink, MotorController]] = []
-        self._wants_stop = ""
+        self._may_send = False
+        self._operational = False
+        self._verified = False
+        self._enabling_since: float | None = None
+        self._homed_now = False
+        self._to_restart: list[tuple[BusConnection, MotorController]] = []
+        self._reported_problem = ""
 
     @property
     def controllers(self) -> list[MotorController]:
-        return [c for link in self.links for c in link.controllers]
+        return [c for connection in self.connections for c in connection.controllers]
 
-    # -- what is asked of it -----------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------
 
     def safety_stop(self, engaged: bool) -> None:
-        """Stop all at once; released, it takes a reset to go on."""
+        """Engages or releases the safety stop; after its release ``reset`` is necessary."""
         self.stop_engaged = engaged
 
     def fail(self, reason: str) -> None:
-        """A fault that others have found; taken up at the next update."""
-        self._wants_stop = self._wants_stop or reason
+        """Reports a problem that was detected elsewhere; FAULT follows at the next update."""
+        self._reported_problem = self._reported_problem or reason
 
     def reset(self, now: float, commanded: bool) -> str:
-        """Leave ``FAULT`` or ``ESTOP``; returns why not.  ``commanded``: a motion is asked for."""
+        """Leaves FAULT or ESTOP; ``commanded``: a motion is commanded.
+
+        Returns the reason for a refusal; empty: the base starts again.
+        """
         if self.state not in (State.FAULT, State.ESTOP):
             return "there is nothing to reset"
         if self.stop_engaged:
             return "the safety stop is engaged; release it first"
         if commanded:
-            return "a motion is being commanded; command zero first"
-        for link in self.links:
-            if link.receiver.lost:
-                return f"the interface to the bus `{link.bus.name}` is gone"
-        self._restart = [
-            (link, c) for link in self.links for c in link.controllers if c.needs_restart
+            return "a motion is commanded; command zero first"
+        for connection in self.connections:
+            if connection.receiver.lost:
+                return f"the CAN interface of the bus `{connection.bus.name}` is lost"
+        self._to_restart = [
+            (connection, controller)
+            for connection in self.connections
+            for controller in connection.controllers
+            if controller.needs_restart
         ]
-        for link in self.links:
-            link.foreign_master = ""
-            link.failures_in_a_row = 0
-            if link.port.state is ErrorState.BUS_OFF:
-                link.port.restart()
-        self._wants_stop = ""
-        self._go(State.PREOP, now)
+        for connection in self.connections:
+            connection.foreign_master = ""
+            connection.failures_in_a_row = 0
+            if connection.interface.state is ErrorState.BUS_OFF:
+                connection.interface.restart()
+        self._reported_problem = ""
+        self._enter(State.PREOP, now)
         return ""
 
     def home(self, now: float) -> str:
-        """Find the steerings' zero again; why not, or empty."""
+        """Homes the steerings again.  Returns the reason for a refusal, or an empty text."""
         if self.state is not State.READY:
             return f"the base is {self.state.value}, not ready"
         for controller in self.controllers:
-            controller.home_again(now)
-        self._go(State.HOMING, now)
+            controller.discard_home(now)
+        self._enter(State.HOMING, now)
         return ""
 
     def end(self) -> None:
-        """Stop, disable, pre-operational: the way out.  ``ended`` tells when it is over."""
+        """Starts the shutdown: quick stop, then no torque.  ``ended`` reports its end."""
         self.ending = True
 
     @property
     def ended(self) -> bool:
         off = all(c.is_off and c.standing for c in self.controllers)
-        return self.ending and (off or self.state.starts or not self._started)
+        return self.ending and (off or self.state.starts or not self._operational)
 
-    # -- a cycle -----------------------------------------------------------------------------------
+    # -- the control cycle -------------------------------------------------------------------------
 
     def update(self, now: float) -> Intent:
-        """Once in a cycle, after all that has come is taken in."""
+        """Runs the state machine once; call it after all received frames are decoded."""
         if self.since == -math.inf:
-            self._go(State.INIT, now)
-        self._guard(now)
+            self._enter(State.INIT, now)
+        self._check_problems(now)
         step = {
-            State.INIT: self._init,
-            State.PREOP: self._preop,
-            State.CONFIG: self._config,
-            State.HOMING: self._homing,
+            State.INIT: self._step_init,
+            State.PREOP: self._step_preop,
+            State.CONFIG: self._step_config,
+            State.HOMING: self._step_homing,
         }.get(self.state)
         if step is not None and not self.ending:
             step(now)
         return self.intent
 
-    def drive(self, now: float, moves: bool, stale: bool) -> None:
-        """What the driver is about: whether it moves, and whether its command is too old."""
+    def note_motion(self, now: float, moves: bool, stale: bool) -> None:
+        """Changes between READY, ACTIVE and STOPPING.
+
+        ``moves``: the robot moves or is commanded to.  ``stale``: the command is too old.
+        """
         if not self.state.drives:
             return
-        wanted = State.READY
+        state = State.READY
         if moves:
-            wanted = State.STOPPING if stale or self.ending else State.ACTIVE
-        if wanted is not self.state:
-            self._go(wanted, now)
+            state = State.STOPPING if stale or self.ending else State.ACTIVE
+        if state is not self.state:
+            self._enter(state, now)
 
     @property
     def intent(self) -> Intent:
+        """What is requested of the controllers in this cycle."""
         if self.ending or self.state in (State.FAULT, State.ESTOP):
             return Intent.QUICK_STOP
-        if self.state.drives or self._enabling is not None:
+        if self.state.drives or self._enabling_since is not None:
             return Intent.FOLLOW
         return Intent.HOME if self.state is State.HOMING else Intent.OFF
 
     @property
-    def sends(self) -> bool:
-        """Whether anything may be sent: not before it has listened who is there."""
-        return self._speaks
+    def may_send(self) -> bool:
+        """``True`` once INIT has found no other master: before, nothing may be sent."""
+        return self._may_send
 
     @property
     def operational(self) -> bool:
-        """Whether the nodes are, and take commands."""
-        return self._started
+        """``True`` from NMT start on: SYNC is sent, and the nodes accept PDOs."""
+        return self._operational
 
     @property
-    def commands(self) -> bool:
-        """Whether commands may be sent: all controllers are those of the robot's file."""
-        return self._checked
+    def may_command(self) -> bool:
+        """``True`` once all controllers match the robot file: commands may be sent."""
+        return self._verified
 
-    # -- inside --------------------------------------------------------------------------------
+    # -- inside ------------------------------------------------------------------------------------
 
-    def _go(self, state: State, now: float, reason: str = "") -> None:
+    def _enter(self, state: State, now: float, reason: str = "") -> None:
         self.state, self.since, self.reason = state, now, reason
-        self._enabling, self._finds_home = None, False
+        self._enabling_since, self._homed_now = None, False
         if state in (State.INIT, State.PREOP):
-            self._started = self._checked = self.mismatch = False
-            for link in self.links:
-                link.unwatch()
+            self._operational = self._verified = self.mismatch = False
+            for connection in self.connections:
+                connection.watchdog.stop()
         if state is State.PREOP:
-            self._speaks = True
+            self._may_send = True
             for controller in self.controllers:
                 controller.allow_reset()
-            self._commanded, self._repeat_at = now, -math.inf
+            self._nmt_sent_at, self._repeat_at = now, -math.inf
         elif state is State.CONFIG:
-            for link in self.links:
-                link.check()
+            for connection in self.connections:
+                connection.start_readback()
         elif state is State.READY:
             self.was_ready = True
         if self.changed is not None:
             self.changed(now, state, reason)
 
-    def _guard(self, now: float) -> None:
-        """What stops everything, in every state."""
+    def _check_problems(self, now: float) -> None:
+        """Enters ESTOP or FAULT where something requires it, in every state."""
         if self.stop_engaged:
             if self.state is not State.ESTOP:
-                self._go(State.ESTOP, now, "the safety stop is engaged")
+                self._enter(State.ESTOP, now, "the safety stop is engaged")
             return
         if self.state in (State.FAULT, State.ESTOP):
             return
-        wrong, self._wants_stop = self._wants_stop, ""
-        for link in self.links:
-            wrong = wrong or link.foreign_master or link.receiver.lost
-        if wrong:
-            self._go(State.FAULT, now, wrong)
+        problem, self._reported_problem = self._reported_problem, ""
+        for connection in self.connections:
+            problem = problem or connection.foreign_master or connection.receiver.lost
+        if problem:
+            self._enter(State.FAULT, now, problem)
             return
         if self.ending or not (self.state.drives or self.state is State.HOMING):
             return
         for controller in self.controllers:
-            if controller.unpowered:
-                self._go(State.ESTOP, now, f"{controller.node.name}: {controller.unpowered}")
+            if controller.power_loss:
+                self._enter(State.ESTOP, now, f"{controller.node.name}: {controller.power_loss}")
                 return
-        for link in self.links:
-            wrong = link.problem(now)
-            if not wrong and self.state.drives:
-                wrong = next(
-                    (
-                        f"{c.node.name}: it does not follow any more"
-                        for c in link.controllers
-                        if not c.follows or not c.homed
-                    ),
-                    "",
-                )
-            if wrong:
-                self._go(State.FAULT, now, wrong)
+        for connection in self.connections:
+            problem = connection.problem(now)
+            if not problem and self.state.drives:
+                problem = _not_following(connection.controllers)
+            if problem:
+                self._enter(State.FAULT, now, problem)
                 return
 
-    def _late(self, now: float, limit: float) -> bool:
+    def _longer_than(self, limit: float, now: float) -> bool:
+        """Returns ``True`` where the state has lasted longer than ``limit`` s."""
         return now - self.since > limit
 
-    def _init(self, now: float) -> None:
-        if self._late(now, self.times.listen):
-            self._go(State.PREOP, now)
+    def _step_init(self, now: float) -> None:
+        if self._longer_than(self.times.listen, now):
+            self._enter(State.PREOP, now)
 
-    def _preop(self, now: float) -> None:
-        restarting, self._restart = self._restart, []
-        for link, controller in restarting:
-            link.nmt(RESET_NODE, [controller])
+    def _step_preop(self, now: float) -> None:
+        """Sends NMT commands until every controller is pre-operational."""
+        restarting, self._to_restart = self._to_restart, []
+        for connection, controller in restarting:
+            connection.queue_nmt(NmtCommand.RESET_NODE, [controller])
+            # A node that boots does not hear commands.
             self._repeat_at = now + 4.0 * self.times.repeat
-            self._commanded = now
+            self._nmt_sent_at = now
         missing = [
-            (link, c)
-            for link in self.links
-            for c in link.controllers
-            if not link.in_state(c, PRE_OPERATIONAL, self._commanded)
+            (connection, controller)
+            for connection in self.connections
+            for controller in connection.controllers
+            if not connection.watchdog.is_in_state(
+                controller, NmtState.PRE_OPERATIONAL, self._nmt_sent_at
+            )
         ]
         if now >= self._repeat_at and not restarting:
             self._repeat_at = now + self.times.repeat
-            for link, controller in missing:
-                link.nmt(PRE_OPERATION, [controller])
+            for connection, controller in missing:
+                connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, [controller])
         if not missing and not restarting:
-            self._go(State.CONFIG, now)
-        elif self._late(now, self.times.gather):
+            self._enter(State.CONFIG, now)
+        elif self._longer_than(self.times.gather, now):
             names = ", ".join(c.node.name for _, c in missing)
-            silent = all(c.node.name in link.silent for link, c in missing)
+            silent = all(connection.watchdog.is_silent(c) for connection, c in missing)
             if silent and len(missing) == len(self.controllers):
-                why = "no controller answers; is the robot switched on, and the bitrate right?"
+                reason = "no controller responds; is the robot switched on, is the bitrate right?"
             elif silent:
-                why = f"no sign of {names}; is it connected, and its id right?"
+                reason = f"no heartbeat of {names}; is it connected, is its node id right?"
             else:
-                why = f"does not become pre-operational: {names}"
-            self._go(State.FAULT, now, why)
+                reason = f"not pre-operational in time: {names}"
+            self._enter(State.FAULT, now, reason)
 
-    def _config(self, now: float) -> None:
-        for link in self.links:
-            for name, check in link.checks.items():
-                if check.problem:
-                    self.mismatch = True
-                    self._go(State.FAULT, now, f"{name}: {check.problem}")
-                    return
-        if not all(check.done for link in self.links for check in link.checks.values()):
-            if self._late(now, self.times.configure):
-                self._go(State.FAULT, now, "the controllers' objects could not be read in time")
+    def _step_config(self, now: float) -> None:
+        """Compares objects, starts the nodes, compares identities, waits for all reports."""
+        readbacks = [(n, r) for c in self.connections for n, r in c.readbacks.items()]
+        for name, readback in readbacks:
+            if readback.problem:
+                self._enter_mismatch(now, f"{name}: {readback.problem}")
+                return
+        if not all(readback.finished for _, readback in readbacks):
+            if self._longer_than(self.times.configure, now):
+                reason = "the objects of the controllers could not be read in time"
+                self._enter(State.FAULT, now, reason)
             return
-        if not self._started:
-            self._started = True
-            self._commanded = now
+        if not self._operational:
+            self._operational = True
+            self._nmt_sent_at = now
             self._repeat_at = now + self.times.repeat
-            for link in self.links:
-                link.nmt(START)
-        waiting = []
-        for link in self.links:
-            for controller in link.controllers:
+            for connection in self.connections:
+                connection.queue_nmt(NmtCommand.START)
+        incomplete = []
+        for connection in self.connections:
+            watchdog = connection.watchdog
+            for controller in connection.controllers:
                 name = controller.node.name
-                who = controller.identity()
-                if who:
-                    self.mismatch = True
-                    self._go(State.FAULT, now, f"{name}: {who}")
+                mismatch = controller.identity_mismatch()
+                if mismatch:
+                    self._enter_mismatch(now, f"{name}: {mismatch}")
                     return
-                up = link.in_state(controller, OPERATIONAL, self._commanded)
-                if not up and now >= self._repeat_at:
-                    link.nmt(START, [controller])
-                if not up or who is None or not link.heard(controller):
-                    waiting.append(name)
+                started = watchdog.is_in_state(controller, NmtState.OPERATIONAL, self._nmt_sent_at)
+                if not started and now >= self._repeat_at:
+                    connection.queue_nmt(NmtCommand.START, [controller])
+                if not started or mismatch is None or not watchdog.has_all_reports(controller):
+                    incomplete.append(name)
         if now >= self._repeat_at:
             self._repeat_at = now + self.times.repeat
-        if not waiting:
-            for link in self.links:
-                link.watch(now)
-            self._checked = True
-            self._go(State.HOMING, now)
-        elif self._late(now, self.times.configure):
-            why = f"does not tell what it is and does: {', '.join(waiting)}"
-            self._go(State.FAULT, now, why)
+        if not incomplete:
+            for connection in self.connections:
+                connection.watchdog.start(now)
+            self._verified = True
+            self._enter(State.HOMING, now)
+        elif self._longer_than(self.times.configure, now):
+            reason = f"no complete reports in time from {', '.join(incomplete)}"
+            self._enter(State.FAULT, now, reason)
 
-    def _homing(self, now: float) -> None:
+    def _enter_mismatch(self, now: float, reason: str) -> None:
+        self.mismatch = True
+        self._enter(State.FAULT, now, reason)
+
+    def _step_homing(self, now: float) -> None:
+        """Homes the steerings, then enables all motors; waits until all wheels are in position."""
         unhomed = [c.node.name for c in self.controllers if not c.homed]
         if unhomed:
-            self._finds_home = True
-            if self._late(now, self.times.home):
-                why = f"the steering does not find its home: {', '.join(unhomed)}"
-                self._go(State.FAULT, now, why)
+            self._homed_now = True
+            if self._longer_than(self.times.home, now):
+                reason = f"the steering did not find its home position: {', '.join(unhomed)}"
+                self._enter(State.FAULT, now, reason)
             return
-        if self._enabling is None:
-            self._enabling = now
+        if self._enabling_since is None:
+            self._enabling_since = now
             for controller in self.controllers:
                 controller.hold()
-                if self._finds_home:
+                if self._homed_now:
                     controller.straighten()
         enabled = all(c.follows and c.standing for c in self.controllers)
-        if enabled and all(c.arrived for c in self.controllers):
-            self._go(State.READY, now)
-        elif enabled and not self._late(now, self.times.home):
-            self._enabling = now
-        elif now - self._enabling > self.times.enable:
+        if enabled and all(c.in_position for c in self.controllers):
+            self._enter(State.READY, now)
+        elif enabled and not self._longer_than(self.times.home, now):
+            self._enabling_since = now
+        elif now - self._enabling_since > self.times.enable:
             names = ", ".join(c.node.name for c in self.controllers if not c.follows)
-            why = f"is not enabled: {names}" if names else "the wheels do not come to rest"
-            self._go(State.FAULT, now, why)
+            reason = f"motors not enabled in time: {names}" if names else "the wheels do not stop"
+            self._enter(State.FAULT, now, reason)
+
+
+def _not_following(controllers: Sequence[MotorController]) -> str:
+    """Returns the first controller that has left its enabled and homed state; empty: none."""
+    for controller in controllers:
+        if not controller.follows or not controller.homed:
+            return f"{controller.node.name}: it is no longer enabled and homed"
+    return ""

@@ -1,4 +1,4 @@
-"""Devices on the bus that drive nothing: batteries and IO boards."""
+"""Devices on the bus without motors: batteries and IO boards."""
 
 from __future__ import annotations
 
@@ -7,17 +7,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.plugins import PluginTable
-from thorvaldc.runtime.can_base.motor_controller import MASTER, Message, driver_class, frames_of
+from thorvaldc.runtime.can_base.motor_controller import MASTER, driver_class, frames_of
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
+
+LOW_CHARGE = 0.1
+"""State of charge (0 to 1) below which a battery has a warning."""
+_KC_TEMPERATURES = 6
 
 
 @dataclass(slots=True)
 class BatteryState:
-    """V, A (out of the battery positive), shares of 1, degrees C; NaN: not told yet.
+    """Voltage (V), current (A, positive out of the battery), charge and health (0 to 1).
 
-    ``time`` (s) is that of the newest report.  ``alarms`` are the maker's bits.
+    ``temperatures`` in degrees C; NaN: not reported yet.  ``time`` (s) is the time of the newest
+    report.  ``alarms`` are bits that the manufacturer defines.
     """
 
     time: float = -math.inf
@@ -33,7 +39,10 @@ class BatteryState:
 
 
 class BatteryDriver(abc.ABC):
-    """A battery's reports.  Others are found by the entry points ``thorvaldc.batteries``."""
+    """Decodes a battery's reports.
+
+    A package can offer its own driver under the entry-point group ``thorvaldc.batteries``.
+    """
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
@@ -42,36 +51,37 @@ class BatteryDriver(abc.ABC):
             for frame in frames_of(bus, node)
         }
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
+        """By COB-ID: called with data and time (s) of the newest frame of each cycle."""
         self.state = BatteryState()
 
     @property
     @abc.abstractmethod
     def warning(self) -> str:
-        """What somebody should know of it; empty: nothing."""
+        """Warning for the operator; empty: none."""
 
 
 class KcBatteryDriver(BatteryDriver):
-    """The battery by KC: three frames, all of them its own."""
+    """The KC battery, which broadcasts three frames; each has its own signals."""
 
     def __init__(self, bus: Bus, node: Node) -> None:
         super().__init__(bus, node)
-        self._temperatures = [math.nan] * 6
+        self._temperatures = [math.nan] * _KC_TEMPERATURES
         for codec in self.codecs.values():
-            self._listen(codec)
+            self._add_handler(codec)
 
-    def _listen(self, codec: FrameCodec) -> None:
-        def take(data: bytes, time: float) -> None:
-            self._take(codec.named(data), time)
+    def _add_handler(self, codec: FrameCodec) -> None:
+        def handle(data: bytes, time: float) -> None:
+            self._update(codec.decode_named(data), time)
 
-        self.handlers[codec.cob_id] = take
+        self.handlers[codec.cob_id] = handle
 
-    def _take(self, values: dict[str, float], time: float) -> None:
+    def _update(self, values: dict[str, float], time: float) -> None:
         state = self.state
         state.time = time
-        for i in range(6):
-            found = values.get(f"temperature_{i + 1}")
-            if found is not None:
-                self._temperatures[i] = found
+        for i in range(_KC_TEMPERATURES):
+            temperature = values.get(f"temperature_{i + 1}")
+            if temperature is not None:
+                self._temperatures[i] = temperature
         state.temperatures = [t for t in self._temperatures if not math.isnan(t)]
         if "voltage" in values:
             state.voltage = values["voltage"]
@@ -89,13 +99,13 @@ class KcBatteryDriver(BatteryDriver):
     def warning(self) -> str:
         if self.state.alarms:
             return f"alarms {self.state.alarms:#06x}"
-        if self.state.charge < 0.1:
+        if self.state.charge < LOW_CHARGE:
             return f"{100.0 * self.state.charge:.0f} % left"
         return ""
 
 
 class IoBoardDriver:
-    """An IO board: its outputs by name, and what it says of them and of its inputs."""
+    """An IO board: switches its outputs by name, and decodes its reports."""
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
@@ -103,53 +113,63 @@ class IoBoardDriver:
             frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
             for frame in frames_of(bus, node)
         }
-        self._outputs = next((c for c in codecs.values() if c.frame.producer == MASTER), None)
+        self._command = next((c for c in codecs.values() if c.frame.producer == MASTER), None)
         self._report = next((c for c in codecs.values() if c.frame.producer == node.name), None)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
         if self._report is not None:
-            self.handlers[self._report.cob_id] = self._take
+            self.handlers[self._report.cob_id] = self._handle_report
         self.time = -math.inf
+        """Time (s) of the newest report."""
         self.reported: dict[str, float] = {}
+        """Signals of the newest report by name."""
         properties = dict(node.properties)
         self.outputs: dict[str, bool] = {}
-        self._kind: dict[str, float] = {}
-        if self._outputs is not None:
-            for signal in self._outputs.frame.signals:
+        """Commanded state of each output."""
+        self._constants: dict[str, float] = {}
+        if self._command is not None:
+            for signal in self._command.frame.signals:
                 if signal.choices:
-                    self._kind[signal.name] = signal.choices[0][0]
+                    self._constants[signal.name] = signal.choices[0][0]
                 elif signal.length == 1:
                     self.outputs[signal.name] = bool(properties.get(f"{signal.name}_at_start"))
 
-    def switch(self, name: str, on: bool) -> Message:
-        """The frame that switches an output, the others as they are.  Raises ``KeyError``."""
-        if name not in self.outputs or self._outputs is None:
+    def switch(self, name: str, on: bool) -> CanFrame:
+        """Returns the frame that switches an output; other outputs keep their states.
+
+        Raises ``KeyError`` where there is no such output.
+        """
+        if name not in self.outputs or self._command is None:
             raise KeyError(name)
         self.outputs[name] = on
         values: dict[str, float] = {key: float(value) for key, value in self.outputs.items()}
-        return Message(self._outputs.cob_id, self._outputs.encode_named({**values, **self._kind}))
+        data = self._command.encode_named({**values, **self._constants})
+        return CanFrame(self._command.cob_id, data)
 
     @property
     def inputs(self) -> int:
+        """Bits of the inputs in the newest report."""
         return int(self.reported.get("inputs", 0))
 
-    def state_of(self, name: str) -> bool | None:
-        """What the board says of an output; ``None``: nothing yet."""
-        found = self.reported.get(f"{name}_state")
-        return None if found is None else bool(found)
+    def reported_output(self, name: str) -> bool | None:
+        """Returns the state of an output in the newest report; ``None``: not reported yet."""
+        state = self.reported.get(f"{name}_state")
+        return None if state is None else bool(state)
 
-    def _take(self, data: bytes, time: float) -> None:
+    def _handle_report(self, data: bytes, time: float) -> None:
         if self._report is not None:
-            self.reported, self.time = self._report.named(data), time
+            self.reported, self.time = self._report.decode_named(data), time
 
 
 PLUGINS: PluginTable[BatteryDriver] = PluginTable(
     "thorvaldc.batteries",
     BatteryDriver,
-    {"thorvald_kc_battery": "thorvaldc.runtime.can_base.battery_and_io_drivers:KcBatteryDriver"},
+    {
+        "thorvald_kc_battery": "thorvaldc.runtime.can_base.battery_and_io_drivers:KcBatteryDriver",
+    },
 )
 
 
 def battery_driver(bus: Bus, node: Node) -> BatteryDriver | None:
-    """The driver of a battery; ``None`` for a node that is none, or of an unknown kind."""
-    found = driver_class(PLUGINS, node)
-    return None if found is None else found(bus, node)
+    """Returns the driver of a battery; ``None`` for another node or an unknown protocol."""
+    battery = driver_class(PLUGINS, node)
+    return None if battery is None else battery(bus, node)

@@ -1,4 +1,24 @@
-"""A robot's base on its CAN buses."""
+"""The base of a robot on its CAN buses: joints in, joints out.
+
+One control cycle of 20 ms (the sync period), on the bus:
+
+    0 ms                                                                              20 ms
+    |-----------------------------------------------------------------------------------|
+    driver   RPDO 201, 202, 203, ...  SYNC  occasional  relayed  heartbeat 77F (100 ms)
+    nodes                                   TPDO 181, 182, 183, ...   heartbeats 701, ...
+    |
+    read     all frames since the last cycle are decoded; the state machine is updated
+    (driver) ramps and calculator turn the twist into joint commands
+    write    the frames are sent
+
+Commands go out in the order of their identifiers, which is their order by arbitration too.  SYNC
+follows all commands: drives apply them together at SYNC, and send their reports after it.  The
+heartbeat of the master goes out only after a complete cycle.
+
+There is no sending by timers.  If the loop hangs, or a cycle cannot be sent, the heartbeat stays
+away, and every node stops by its own watchdog: CiA 402 drives by their heartbeat consumer (0x1016),
+the Roboteq script 0.5 s after the last new sequence number.
+"""
 
 from __future__ import annotations
 
@@ -11,64 +31,64 @@ from thorvaldc.model.buses import require_bus
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.can_base.base_state_machine import State, Supervisor, Times
-from thorvaldc.runtime.can_base.bus_health import MISS, MISSES, BusLink, unconnected
+from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.motor_controller import Intent
+from thorvaldc.runtime.can_base.node_watchdog import REPORT_TIMEOUT
 
 SEND_TIME = 0.25
-"""Share of a cycle that may be spent waiting for room in the send queue."""
+"""Largest share of a cycle for which one frame may wait for room in the send queue."""
 
 
 class CanBase(BaseHandle):
-    """The joints over CAN: ``read`` takes in what has come, ``write`` sends a cycle's frames.
+    """Measures and commands the joints over CAN.
 
-    ``write`` sends the commands of every controller in the order of their identifiers,
-    then SYNC, then what there is besides, and the master's heartbeat only where all of that
-    went out: a loop that hangs or fails falls silent, and the drives stop by themselves.
-
-    Whether the base drives is its ``supervisor``'s to say.  A stop in software is not a safety
+    ``read`` decodes what was received; ``write`` sends the frames of a cycle.  ``supervisor`` is
+    the state machine: it decides whether the base drives.  A stop in software is not a safety
     function.
     """
 
     def __init__(
         self,
         robot: Robot,
-        ports: Mapping[str, CanInterface],
+        interfaces: Mapping[str, CanInterface],
         *,
         threaded: bool = True,
         times: Times | None = None,
     ) -> None:
-        """``ports`` by the bus's name, on one clock.
+        """``interfaces``: the CAN interface of each bus by its name; all have the same clock.
 
-        ``threaded``: each port is received from by a thread; in virtual time none may be.
+        ``threaded``: each interface is read by a thread of its own; in virtual time this is not
+        possible.
+
         Raises ``DiagnosticError`` (``bus-driver-unknown``, ``bus-motor-unconnected``,
-        ``bus-missing``) for a robot that cannot be driven by its buses.
+        ``bus-missing``) for a robot whose buses do not reach all motors of the base.
         """
         require_bus(robot)
-        fault = unconnected(robot)
-        if fault is not None:
-            raise fault
+        _require_connected_motors(robot)
         self.robot = robot
         self.period = min(bus.sync_period for bus in robot.buses)
         """s of a control cycle."""
-        self.links: list[BusLink] = []
+        self.connections: list[BusConnection] = []
         try:
             for bus in robot.buses:
-                self.links.append(BusLink(robot, bus, ports[bus.name], threaded=threaded))
+                self.connections.append(
+                    BusConnection(robot, bus, interfaces[bus.name], threaded=threaded)
+                )
         except DiagnosticError:
-            for link in self.links:
-                link.receiver.stop()
+            for connection in self.connections:
+                connection.receiver.stop()
             raise
-        self.supervisor = Supervisor(self.links, times)
+        self.supervisor = Supervisor(self.connections, times)
         self.armed = False
-        """Whether a command of zero, or none, was seen since it became ready."""
+        """``True`` once no motion was commanded while the base was ready."""
         self.cycles = 0
-        """Cycles in which all was sent."""
+        """Number of cycles that were sent completely."""
         self.incomplete = 0
-        """Cycles in which it was not."""
-        self._axes = [a for link in self.links for c in link.controllers for a in c.axes]
+        """Number of other cycles."""
+        self._axes = [axis for c in self.supervisor.controllers for axis in c.axes]
         self._wheels = len(robot.wheels)
-        self._moves = False
-        self._wait = SEND_TIME * self.period
+        self._turning = False
+        self._send_timeout = SEND_TIME * self.period
 
     @property
     def hold_reason(self) -> str:
@@ -76,103 +96,125 @@ class CanBase(BaseHandle):
         if supervisor.state in (State.FAULT, State.ESTOP):
             return f"{supervisor.state.value}: {supervisor.reason}"
         if supervisor.ending:
-            return "the driver is ending"
+            return "the driver is shutting down"
         if not supervisor.state.drives:
             return str(supervisor.state.value)
-        return "" if self.armed else "a motion was commanded before it was ready"
+        return "" if self.armed else "a motion was commanded before the base was ready"
 
     @property
     def standing(self) -> bool:
-        """Whether no wheel turns and none shall."""
-        return not self._moves and all(c.standing for link in self.links for c in link.controllers)
+        """``True`` where no wheel turns and none is commanded to turn."""
+        return not self._turning and all(c.standing for c in self.supervisor.controllers)
 
     def read(self, now: float) -> JointStates:
-        """All that has come, decoded; joints whose reports are too old are NaN.
+        """Returns the measured joints; NaN where the newest report is too old.
 
         ``time`` is the mean of the times at which the motors were measured.
         """
-        for link in self.links:
-            link.take(now)
+        for connection in self.connections:
+            connection.receive(now)
         self.supervisor.update(now)
         if not self.supervisor.state.drives:
             self.armed = False
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
-        oldest = now - (MISS + MISSES - 1) * self.period
+        oldest = now - REPORT_TIMEOUT * self.period
         total = 0.0
         for axis in self._axes:
-            known = axis.time >= oldest
-            total += axis.time if known else now
+            valid = axis.time >= oldest
+            total += axis.time if valid else now
             if axis.steering:
-                angles[axis.wheel] = axis.position if known else math.nan
-                rates[axis.wheel] = axis.velocity if known else math.nan
+                angles[axis.wheel] = axis.position if valid else math.nan
+                rates[axis.wheel] = axis.velocity if valid else math.nan
             else:
-                speeds[axis.wheel] = axis.velocity if known else math.nan
+                speeds[axis.wheel] = axis.velocity if valid else math.nan
         return JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
 
     def arm(self, commanded: bool) -> None:
-        """Take note of whether a motion is commanded: it may begin only from none."""
+        """Notes whether a motion is commanded: the base follows only after a pause of commands.
+
+        So a joystick that is deflected while the base starts does not move the robot.
+        """
         if self.supervisor.state.drives and not commanded:
             self.armed = True
 
     def write(self, commands: JointCommands, now: float) -> None:
         supervisor = self.supervisor
         follows = supervisor.state.drives and not supervisor.ending
-        if follows and not self._aim(commands):
-            supervisor.fail("a command was not a finite number")
+        if follows and not self._set_targets(commands):
+            supervisor.fail("a command is not a finite number")
             supervisor.update(now)
         intent = supervisor.intent
-        self._moves = intent is Intent.FOLLOW and any(
+        self._turning = intent is Intent.FOLLOW and any(
             axis.target for axis in self._axes if not axis.steering
         )
-        if not supervisor.sends:
+        if not supervisor.may_send:
             return
         complete = True
-        for link in self.links:
-            complete = self._send(link, intent, now) and complete
+        for connection in self.connections:
+            complete = self._send_cycle(connection, intent, now) and complete
         if complete:
             self.cycles += 1
-            for link in self.links:
-                link.send_heartbeat(now, supervisor.operational)
+            for connection in self.connections:
+                connection.send_heartbeat(now, supervisor.operational)
         else:
             self.incomplete += 1
 
     def close(self) -> None:
-        """Let go of the ports; nothing is sent any more."""
-        for link in self.links:
-            link.close()
+        """Closes the CAN interfaces."""
+        for connection in self.connections:
+            connection.close()
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _aim(self, commands: JointCommands) -> bool:
-        """Take over the targets; ``False``, and none of them, where one is not finite."""
-        finite = math.isfinite
-        for axis in self._axes:
-            wanted = commands.angles if axis.steering else commands.speeds
-            if not finite(wanted[axis.wheel]):
-                return False
-        for axis in self._axes:
-            wanted = commands.angles if axis.steering else commands.speeds
-            axis.target = wanted[axis.wheel]
+    def _set_targets(self, commands: JointCommands) -> bool:
+        """Sets the targets of all axes; returns ``False`` and sets none where one is not finite."""
+        targets = [
+            (commands.angles if axis.steering else commands.speeds)[axis.wheel]
+            for axis in self._axes
+        ]
+        if not all(map(math.isfinite, targets)):
+            return False
+        for axis, target in zip(self._axes, targets, strict=True):
+            axis.target = target
         return True
 
-    def _send(self, link: BusLink, intent: Intent, now: float) -> bool:
+    def _send_cycle(self, connection: BusConnection, intent: Intent, now: float) -> bool:
+        """Sends the frames of a cycle on one bus; returns whether all were sent."""
         supervisor = self.supervisor
         complete = True
         if supervisor.operational:
             try:
-                cyclic = link.cyclic(intent, now) if supervisor.commands else []
-            except ValueError as fault:
-                supervisor.fail(str(fault))
+                commands = connection.cyclic_frames(intent, now) if supervisor.may_command else []
+            except ValueError as error:
+                supervisor.fail(str(error))
                 return False
-            for message in cyclic:
-                if not link.send(message, self._wait):
+            for frame in commands:
+                if not connection.send(frame, self._send_timeout):
                     complete = False
                     break
-            # Half of the commands must not become valid together with SYNC.
-            complete = complete and link.send_sync(self._wait)
-        for message in link.sporadic(intent, now, supervisor.commands, supervisor.state.drives):
-            complete = link.send(message, self._wait) and complete
-        link.send_relayed()
-        link.failures_in_a_row = 0 if complete else link.failures_in_a_row + 1
+            # Without SYNC the drives do not apply half of the commands.
+            complete = complete and connection.send_sync(self._send_timeout)
+        driving = supervisor.state.drives
+        for frame in connection.occasional_frames(intent, now, supervisor.may_command, driving):
+            complete = connection.send(frame, self._send_timeout) and complete
+        connection.send_relayed()
+        connection.failures_in_a_row = 0 if complete else connection.failures_in_a_row + 1
         return complete
+
+
+def _require_connected_motors(robot: Robot) -> None:
+    """Raises ``DiagnosticError`` for a motor of the base that no node on a bus moves."""
+    joints = {w.spin_joint for w in robot.wheels if w.driven}
+    joints |= {w.steering_joint for w in robot.wheels if w.steering_joint is not None}
+    connected = {
+        channel.actuator for bus in robot.buses for node in bus.nodes for channel in node.channels
+    }
+    for actuator in robot.actuators:
+        if actuator.joint in joints and actuator.name not in connected:
+            raise DiagnosticError(
+                "bus-motor-unconnected",
+                f"the motor {actuator.name} has no controller on a bus",
+                actuator.span,
+                hint="connect it to a channel of a controller",
+            )

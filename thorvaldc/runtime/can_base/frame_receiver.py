@@ -1,4 +1,4 @@
-"""What comes from a bus: the newest of each frame, and events in a ring that drops the oldest."""
+"""Receives from a CAN interface: the newest frame of each identifier, and a queue of events."""
 
 from __future__ import annotations
 
@@ -11,96 +11,107 @@ from thorvaldc.can.frame import ReceivedFrame
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.nanoseconds import NANOSECONDS
 
-RING = 512
-"""Events that wait for the loop."""
-_LISTEN = 0.1
-"""s after which the thread looks whether it shall end."""
+EVENT_LIMIT = 512
+"""Events that wait for the control cycle."""
+_STOP_CHECK = 0.1
+"""s between two checks of the thread whether it must stop."""
 
 
-class Latest(NamedTuple):
-    """The newest frame of an identifier: when it came (s) and the how manieth it is."""
+class Event(NamedTuple):
+    """A frame whose every occurrence matters: a heartbeat, an EMCY, an SDO response."""
+
+    time: float
+    cob_id: int
+    data: bytes
+
+
+class LatestFrame(NamedTuple):
+    """The newest frame of an identifier.  ``time`` (s); ``number`` counts its frames from 1."""
 
     time: float
     data: bytes
     number: int
 
 
-class Receiver:
-    """Takes frames from a port, in a thread of its own or when it is told to.
+class FrameReceiver:
+    """Takes frames from a CAN interface, in a thread of its own or in ``drain``.
 
-    ``latest`` holds the newest of each identifier.  Those in ``events`` go into a ring
-    besides, where none replaces another; a full ring loses the oldest, counted in
-    ``dropped``.  Only standard data frames count; others are counted in ``strange``.
+    ``latest`` has the newest frame of each identifier: of a report only the newest matters.  Frames
+    whose identifiers are in ``events`` also wait in a queue, where none replaces another; a full
+    queue drops the oldest and counts it in ``dropped``.  Extended and remote frames are not
+    CANopen: they are only counted, in ``ignored``.
     """
 
-    def __init__(self, port: CanInterface, events: Collection[int], *, ring: int = RING) -> None:
-        self.port = port
-        self.latest: dict[int, Latest] = {}
+    def __init__(
+        self, interface: CanInterface, events: Collection[int], *, limit: int = EVENT_LIMIT
+    ) -> None:
+        self.interface = interface
+        self.latest: dict[int, LatestFrame] = {}
         self.received = 0
         self.dropped = 0
-        self.strange = 0
+        self.ignored = 0
         self.lost: str = ""
-        """Why nothing more will come; empty: it may."""
-        self._events = frozenset(events)
-        self._ring: deque[tuple[float, int, bytes]] = deque()
-        self._limit = ring
+        """Reason why the interface is lost; empty: it works."""
+        self._event_ids = frozenset(events)
+        self._events: deque[Event] = deque()
+        self._limit = limit
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._ends = threading.Event()
+        self._stopping = threading.Event()
 
     def start(self) -> None:
-        """Receive in a thread from now on."""
+        """Starts to receive in a thread."""
         self._thread = threading.Thread(target=self._run, name="CAN receiver", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        self._ends.set()
+        self._stopping.set()
         if self._thread is not None:
             self._thread.join(2.0)
             self._thread = None
 
-    def drain(self) -> list[tuple[float, int, bytes]]:
-        """The events since it was called last, the oldest first: time (s), identifier, data.
+    def drain(self) -> list[Event]:
+        """Returns the events since the last call, the oldest first.
 
-        Without a thread it takes first what waits at the port.
+        Without a thread it first receives all frames that wait at the interface.
         """
         if self._thread is None and not self.lost:
             try:
-                while (found := self.port.receive(0.0)) is not None:
-                    self._take(found)
-            except ConnectionError as fault:
-                self.lost = str(fault) or "the interface is gone"
+                while (received := self.interface.receive(0.0)) is not None:
+                    self._store(received)
+            except ConnectionError as error:
+                self.lost = str(error) or "the interface is lost"
         with self._lock:
-            events = list(self._ring)
-            self._ring.clear()
+            events = list(self._events)
+            self._events.clear()
         return events
 
     def _run(self) -> None:
-        while not self._ends.is_set():
+        while not self._stopping.is_set():
             try:
-                found = self.port.receive(_LISTEN)
-            except ConnectionError as fault:
-                if not self._ends.is_set():
-                    self.lost = str(fault) or "the interface is gone"
+                received = self.interface.receive(_STOP_CHECK)
+            except ConnectionError as error:
+                if not self._stopping.is_set():
+                    self.lost = str(error) or "the interface is lost"
                 return
-            if found is not None:
-                self._take(found)
+            if received is not None:
+                self._store(received)
 
-    def _take(self, found: ReceivedFrame) -> None:
-        frame = found.frame
-        if found.own:
+    def _store(self, received: ReceivedFrame) -> None:
+        frame = received.frame
+        if received.own:
             return
         if frame.extended or frame.remote:
-            self.strange += 1
+            self.ignored += 1
             return
         self.received += 1
-        time = found.time / NANOSECONDS
-        before = self.latest.get(frame.id)
-        number = 1 if before is None else before.number + 1
-        self.latest[frame.id] = Latest(time, frame.data, number)
-        if frame.id in self._events:
+        time = received.time / NANOSECONDS
+        previous = self.latest.get(frame.id)
+        number = 1 if previous is None else previous.number + 1
+        self.latest[frame.id] = LatestFrame(time, frame.data, number)
+        if frame.id in self._event_ids:
             with self._lock:
-                if len(self._ring) >= self._limit:
-                    self._ring.popleft()
+                if len(self._events) >= self._limit:
+                    self._events.popleft()
                     self.dropped += 1
-                self._ring.append((time, frame.id, frame.data))
+                self._events.append(Event(time, frame.id, frame.data))

@@ -1,4 +1,4 @@
-"""Motor controllers: what the base wants of one, whatever it is; and which there are."""
+"""The interface of all motor controller drivers, and the table of drivers by protocol."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.plugins import PluginFailure, PluginTable
@@ -16,18 +17,20 @@ from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 T = TypeVar("T")
 MASTER = "master"
+"""Name of the base driver among the producers and consumers of frames."""
 STANDING = 0.02
-"""rad/s of a wheel below which it stands."""
-STRAIGHT = 0.01
-"""rad of a steering from its target within which it has come to it."""
+"""rad/s.  A slower wheel or steering counts as standing."""
+IN_POSITION = 0.01
+"""rad.  A steering this close to its target has reached it."""
 
 
 class Intent(enum.Enum):
-    """What is wanted of every controller at once.
+    """What the base requests of every controller in a cycle.
 
-    ``OFF``: no torque.  ``HOME``: the steering finds its home, the wheels stand.
-    ``FOLLOW``: speeds and angles as told; before the first it stands as it is.
-    ``QUICK_STOP``: to rest as fast as its ramps allow, steering held; then no torque.
+    ``OFF``: no torque.  ``HOME``: the steering finds its home position, the wheels stand.
+    ``FOLLOW``: wheel speeds and steering angles follow their targets.
+    ``QUICK_STOP``: wheels stop as fast as the controller's ramps allow, steering angles are held;
+    then no torque.
     """
 
     OFF = "off"
@@ -36,18 +39,11 @@ class Intent(enum.Enum):
     QUICK_STOP = "quick stop"
 
 
-class Message(NamedTuple):
-    """A frame to send."""
-
-    cob_id: int
-    data: bytes
-
-
 class Axis:
-    """A motor of the base: what it does and what it shall do, at the joint (rad, rad/s).
+    """A motor of the base: measurement and target, at the joint (rad, rad/s).
 
-    ``wheel`` is its place in ``Robot.wheels``.  ``time`` (s) is when it was measured;
-    ``target`` a speed, of a steering an angle.
+    ``wheel`` is the index in ``Robot.wheels``.  ``time`` (s) is the time of the measurement; NaN
+    position and velocity: not measured yet.  ``target`` is a wheel speed or a steering angle.
     """
 
     def __init__(self, actuator: Actuator, wheel: int, channel: str) -> None:
@@ -62,24 +58,27 @@ class Axis:
         self.target = 0.0
         self.homed = not self.steering
 
-    def measured(self, time: float, position: float, velocity: float | None = None) -> None:
-        """A position; its speed where it is measured too, else from the position before."""
+    def update(self, time: float, position: float, velocity: float | None = None) -> None:
+        """Stores a measurement; ``velocity`` ``None``: computed from the last two positions."""
         if velocity is None:
             dt = time - self.time
             velocity = (position - self.position) / dt if 0.0 < dt < 1.0 else 0.0
         self.time, self.position, self.velocity = time, position, velocity
 
-    def forget(self) -> None:
-        """It has been without power: where it stands is not known."""
+    def lose_reference(self) -> None:
+        """The controller restarted: the zero of a steering is unknown."""
         self.homed = not self.steering
         self.target = 0.0
 
 
 class MotorController(abc.ABC):
-    """A node with motors of the base.  It sends nothing itself: it says what to send.
+    """Driver of a node with motors of the base.
 
-    A class of another package is found by the entry point group
-    ``thorvaldc.motor_controllers``, named after the node's protocol.  All times in s.
+    A driver sends nothing itself: it returns the frames to send, and ``CanBase`` sends them in
+    the control cycle.  It receives frames by its ``handlers``.
+
+    A package can offer its own driver under the entry-point group ``thorvaldc.motor_controllers``,
+    by the name of the node's protocol.  All times in s.
     """
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
@@ -91,58 +90,61 @@ class MotorController(abc.ABC):
         }
         self.axes = tuple(_axes(robot, node))
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
-        """Called with data and time of each frame of that identifier."""
+        """By COB-ID: called with data and time (s) of the newest frame of each cycle."""
         self.error_code = 0
-        """Of the last emergency; 0: it said that all is well again."""
+        """Error code of the last EMCY message; 0: no error."""
 
-    # -- to be said by each kind -----------------------------------------------------------------
+    # -- to be implemented -----------------------------------------------------------------------
 
     @abc.abstractmethod
-    def cyclic(self, intent: Intent, now: float) -> list[Message]:
-        """What is sent in every control cycle.
+    def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
+        """Returns the frames that are sent in every control cycle.
 
         Raises ``ValueError`` where a target is not finite.
         """
 
-    def sporadic(self, intent: Intent, now: float) -> Message | None:
-        """One frame more, where there is something to tell; there is room for few of them."""
+    def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
+        """Returns one more frame to send, or ``None``; a cycle has room for few of them."""
         return None
 
     @property
     @abc.abstractmethod
     def follows(self) -> bool:
-        """Whether its motors are powered and do as told."""
+        """``True`` where all motors are powered and follow their targets."""
 
     @property
     @abc.abstractmethod
     def is_off(self) -> bool:
-        """Whether its motors are without torque, as far as it tells."""
+        """``True`` where no motor has torque, as far as the controller reports it."""
 
     @property
     @abc.abstractmethod
     def problem(self) -> str:
-        """What it says is wrong with it; empty: nothing."""
+        """Device errors that must stop the robot; empty: none."""
 
     @property
-    def unpowered(self) -> str:
-        """Why its power stage has no power (an emergency stop was pressed); empty: it has."""
+    def power_loss(self) -> str:
+        """Reason why the power stage is off (a pressed emergency stop); empty: it has power."""
         return ""
 
-    def identity(self) -> str | None:
-        """What is wrong with who it is: empty nothing, ``None`` not known yet."""
+    def identity_mismatch(self) -> str | None:
+        """Mismatch between the device's identity and the robot file.
+
+        Empty: it matches.  ``None``: the device has not reported its identity yet.
+        """
         return ""
 
-    def objects(self) -> Iterator[ObjectValue]:
-        """Entries of its object dictionary that must have their values before it may drive."""
+    def expected_objects(self) -> Iterator[ObjectValue]:
+        """Yields the objects whose values must match before the robot may drive."""
         return iter(())
 
     @abc.abstractmethod
     def allow_reset(self) -> None:
-        """The operator has asked for it: a fault may be reset once."""
+        """Allows one reset of a device error: the operator has requested it."""
 
     @property
     def needs_restart(self) -> bool:
-        """Whether only an NMT reset gets it out of the fault that it is in."""
+        """``True`` where only an NMT reset clears the device error."""
         return False
 
     # -- common ------------------------------------------------------------------------------------
@@ -153,57 +155,57 @@ class MotorController(abc.ABC):
 
     @property
     def standing(self) -> bool:
-        """Whether no wheel of it turns, as far as is known."""
+        """``True`` where no wheel is known to turn."""
         return all(not abs(axis.velocity) > STANDING for axis in self.axes if not axis.steering)
 
-    def restarted(self) -> None:
-        """It has said that it comes from a restart."""
+    @property
+    def in_position(self) -> bool:
+        """``True`` where every steering has reached its target and stands."""
+        return all(
+            abs(axis.position - axis.target) < IN_POSITION and abs(axis.velocity) < STANDING
+            for axis in self.axes
+            if axis.steering
+        )
+
+    def handle_restart(self) -> None:
+        """Resets the driver's state after a boot-up message of the node."""
         self.error_code = 0
         for axis in self.axes:
-            axis.forget()
+            axis.lose_reference()
 
-    def home_again(self, now: float) -> None:
-        """Take the steering's zero for lost."""
+    def discard_home(self, now: float) -> None:
+        """Marks the steering as not homed, so that the next ``HOME`` finds its home position."""
         for axis in self.axes:
             axis.homed = not axis.steering
 
     def hold(self) -> None:
-        """Want it to stand as it is, whatever was wanted before."""
+        """Sets the targets to the present steering angles and to wheels at rest."""
         for axis in self.axes:
             if axis.steering:
                 axis.target = axis.position if math.isfinite(axis.position) else 0.0
             else:
                 axis.target = 0.0
 
-    def setting(self, name: str, value: float) -> Message:
-        """The frame that sets a value of the controller's own.
-
-        Raises ``ValueError`` where it has no such setting, or not that value.
-        """
-        raise ValueError(f"{self.node.name} has no setting `{name}`")
-
-    def settings(self) -> tuple[str, ...]:
-        """The names that ``setting`` takes."""
-        return ()
-
     def straighten(self) -> None:
-        """Want the steering straight ahead, and the wheels at rest."""
+        """Sets the targets to steering straight ahead and to wheels at rest."""
         for axis in self.axes:
             axis.target = 0.0
 
-    @property
-    def arrived(self) -> bool:
-        """Whether every steering is where it shall be, and stays there."""
-        return all(
-            abs(axis.position - axis.target) < STRAIGHT and abs(axis.velocity) < STANDING
-            for axis in self.axes
-            if axis.steering
-        )
+    def setting_frame(self, name: str, value: float) -> CanFrame:
+        """Returns the frame that writes one of the controller's settings, in its units.
 
-    def zero_here(self) -> Message | None:
-        """The frame that makes the steering's present angle 0 from the next homing on.
+        Raises ``ValueError`` where it has no such setting or does not accept the value.
+        """
+        raise ValueError(f"{self.node.name} has no setting `{name}`")
 
-        ``None`` where there is no such frame.
+    def setting_names(self) -> tuple[str, ...]:
+        """Returns the names that ``setting_frame`` accepts."""
+        return ()
+
+    def set_zero_frame(self) -> CanFrame | None:
+        """Returns the frame that makes the present steering angle 0 from the next homing on.
+
+        ``None`` where the controller has no such setting.
         """
         return None
 
@@ -212,7 +214,7 @@ class MotorController(abc.ABC):
 
 
 def frames_of(bus: Bus, node: Node) -> list[FrameDefinition]:
-    """The frames that a node sends, and those that are for it alone."""
+    """Returns the frames that a node sends, and those that the master sends to it alone."""
     return [
         frame
         for frame in bus.frames
@@ -222,6 +224,7 @@ def frames_of(bus: Bus, node: Node) -> list[FrameDefinition]:
 
 
 def _axes(robot: Robot, node: Node) -> Iterator[Axis]:
+    """Yields an axis for each channel of the node whose motor moves a wheel or a steering."""
     wheels: dict[str, int] = {}
     for i, wheel in enumerate(robot.wheels):
         wheels[wheel.spin_joint] = i
@@ -241,14 +244,16 @@ PLUGINS: PluginTable[MotorController] = PluginTable(
     MotorController,
     {
         "cia402": "thorvaldc.runtime.can_base.cia402_driver:Cia402Controller",
-        "thorvald_roboteq": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScript",
-        "thorvald_roboteq_propulsion": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScript",
+        "thorvald_roboteq": "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScriptController",
+        "thorvald_roboteq_propulsion": (
+            "thorvaldc.runtime.can_base.roboteq_driver:RoboteqScriptController"
+        ),
     },
 )
 
 
 def controller_class(node: Node) -> type[MotorController]:
-    """Return the motor controller class for a node's protocol.
+    """Returns the motor controller class for a node's protocol.
 
     Raises ``DiagnosticError`` (``bus-driver-unknown``).
     """
@@ -257,15 +262,15 @@ def controller_class(node: Node) -> type[MotorController]:
         known = ", ".join(PLUGINS.names())
         raise DiagnosticError(
             "bus-driver-unknown",
-            f"no driver knows how to talk to `{node.name}`: its protocol is `{node.protocol}`",
+            f"there is no driver for the protocol `{node.protocol}` of `{node.name}`",
             node.span,
-            hint=f"there are {known}; a package of your own may add one ({PLUGINS.group})",
+            hint=f"there are {known}; another package can add one ({PLUGINS.group})",
         )
     return controller
 
 
 def driver_class(plugins: PluginTable[T], node: Node) -> type[T] | None:
-    """Return the class for a node's protocol, ``None`` where no package offers one.
+    """Returns the class for a node's protocol, ``None`` where no package offers one.
 
     Raises ``DiagnosticError`` (``bus-driver-unknown``) where the offered class cannot be used.
     """

@@ -1,71 +1,73 @@
-"""Whether a node's object dictionary has the values of the robot's file: read, never written."""
+"""Compares a node's object dictionary with the robot file: reads it by SDO, never writes."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
 
+from thorvaldc.can.canopen import abort_text, sdo_abort_code, sdo_upload
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import OBJECT_TYPES, ObjectValue
-from thorvaldc.runtime.can_base.motor_controller import Message
 
 ANSWER_TIME = 0.1
-"""s"""
+"""s after which a request without a response is repeated."""
 TRIES = 3
-_UPLOAD, _ABORT = 0x40, 0x80
 
 
-class ObjectCheck:
-    """Reads a node's entries one after another by SDO (CiA 301, expedited).
+class ObjectReadback:
+    """Uploads the objects of a node one after another and compares their values.
 
-    ``problem``: empty while nothing is wrong.
+    All objects are numbers of up to 4 bytes, so one request and one response (expedited transfer)
+    suffice for each.  The comparison ends at the first mismatch.
     """
 
-    def __init__(self, request: int, response: int, entries: Iterable[ObjectValue]) -> None:
+    def __init__(self, request: int, response: int, expected: Iterable[ObjectValue]) -> None:
         """``request`` and ``response`` are the COB-IDs of the node's SDO."""
         self.request = request
         self.response = response
         self.problem = ""
-        self._left = list(entries)[::-1]
-        self._asked_at: float | None = None
+        """First mismatch, or the reason why an object cannot be read; empty: none."""
+        self._remaining = list(expected)[::-1]
+        self._requested_at: float | None = None
         self._tries = 0
 
     @property
-    def done(self) -> bool:
-        return not self._left or bool(self.problem)
+    def finished(self) -> bool:
+        return not self._remaining or bool(self.problem)
 
-    def ask(self, now: float) -> Message | None:
-        """The next request, where one is due; the same again after a time without answer."""
-        if self.done or (self._asked_at is not None and now - self._asked_at < ANSWER_TIME):
+    def next_request(self, now: float) -> CanFrame | None:
+        """Returns the next request, ``None`` while a response is awaited and at the end."""
+        waiting = self._requested_at is not None and now - self._requested_at < ANSWER_TIME
+        if self.finished or waiting:
             return None
-        entry = self._left[-1]
+        expected = self._remaining[-1]
         if self._tries >= TRIES:
-            self.problem = f"does not answer when asked for {_shown(entry)}"
+            self.problem = f"no response to the SDO upload of {_label(expected)}"
             return None
         self._tries += 1
-        self._asked_at = now
-        data = struct.pack("<BHB4x", _UPLOAD, entry.index, entry.subindex)
-        return Message(self.request, data)
+        self._requested_at = now
+        return CanFrame(self.request, sdo_upload(expected.index, expected.subindex))
 
-    def take(self, data: bytes) -> None:
-        """An answer of the node."""
-        if self.done or self._asked_at is None or len(data) < 8:
+    def take_response(self, data: bytes) -> None:
+        """Compares the value of a response; ignores a response to an earlier request."""
+        if self.finished or self._requested_at is None or len(data) < 8:
             return
-        entry = self._left[-1]
-        if struct.unpack_from("<HB", data, 1) != (entry.index, entry.subindex):
+        expected = self._remaining[-1]
+        if struct.unpack_from("<HB", data, 1) != (expected.index, expected.subindex):
             return
-        if data[0] == _ABORT:
-            code = struct.unpack_from("<I", data, 4)[0]
-            self.problem = f"does not tell {_shown(entry)} (SDO abort {code:#010x})"
+        abort_code = sdo_abort_code(data)
+        if abort_code is not None:
+            self.problem = f"{_label(expected)} cannot be read: {abort_text(abort_code)}"
             return
-        size = OBJECT_TYPES[entry.type][1] + 7 >> 3
-        signed = entry.type.startswith("integer")
+        size = OBJECT_TYPES[expected.type][1] + 7 >> 3
+        signed = expected.type.startswith("integer")
         value = int.from_bytes(data[4 : 4 + size], "little", signed=signed)
-        if value != entry.value:
-            self.problem = f"{_shown(entry)} is {value}, the robot's file says {entry.value}"
+        if value != expected.value:
+            self.problem = f"{_label(expected)} is {value}, but the robot file has {expected.value}"
             return
-        self._left.pop()
-        self._asked_at, self._tries = None, 0
+        self._remaining.pop()
+        self._requested_at, self._tries = None, 0
 
 
-def _shown(entry: ObjectValue) -> str:
+def _label(entry: ObjectValue) -> str:
     return f"{entry.name} ({entry.index:#06x}:{entry.subindex})"

@@ -1,4 +1,4 @@
-"""Frames of the model, compiled: bytes to values and back, little endian."""
+"""Encodes and decodes the data of CAN frames by the layouts of the robot model, little endian."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ _FORMATS = {
     (64, False): "Q",
     (64, True): "q",
 }
+"""Letters of ``struct`` by length (bits) and sign."""
 
 
 class FrameCodec:
-    """One frame's layout.  Values are physical, ``raw * scale + offset``, in the signals' order.
+    """Layout of one frame, prepared for decoding and encoding in every control cycle.
 
-    A signal whose scale is 1 and offset 0 is a whole number.  Where all signals are whole
-    bytes (most frames) a single ``struct`` does the work.
+    Values are physical, ``raw * scale + offset``, in the order of ``frame.signals``.  A signal
+    with scale 1 and offset 0 gives integers.  Where all signals start and end at byte boundaries
+    (most frames) one ``struct`` call does the work; other frames use shifts and masks.
     """
 
     def __init__(self, frame: FrameDefinition) -> None:
@@ -32,47 +34,48 @@ class FrameCodec:
         self.cob_id = frame.cob_id
         self.length = frame.length
         self.names = tuple(signal.name for signal in frame.signals)
-        self.places = {name: i for i, name in enumerate(self.names)}
+        self.indices = {name: i for i, name in enumerate(self.names)}
+        """Index of each signal by its name."""
         self._signals = frame.signals
         self._linear = tuple(
             (i, s.scale, s.offset)
             for i, s in enumerate(frame.signals)
             if s.scale != 1.0 or s.offset != 0.0
         )
-        self._ranges = tuple(_range(signal) for signal in frame.signals)
+        self._raw_ranges = tuple(_raw_range(signal) for signal in frame.signals)
         self._bounds = tuple((s.minimum, s.maximum) for s in frame.signals)
-        self._struct, self._order = _compiled(frame)
+        self._struct, self._order = _compile_struct(frame)
         self._fields = tuple(
             (s.start, (1 << s.length) - 1, 1 << s.length - 1 if s.signed else 0)
             for s in frame.signals
         )
-        chooser = next((i for i, s in enumerate(frame.signals) if s.multiplexer), None)
-        self._chooser = chooser
+        self._multiplexer = next((i for i, s in enumerate(frame.signals) if s.multiplexer), None)
 
     def decode(self, data: bytes) -> list[float]:
-        """The values of all signals, also of those that a multiplexer says are not there.
+        """Returns the values of all signals, also of those that the multiplexer does not select.
 
-        Raises ``ValueError`` where the frame is too short; what is too long is cut off.
+        Raises ``ValueError`` where the frame is too short; ignores surplus bytes.
         """
         if len(data) < self.length:
             raise ValueError(f"{self.frame.name} has {len(data)} bytes, not {self.length}")
         values: list[float]
         if self._struct is not None:
-            found = self._struct.unpack_from(data)
-            values = list(found) if self._order is None else [found[i] for i in self._order]
+            raw = self._struct.unpack_from(data)
+            values = list(raw) if self._order is None else [raw[i] for i in self._order]
         else:
             bits = int.from_bytes(data[: self.length], "little")
+            # `(x ^ sign) - sign` extends the sign bit of a signed field; for others `sign` is 0.
             values = [((bits >> start & mask) ^ sign) - sign for start, mask, sign in self._fields]
         for i, scale, offset in self._linear:
             values[i] = values[i] * scale + offset
         return values
 
-    def named(self, data: bytes) -> dict[str, float]:
-        """By name, those that are there.  Raises ``ValueError``."""
+    def decode_named(self, data: bytes) -> dict[str, float]:
+        """Returns the values of the selected signals by name.  Raises ``ValueError``."""
         values = self.decode(data)
-        if self._chooser is None:
+        if self._multiplexer is None:
             return dict(zip(self.names, values, strict=True))
-        choice = values[self._chooser]
+        choice = values[self._multiplexer]
         return {
             signal.name: value
             for signal, value in zip(self._signals, values, strict=True)
@@ -80,61 +83,68 @@ class FrameCodec:
         }
 
     def encode(self, values: Sequence[float]) -> bytes:
-        """The frame with these values, in the signals' order.
+        """Returns the data for the values, one for each signal in the order of the signals.
 
-        Values beyond a signal's bounds are drawn back to them.  Raises ``ValueError`` for a
-        value that is not finite: nothing sensible can be sent then.
+        Values beyond the bounds of a signal are limited to them.  Raises ``ValueError`` for a value
+        that is not finite: no limit is a safe replacement for it.
         """
         raw = []
-        for value, signal, (low, high), (least, most) in zip(
-            values, self._signals, self._ranges, self._bounds, strict=True
+        for value, signal, (lowest, highest), (minimum, maximum) in zip(
+            values, self._signals, self._raw_ranges, self._bounds, strict=True
         ):
             if not math.isfinite(value):
                 raise ValueError(f"{self.frame.name}: {signal.name} is {value}")
-            if least is not None and value < least:
-                value = least
-            if most is not None and value > most:
-                value = most
-            whole = round((value - signal.offset) / signal.scale)
-            raw.append(low if whole < low else high if whole > high else whole)
+            if minimum is not None and value < minimum:
+                value = minimum
+            if maximum is not None and value > maximum:
+                value = maximum
+            rounded = round((value - signal.offset) / signal.scale)
+            # Faster than min() and max(), in the innermost loop of the control cycle.
+            raw.append(lowest if rounded < lowest else highest if rounded > highest else rounded)
         if self._struct is not None:
             if self._order is not None:
-                placed = [0] * len(raw)
-                for value_at, place in zip(raw, self._order, strict=True):
-                    placed[place] = value_at
-                raw = placed
+                sorted_raw = [0] * len(raw)
+                for number, position in zip(raw, self._order, strict=True):
+                    sorted_raw[position] = number
+                raw = sorted_raw
             return self._struct.pack(*raw)
         bits = 0
-        for whole, (start, mask, _) in zip(raw, self._fields, strict=True):
-            bits |= (whole & mask) << start
+        for number, (start, mask, _) in zip(raw, self._fields, strict=True):
+            bits |= (number & mask) << start
         return bits.to_bytes(self.length, "little")
 
     def encode_named(self, values: Mapping[str, float]) -> bytes:
-        """The frame with these values; signals that are not named have the raw value 0."""
+        """Returns the data for values by name; signals without a value have the raw value 0."""
         return self.encode([values.get(s.name, s.offset) for s in self._signals])
 
 
-def _range(signal: Signal) -> tuple[int, int]:
+def _raw_range(signal: Signal) -> tuple[int, int]:
+    """Returns the lowest and the highest number that the bits of a signal can represent."""
     if signal.signed:
         return -(1 << signal.length - 1), (1 << signal.length - 1) - 1
     return 0, (1 << signal.length) - 1
 
 
-def _compiled(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
-    """A ``struct`` for the frame and the place in it of each signal (``None``: as they stand)."""
-    places = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].start)
-    text, at = "<", 0
-    for i in places:
+def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
+    """Returns a ``struct`` for the frame, and the position of each signal in it.
+
+    No ``struct``: a signal is not on byte boundaries.  No positions: they are in the order of the
+    signals.
+    """
+    by_start = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].start)
+    text, end = "<", 0
+    for i in by_start:
         signal = frame.signals[i]
         letter = _FORMATS.get((signal.length, signal.signed))
-        if letter is None or signal.start % 8 or signal.start < 8 * at:
+        if letter is None or signal.start % 8 or signal.start < 8 * end:
             return None, None
-        text += "x" * (signal.start // 8 - at) + letter
-        at = signal.start // 8 + signal.length // 8
-    if at > frame.length:
+        text += "x" * (signal.start // 8 - end) + letter
+        end = signal.start // 8 + signal.length // 8
+    if end > frame.length:
         return None, None
-    text += "x" * (frame.length - at)
-    order = [0] * len(places)
-    for position, i in enumerate(places):
-        order[i] = position
-    return struct.Struct(text), None if order == list(range(len(order))) else tuple(order)
+    text += "x" * (frame.length - end)
+    positions = [0] * len(by_start)
+    for position, i in enumerate(by_start):
+        positions[i] = position
+    in_order = positions == list(range(len(positions)))
+    return struct.Struct(text), None if in_order else tuple(positions)

@@ -62,7 +62,7 @@ class _Heard:
 
     def values(self) -> dict[str, float]:
         """By name, in physical units, of the last frame that was long enough."""
-        return self.codec.named(self.data) if self.codec is not None and self.whole else {}
+        return self.codec.decode_named(self.data) if self.codec is not None and self.whole else {}
 
     def shown_values(self) -> dict[str, float | str]:
         """The same, with the names of values where the map has them."""

@@ -1,0 +1,281 @@
+"""One bus of the robot with the drivers of its nodes: receives and sends in the control cycle."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+from thorvaldc.can.canopen import (
+    NMT,
+    SYNC,
+    Emergency,
+    NmtCommand,
+    NmtState,
+    nmt_message,
+)
+from thorvaldc.can.error_state import ErrorState
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.interface import CanInterface
+from thorvaldc.model.bus import Bus, FrameDefinition, Node
+from thorvaldc.model.robot import Robot
+from thorvaldc.runtime.can_base.battery_and_io_drivers import (
+    BatteryDriver,
+    IoBoardDriver,
+    battery_driver,
+)
+from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
+from thorvaldc.runtime.can_base.frame_receiver import Event, FrameReceiver
+from thorvaldc.runtime.can_base.motor_controller import (
+    MASTER,
+    Intent,
+    MotorController,
+    controller_class,
+)
+from thorvaldc.runtime.can_base.node_watchdog import NodeWatchdog
+from thorvaldc.runtime.can_base.object_readback import ObjectReadback
+
+OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
+"""Occasional frames in a cycle, at most: while the robot stands, and while it drives."""
+RELAYED_PER_CYCLE = 4
+"""Frames passed on to foreign devices in a cycle, at most."""
+DEVICE_TIMEOUT = 1.0
+"""s without a report after which a battery or an IO board has a warning."""
+SEND_FAILURES = 3
+"""Cycles in a row with frames that were not sent, from which on this is a problem."""
+_ROUNDING = 1e-6
+"""s.  Tolerance for the rounding of times."""
+
+
+class BusConnection:
+    """The master's end of a bus.  Only the thread of the control loop uses it.
+
+    ``not_sent`` counts frames that the interface refused, ``malformed`` received frames that were
+    too short.  ``outbox`` has frames that are sent once, when there is room.
+    """
+
+    def __init__(self, robot: Robot, bus: Bus, interface: CanInterface, *, threaded: bool) -> None:
+        """``threaded``: frames are received in a thread.
+
+        Raises ``DiagnosticError`` (``bus-driver-unknown``) for a motor controller without driver.
+        """
+        self.robot = robot
+        self.bus = bus
+        self.interface = interface
+        self.controllers: list[MotorController] = []
+        self.batteries: list[BatteryDriver] = []
+        self.boards: list[IoBoardDriver] = []
+        for node in bus.nodes:
+            self._add_driver(node)
+        self.relay = Relay(bus)
+        self.readbacks: dict[str, ObjectReadback] = {}
+        """By node: comparison of its objects with the robot file."""
+        self.foreign_master = ""
+        """Sign of another master on the bus; empty: none."""
+        self.outbox: deque[CanFrame] = deque()
+        self.not_sent = 0
+        self.malformed = 0
+        self.failures_in_a_row = 0
+        self._next_controller = 0
+        by_producer = {(f.producer, f.kind): f for f in bus.frames}
+        self._sync = by_producer.get((MASTER, "sync"))
+        self._heartbeat = by_producer.get((MASTER, "heartbeat"))
+        self._heartbeat_due = -math.inf
+        by_name = {c.node.name: c for c in self.controllers}
+        self._emergency_frames = {
+            f.cob_id: by_name[f.producer]
+            for f in bus.frames
+            if f.kind == "emcy" and f.producer in by_name
+        }
+        self._sdo = {
+            node: (frames[0].cob_id, frames[1].cob_id)
+            for node in by_name
+            if len(frames := _sdo_frames(bus, node)) == 2
+        }
+        self._sdo_responses = {response: node for node, (_, response) in self._sdo.items()}
+        self._handlers = [
+            *(pair for controller in self.controllers for pair in controller.handlers.items()),
+            *(pair for battery in self.batteries for pair in battery.handlers.items()),
+            *(pair for board in self.boards for pair in board.handlers.items()),
+        ]
+        self._handled: dict[int, int] = {}
+        # Only a master sends these identifiers; a received one means that there is another master.
+        self._master_names = {NMT: "NMT", SYNC: "SYNC"}
+        if self._heartbeat is not None:
+            self._master_names[self._heartbeat.cob_id] = "a heartbeat"
+        event_ids = {
+            *self._master_names,
+            *self.relay.from_device,
+            *self.relay.to_device,
+            *self._emergency_frames,
+            *self._sdo_responses,
+            *(f.cob_id for f in bus.frames if f.kind == "heartbeat" and f.producer in by_name),
+        }
+        self.receiver = FrameReceiver(interface, event_ids)
+        self.watchdog = NodeWatchdog(bus, self.controllers, self.receiver.latest)
+        if threaded:
+            self.receiver.start()
+
+    def _add_driver(self, node: Node) -> None:
+        has_motors = any(channel.actuator is not None for channel in node.channels)
+        if has_motors:
+            self.controllers.append(controller_class(node)(self.robot, self.bus, node))
+        elif node.protocol == "thorvald_io":
+            self.boards.append(IoBoardDriver(self.bus, node))
+        elif (battery := battery_driver(self.bus, node)) is not None:
+            self.batteries.append(battery)
+
+    # -- receiving ---------------------------------------------------------------------------------
+
+    def receive(self, now: float) -> None:
+        """Decodes all received frames: events in their order, then the newest of each report."""
+        self.watchdog.begin_cycle(now)
+        for event in self.receiver.drain():
+            self._handle_event(event)
+        latest, handled = self.receiver.latest, self._handled
+        for cob_id, handler in self._handlers:
+            frame = latest.get(cob_id)
+            if frame is None or handled.get(cob_id) == frame.number:
+                continue
+            handled[cob_id] = frame.number
+            try:
+                handler(frame.data, frame.time)
+            except ValueError:
+                self.malformed += 1
+
+    def _handle_event(self, event: Event) -> None:
+        time, cob_id, data = event
+        if cob_id in self.watchdog.heartbeat_frames:
+            self.watchdog.take_heartbeat(cob_id, data, time)
+        elif cob_id in self._emergency_frames:
+            if len(data) >= 2:
+                self._emergency_frames[cob_id].error_code = Emergency.unpack(data).error_code
+        elif cob_id in self._sdo_responses:
+            readback = self.readbacks.get(self._sdo_responses[cob_id])
+            if readback is not None:
+                readback.take_response(data)
+        elif cob_id in self.relay.from_device:
+            self.relay.take(cob_id, data, time)
+        elif cob_id in self._master_names:
+            name = self._master_names[cob_id]
+            self.foreign_master = f"another master is on the bus: it sends {name} ({cob_id:#05x})"
+
+    def problem(self, now: float) -> str:
+        """Returns the first reason to stop the robot; empty: there is none."""
+        if self.receiver.lost:
+            return f"the CAN interface of the bus `{self.bus.name}` is lost: {self.receiver.lost}"
+        if self.interface.state is ErrorState.BUS_OFF:
+            return f"the CAN controller of the bus `{self.bus.name}` is off the bus (bus-off)"
+        if self.foreign_master:
+            return self.foreign_master
+        if self.failures_in_a_row >= SEND_FAILURES:
+            return f"frames cannot be sent on the bus `{self.bus.name}`; is any node connected?"
+        for controller in self.controllers:
+            problem = self.watchdog.problem(controller, now)
+            if problem:
+                return f"{controller.node.name}: {problem}"
+        return ""
+
+    def silent_devices(self, now: float) -> list[str]:
+        """Returns batteries and IO boards without recent reports: a warning, no reason to stop."""
+        times = [(b.node.name, b.state.time) for b in self.batteries]
+        times += [(b.node.name, b.time) for b in self.boards]
+        return [name for name, time in times if now - time > DEVICE_TIMEOUT]
+
+    # -- sending -----------------------------------------------------------------------------------
+
+    def queue_nmt(
+        self, command: NmtCommand, controllers: Sequence[MotorController] | None = None
+    ) -> None:
+        """Queues an NMT command for each of the controllers; ``None``: for all.
+
+        It is not broadcast: foreign devices on the bus may belong to another master.
+        """
+        for controller in controllers if controllers is not None else self.controllers:
+            self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
+
+    def start_readback(self) -> None:
+        """Starts to compare the objects of the controllers with the robot file."""
+        self.readbacks = {
+            c.node.name: ObjectReadback(*self._sdo[c.node.name], c.expected_objects())
+            for c in self.controllers
+            if c.node.name in self._sdo
+        }
+
+    def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
+        """Returns the commands of a cycle in the order of their identifiers.
+
+        Raises ``ValueError`` where a target is not finite.
+        """
+        return sorted(frame for c in self.controllers for frame in c.cyclic_frames(intent, now))
+
+    def occasional_frames(
+        self, intent: Intent, now: float, commands: bool, driving: bool
+    ) -> Iterator[CanFrame]:
+        """Yields the frames that are sent once, no more than a cycle has room for.
+
+        First the outbox, then SDO requests, then frames of the controllers in turn; ``commands``
+        ``False``: none of these.
+        """
+        room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
+        while room > 0 and self.outbox:
+            room -= 1
+            yield self.outbox.popleft()
+        for readback in self.readbacks.values():
+            request = readback.next_request(now) if room > 0 else None
+            if request is not None:
+                room -= 1
+                yield request
+        count = len(self.controllers)
+        for i in range(count):
+            if room <= 0 or not commands:
+                break
+            controller = self.controllers[(self._next_controller + i) % count]
+            frame = controller.occasional_frame(intent, now)
+            if frame is not None:
+                room -= 1
+                self._next_controller = (self._next_controller + i + 1) % count
+                yield frame
+
+    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+        """Sends a frame; waits at most ``timeout`` s for room.  Returns whether it is queued."""
+        queued = False
+        if not self.receiver.lost:
+            try:
+                queued = self.interface.send(frame, timeout)
+            except ConnectionError as error:
+                self.receiver.lost = str(error) or "the interface is lost"
+        self.not_sent += not queued
+        return queued
+
+    def send_sync(self, timeout: float = 0.0) -> bool:
+        return self._sync is None or self.send(CanFrame(self._sync.cob_id), timeout)
+
+    def send_relayed(self) -> None:
+        for _ in range(RELAYED_PER_CYCLE):
+            frame = self.relay.next_outgoing()
+            if frame is None:
+                return
+            self.relay.count_sent(frame, self.send(CanFrame(frame.id, frame.data)))
+
+    def send_heartbeat(self, now: float, operational: bool) -> None:
+        """Sends the master's heartbeat where it is due; ``operational``: the state in it."""
+        frame = self._heartbeat
+        if frame is None or now < self._heartbeat_due - _ROUNDING:
+            return
+        period = frame.period or 0.1
+        # After a gap, and at the first one, the period starts anew: nothing is caught up.
+        restart = now - self._heartbeat_due > period / 2.0
+        self._heartbeat_due = (now if restart else self._heartbeat_due) + period
+        state = NmtState.OPERATIONAL if operational else NmtState.PRE_OPERATIONAL
+        self.send(CanFrame(frame.cob_id, bytes([state])))
+
+    def close(self) -> None:
+        self.receiver.stop()
+        self.interface.close()
+
+
+def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:
+    """Returns request and response."""
+    frames = [f for f in bus.frames if f.kind == "sdo" and node in (f.producer, *f.consumers)]
+    return sorted(frames, key=lambda f: f.producer != MASTER)

@@ -1,0 +1,177 @@
+"""Detects motor controllers that restart, leave OPERATIONAL, or stop sending.
+
+Here a missing heartbeat or report becomes a problem; the state machine of the base
+(``base_state_machine``) then enters FAULT.
+
+    heartbeat   |----T----|----T----|
+    received    x         x         (nothing)                   T: period of the node, 100 ms
+    age         0         0         T         2T        3T  --> "no heartbeat for ... ms"
+                                                                or earlier: heartbeat_timeout
+
+    report      |-T-|-T-|-T-|
+    received    x   x   (nothing)                               T: sync period, 20 ms
+    age         0   0   T   2T  2.5T --> "no tpdo1 for ... ms"
+
+One missed report is tolerated, two in a row are not.  A control cycle that was late itself may not
+have read yet what came meanwhile: then silence is not judged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from thorvaldc.can.canopen import NmtState, heartbeat_state, nmt_state_text
+from thorvaldc.model.bus import Bus, FrameDefinition
+from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
+from thorvaldc.runtime.can_base.motor_controller import MotorController
+
+REPORT_TIMEOUT = 2.5
+"""Periods after which a report is missing: two in a row did not come."""
+HEARTBEAT_TIMEOUT = 3.0
+"""Periods after which a heartbeat is missing; ``Node.heartbeat_timeout`` may be shorter."""
+LATE_CYCLE = 1.5
+"""Periods between two cycles from which on the second one is late."""
+LATE_CYCLES = 2
+"""Late cycles in a row during which silence is not judged."""
+
+
+class Heartbeat(NamedTuple):
+    """The newest heartbeat of a node: time (s) and NMT state."""
+
+    time: float
+    state: int
+
+
+class _Report(NamedTuple):
+    """A periodic PDO of a controller; ``period`` in s."""
+
+    cob_id: int
+    name: str
+    period: float
+
+
+class NodeWatchdog:
+    """Supervises the motor controllers of one bus.
+
+    ``latest`` has the newest frame of each identifier.  Heartbeats and boot-up messages are always
+    evaluated; silence only between ``start`` and ``stop``.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        controllers: Sequence[MotorController],
+        latest: Mapping[int, LatestFrame],
+    ) -> None:
+        self._controllers = {c.node.name: c for c in controllers}
+        self._latest = latest
+        self._cycle_period = bus.sync_period
+        heartbeats = [
+            f for f in bus.frames if f.kind == "heartbeat" and f.producer in self._controllers
+        ]
+        self.heartbeat_frames = {frame.cob_id: frame for frame in heartbeats}
+        self._heartbeat_of = {frame.producer: frame for frame in heartbeats}
+        self._reports = {name: _reports(bus, name) for name in self._controllers}
+        self._heartbeats: dict[str, Heartbeat] = {}
+        self._restarted: set[str] = set()
+        self._started_at = math.inf
+        self._last_cycle = math.inf
+        self._late_cycles = 0
+
+    # -- input -------------------------------------------------------------------------------------
+
+    def begin_cycle(self, now: float) -> None:
+        """Notes the start of a control cycle, before frames are read."""
+        late = now - self._last_cycle > LATE_CYCLE * self._cycle_period
+        self._late_cycles = self._late_cycles + 1 if late else 0
+        self._last_cycle = now
+
+    def take_heartbeat(self, cob_id: int, data: bytes, time: float) -> None:
+        """Stores a heartbeat; a boot-up message resets the driver of its node."""
+        if not data:
+            return
+        name, state = self.heartbeat_frames[cob_id].producer, heartbeat_state(data)
+        if state == NmtState.INITIALISING:
+            self._controllers[name].handle_restart()
+            self._restarted.add(name)
+        self._heartbeats[name] = Heartbeat(time, state)
+
+    def start(self, now: float) -> None:
+        """Supervises silence from ``now`` (s) on, and forgets earlier restarts."""
+        self._started_at = now
+        self._restarted.clear()
+
+    def stop(self) -> None:
+        self._started_at = math.inf
+
+    # -- output ------------------------------------------------------------------------------------
+
+    def problem(self, controller: MotorController, now: float) -> str:
+        """Returns the reason to stop the robot because of this controller; empty: none."""
+        if controller.node.name in self._restarted:
+            return "it restarted"
+        return controller.problem or self._silence(controller, now)
+
+    def is_silent(self, controller: MotorController) -> bool:
+        """Returns ``True`` where no heartbeat has come at all from a node that should send them."""
+        name = controller.node.name
+        return name in self._heartbeat_of and name not in self._heartbeats
+
+    def has_all_reports(self, controller: MotorController) -> bool:
+        """Returns ``True`` where each periodic report has come at least once."""
+        return all(r.cob_id in self._latest for r in self._reports[controller.node.name])
+
+    def is_in_state(self, controller: MotorController, state: NmtState, since: float) -> bool:
+        """Returns ``True`` where the newest heartbeat, later than ``since`` (s), has this state.
+
+        A node without heartbeats cannot be checked: ``True``.
+        """
+        name = controller.node.name
+        if name not in self._heartbeat_of:
+            return True
+        heartbeat = self._heartbeats.get(name)
+        return heartbeat is not None and heartbeat.state == state and heartbeat.time > since
+
+    # -- inside ------------------------------------------------------------------------------------
+
+    def _silence(self, controller: MotorController, now: float) -> str:
+        """Returns a missing heartbeat or report, or a wrong NMT state."""
+        since = self._started_at
+        if since == math.inf or 0 < self._late_cycles <= LATE_CYCLES:
+            return ""
+        name = controller.node.name
+        definition = self._heartbeat_of.get(name)
+        if definition is not None and definition.period is not None:
+            heartbeat = self._heartbeats.get(name, Heartbeat(-math.inf, NmtState.INITIALISING))
+            age = now - max(heartbeat.time, since)
+            if age > _heartbeat_limit(controller, definition.period):
+                return f"no heartbeat for {age * 1000:.0f} ms"
+            if heartbeat.state != NmtState.OPERATIONAL and heartbeat.time > since:
+                return f"its NMT state is {nmt_state_text(heartbeat.state)}, not operational"
+        for report in self._reports[name]:
+            frame = self._latest.get(report.cob_id)
+            age = now - max(since, -math.inf if frame is None else frame.time)
+            if age / report.period > REPORT_TIMEOUT:
+                return f"no {report.name} for {age * 1000:.0f} ms"
+        return ""
+
+
+def _heartbeat_limit(controller: MotorController, period: float) -> float:
+    """Returns the longest time (s) between two heartbeats."""
+    limit = HEARTBEAT_TIMEOUT * period
+    timeout = controller.node.heartbeat_timeout
+    return limit if timeout is None else min(limit, timeout)
+
+
+def _reports(bus: Bus, node: str) -> tuple[_Report, ...]:
+    return tuple(
+        _Report(frame.cob_id, frame.name.removeprefix(f"{node}_"), frame.period)
+        for frame in bus.frames
+        if _is_report(frame, node) and frame.period is not None
+    )
+
+
+def _is_report(frame: FrameDefinition, node: str) -> bool:
+    return frame.producer == node and frame.kind == "pdo"
