@@ -317,7 +317,7 @@ def test_targets(thorvaldc: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", ["robot", "module", "fleet", "calibration", "scenario", "bus_faults"]
+    "kind", ["robot", "module", "fleet", "calibration", "scenario", "bus_faults", "model"]
 )
 def test_schema_is_a_document_that_stands_alone(thorvaldc: Command, kind: str) -> None:
     import jsonschema

@@ -252,9 +252,83 @@ def changed(path: str, value: Any) -> str:
     ],
 )
 def test_what_is_no_model_is_refused(text: str) -> None:
-    with pytest.raises(ModelFormatError) as fault:
+    with pytest.raises(ModelFormatError) as caught:
         from_json(text)
-    assert str(fault.value)
+    assert caught.value.reason
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("model.wheels.2.treads", ..., "robot.wheels[2]: the field `treads` is missing"),
+        (
+            "model.wheels.2.tread",
+            [],
+            "robot.wheels[2]: there is no field `tread` (did you mean `treads`?)",
+        ),
+        ("model.colour", "red", "robot: there is no field `colour`"),
+        ("model.name", 3, "robot.name: expected text, found 3"),
+        ("model.links", {}, "robot.links: expected a list, found an object"),
+        ("model.driver", None, "robot.driver: expected an object, found null"),
+        ("model.driver.rate", "fast", 'robot.driver.rate: expected a number, found "fast"'),
+        ("model.driver.rate", True, "robot.driver.rate: expected a number, found true"),
+        ("model.driver.rate", 10**400, "robot.driver.rate: the number is too large"),
+        (
+            "model.driver.rate",
+            float("inf"),
+            "robot.driver.rate: expected a finite number, found inf",
+        ),
+        ("model.wheels.0.driven", 1, "robot.wheels[0].driven: expected true or false, found 1"),
+        (
+            "model.actuators.0.encoder_ppr",
+            1024.0,
+            "robot.actuators[0].encoder_ppr: expected a whole number, found 1024.0",
+        ),
+        (
+            "model.wheels.0.steering_joint",
+            [],
+            "robot.wheels[0].steering_joint: expected text, found a list",
+        ),
+        (
+            "model.joints.0.pose.xyz",
+            [0.0, 1.0],
+            "robot.joints[0].pose.xyz: expected 3 values, found 2",
+        ),
+        (
+            "model.links.0.span",
+            ["robot.yaml", 1, 1, "two", 1],
+            'robot.links[0].span[3]: expected a whole number, found "two"',
+        ),
+        (
+            "model.links.1.visuals.0.shape.kind",
+            "Cone",
+            "robot.links[1].visuals[0].shape.kind: "
+            'expected one of Box, Cylinder, Sphere, MeshShape, found "Cone"',
+        ),
+        (
+            "model.links.1.visuals.0.shape.kind",
+            ...,
+            "robot.links[1].visuals[0].shape: the field `kind` is missing",
+        ),
+        ("kind", "Rover", 'kind: expected Robot or Fleet, found "Rover"'),
+        ("kind", ..., "the field `kind` is missing"),
+        ("date", "today", "there is no field `date`"),
+        ("format", "urdf", "not a thorvaldc-model file"),
+        ("version", "2", 'version "2"; this program reads 2'),
+    ],
+)
+def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
+    with pytest.raises(ModelFormatError) as caught:
+        from_json(changed(path, value))
+    assert str(caught.value) == message
+
+
+def test_a_path_in_a_fleet() -> None:
+    head = json.loads(to_json(Fleet("f", "", (Placement("a", POSE, make_robot(FOUR_STEERED)),))))
+    del head["model"]["placements"][0]["robot"]["wheels"][1]["radius"]
+    with pytest.raises(ModelFormatError) as caught:
+        from_json(json.dumps(head))
+    assert caught.value.path == "fleet.placements[0].robot.wheels[1]"
 
 
 def test_the_message_of_another_version_names_both() -> None:

@@ -556,7 +556,8 @@ def schema(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="robot, module, fleet, calibration, scenario or bus_faults."
+            metavar="KIND",
+            help="robot, module, fleet, calibration, scenario or bus_faults; model: model.json.",
         ),
     ],
 ) -> int:

@@ -17,7 +17,7 @@ from thorvaldc.cli.faults import Faults, width_of
 if TYPE_CHECKING:
     from thorvaldc.compiler.library import ModuleType
 
-KINDS = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults")
+KINDS = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults", "model")
 
 
 def list_targets(json: bool) -> int:
@@ -42,6 +42,11 @@ def list_targets(json: bool) -> int:
 def show_schema(kind: str) -> int:
     if kind not in KINDS:
         raise typer.BadParameter(f"{kind!r} is none of {', '.join(KINDS)}", param_hint="KIND")
+    if kind == "model":
+        from thorvaldc.model.json_schema import model_schema_text
+
+        print(model_schema_text(), end="")
+        return DONE
     from thorvaldc.schema.documents import schema_text
 
     print(schema_text(kind), end="")

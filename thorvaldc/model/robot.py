@@ -68,6 +68,8 @@ class Cylinder(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sphere(Element):
+    """Radius in m, centred on the frame."""
+
     radius: float
 
 

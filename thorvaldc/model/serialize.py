@@ -1,4 +1,9 @@
-"""The model as JSON and back, driven by the dataclasses' own type hints."""
+"""The model as JSON text and back, driven by the type hints of the dataclasses.
+
+``docs/model.md`` describes the format and its versions.  An object is written for each
+dataclass, with all of its fields; a list for each tuple and each source span; a
+``Shape`` has the name of its class in ``kind``.
+"""
 
 from __future__ import annotations
 
@@ -9,42 +14,62 @@ import math
 import types
 import typing
 from collections.abc import Callable, Hashable
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model import robot as _robot
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
-from thorvaldc.model.robot import Robot
+from thorvaldc.model.robot import Robot, Shape
 
 FORMAT = "thorvaldc-model"
 VERSION = 2
+"""Increased with every change of the fields; ``docs/model.md`` lists the versions."""
+KINDS: dict[str, type[Robot | Fleet]] = {"Robot": Robot, "Fleet": Fleet}
+SHAPES: dict[str, type] = {shape.__name__: shape for shape in typing.get_args(Shape)}
 
-# Left out of the JSON form: mesh bytes lie beside it as files.
-_SKIPPED = {("Mesh", "data")}
-
-T = TypeVar("T")
+# The bytes of a mesh are not in the JSON form: the file is beside it in the build.
+_OMITTED = {("Mesh", "data")}
+_NAMES = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    type(None): "null",
+    list: "a list",
+    dict: "an object",
+}
 
 
 class ModelFormatError(ValueError):
-    """The text is not a model of this version; the message says why."""
+    """The text is not a model of this version.
+
+    ``reason`` is the cause; ``path`` is the position in the model, such as ``robot.wheels[2]``,
+    empty if the whole file is wrong.
+    """
+
+    def __init__(self, reason: str, path: str = "") -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.path = path
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.reason}" if self.path else self.reason
 
 
 @functools.cache
-def _hints(cls: type) -> dict[str, Any]:
-    return typing.get_type_hints(cls)
+def type_hints(cls: type) -> dict[str, Any]:
+    """Return the types of the fields of a model class that are in the JSON form, in order."""
+    hints = typing.get_type_hints(cls)
+    names = (field.name for field in dataclasses.fields(cls))
+    return {name: hints[name] for name in names if (cls.__name__, name) not in _OMITTED}
 
 
-@functools.cache
-def _fields(cls: type) -> tuple[str, ...]:
-    return tuple(f.name for f in dataclasses.fields(cls) if (cls.__name__, f.name) not in _SKIPPED)
-
-
-_SHAPES = frozenset(typing.get_args(_robot.Shape))
+# -- writing ------------------------------------------------------------------------------
 
 
 def _is_plain(hint: Any) -> bool:
-    """Whether values of this type are JSON as they stand (JSON writes a tuple as a list)."""
+    """Return whether ``json`` writes values of this type without help (a tuple as a list)."""
     if hint is Ellipsis or hint in (bool, int, float, str, type(None)):
         return True
     arguments = typing.get_args(hint)
@@ -53,8 +78,9 @@ def _is_plain(hint: Any) -> bool:
 
 @functools.cache
 def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]], list[str]]:
-    """The fields of a class, what gets their values, and which are not plain."""
-    hints, names = _hints(cast(Any, cls)), _fields(cast(Any, cls))
+    """Return the fields of a class, the getter of their values, and those that are not plain."""
+    hints = type_hints(cast(Any, cls))
+    names = tuple(hints)
     return names, values_getter(names), [name for name in names if not _is_plain(hints[name])]
 
 
@@ -63,82 +89,170 @@ def _encode(value: Any) -> Any:
     if cls is Span:
         return (value.file, value.line, value.column, value.end_line, value.end_column)
     if cls is tuple:
-        return [_encode(v) for v in value]
+        return [_encode(item) for item in value]
     if value is None:
         return None
     names, values, nested = _plan(cast(Hashable, cls))
-    out = dict(zip(names, values(value), strict=True))
+    members = dict(zip(names, values(value), strict=True))
     for name in nested:
-        out[name] = _encode(out[name])
-    if cls in _SHAPES:
-        out["kind"] = cls.__name__
-    return out
-
-
-def _decode(hint: Any, value: Any) -> Any:
-    origin = typing.get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        members: tuple[Any, ...] = typing.get_args(hint)
-        if value is None:
-            if type(None) in members:
-                return None
-            raise ModelFormatError(f"expected {hint}, found null")
-        shapes = {m.__name__: m for m in members if m in _SHAPES}
-        if len(shapes) > 1:
-            kind = value["kind"]
-            return _decode(shapes[kind], {k: v for k, v in value.items() if k != "kind"})
-        rest = [m for m in members if m is not type(None)]
-        if len(rest) == 1:
-            return _decode(rest[0], value)
-        return _plain(tuple(rest), value)
-    if hint is Span:
-        return Span(*value)
-    if dataclasses.is_dataclass(hint):
-        hints = _hints(typing.cast(type, hint))
-        cls = typing.cast(type, hint)
-        return cls(**{name: _decode(hints[name], value[name]) for name in _fields(cls)})
-    if origin is tuple:
-        _plain((list,), value)
-        args = typing.get_args(hint)
-        if len(args) == 2 and args[1] is Ellipsis:
-            return tuple(_decode(args[0], v) for v in value)
-        if len(args) != len(value):
-            raise ModelFormatError(f"expected {len(args)} values, found {len(value)}")
-        return tuple(_decode(a, v) for a, v in zip(args, value, strict=True))
-    if hint is float:
-        return float(_plain((int, float), value))
-    return _plain((hint,), value)
-
-
-def _plain(types_: tuple[type, ...], value: Any) -> Any:
-    if type(value) not in types_ or (type(value) is float and not math.isfinite(value)):
-        wanted = " or ".join(t.__name__ for t in types_)
-        raise ModelFormatError(f"expected {wanted}, found {str(value)[:40]}")
-    return value
+        members[name] = _encode(members[name])
+    if cls in SHAPES.values():
+        members["kind"] = cls.__name__
+    return members
 
 
 def to_json(model: Robot | Fleet) -> str:
-    """The model as JSON text, without mesh bytes; ``from_json`` reads it back equal."""
+    """Return the model as JSON text, without mesh bytes; ``from_json`` reads it back equal.
+
+    Raises ``ValueError`` for a number that JSON does not have (infinite, not a number).
+    """
     kind = type(model).__name__
     head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": _encode(model)}
     return json.dumps(head, ensure_ascii=False, separators=(",", ":"), allow_nan=False) + "\n"
 
 
-def from_json(text: str) -> Robot | Fleet:
-    """Rebuild a model from ``to_json``'s text.
+# -- reading ------------------------------------------------------------------------------
 
-    Raises ``ModelFormatError`` where the text is not such a model.
+_Decoder = Callable[[Any, str], Any]
+"""Returns the value of the model for a JSON value at a path; raises ``ModelFormatError``."""
+
+
+@functools.cache
+def _decoder(hint: Any) -> _Decoder:
+    """Return the decoder of a type."""
+    if hint is Span:
+        fields = _decoder(tuple[str, int, int, int, int])
+        return lambda value, path: Span(*fields(value, path))
+    if dataclasses.is_dataclass(hint):
+        return _object_decoder(cast(type, hint))
+    arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple:
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return _list_decoder(_decoder(arguments[0]))
+        return _tuple_decoder([_decoder(argument) for argument in arguments])
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        members = [member for member in arguments if member is not type(None)]
+        if set(members) == set(SHAPES.values()):
+            return _decode_shape
+        if len(members) > 1:
+            return _plain_decoder(tuple(members))
+        decode = _decoder(members[0])
+        return lambda value, path: None if value is None else decode(value, path)
+    return _plain_decoder((hint,))
+
+
+def _object_decoder(cls: type) -> _Decoder:
+    decoders = {name: _decoder(hint) for name, hint in type_hints(cls).items()}
+
+    def decode(value: Any, path: str) -> Any:
+        _require(value, dict, path)
+        if value.keys() != decoders.keys():
+            _report_fields(value, list(decoders), path)
+        return cls(
+            **{name: decode(value[name], f"{path}.{name}") for name, decode in decoders.items()}
+        )
+
+    return decode
+
+
+def _report_fields(value: dict[str, Any], fields: list[str], path: str) -> None:
+    """Raise ``ModelFormatError`` for the first field that is missing or unknown."""
+    for name in fields:
+        if name not in value:
+            raise ModelFormatError(f"the field `{name}` is missing", path)
+    for name in value:
+        if name not in fields:
+            hint = did_you_mean(name, fields)
+            suffix = f" ({hint})" if hint else ""
+            raise ModelFormatError(f"there is no field `{name}`{suffix}", path)
+
+
+def _decode_shape(value: Any, path: str) -> Any:
+    _require(value, dict, path)
+    if "kind" not in value:
+        raise ModelFormatError("the field `kind` is missing", path)
+    kind = value["kind"]
+    if not isinstance(kind, str) or kind not in SHAPES:
+        expected = ", ".join(SHAPES)
+        raise ModelFormatError(f"expected one of {expected}, found {_text(kind)}", f"{path}.kind")
+    fields = {name: member for name, member in value.items() if name != "kind"}
+    return _decoder(SHAPES[kind])(fields, path)
+
+
+def _list_decoder(decode: _Decoder) -> _Decoder:
+    def decode_list(value: Any, path: str) -> tuple[Any, ...]:
+        _require(value, list, path)
+        return tuple([decode(item, f"{path}[{i}]") for i, item in enumerate(value)])
+
+    return decode_list
+
+
+def _tuple_decoder(decoders: list[_Decoder]) -> _Decoder:
+    def decode_tuple(value: Any, path: str) -> tuple[Any, ...]:
+        _require(value, list, path)
+        if len(value) != len(decoders):
+            raise ModelFormatError(f"expected {len(decoders)} values, found {len(value)}", path)
+        return tuple(
+            [
+                decode(item, f"{path}[{i}]")
+                for i, (decode, item) in enumerate(zip(decoders, value, strict=True))
+            ]
+        )
+
+    return decode_tuple
+
+
+def _plain_decoder(allowed: tuple[type, ...]) -> _Decoder:
+    """Return the decoder of a JSON value of these types; where a float may be, an int may too."""
+    only_float = allowed == (float,)
+
+    def decode_plain(value: Any, path: str) -> Any:
+        if type(value) is float and not math.isfinite(value):
+            raise ModelFormatError(f"expected a finite number, found {value}", path)
+        if type(value) in allowed:
+            return value
+        if only_float and type(value) is int:
+            try:
+                return float(value)
+            except OverflowError:
+                raise ModelFormatError("the number is too large", path) from None
+        expected = " or ".join(_NAMES[member] for member in allowed)
+        raise ModelFormatError(f"expected {expected}, found {_text(value)}", path)
+
+    return decode_plain
+
+
+def _require(value: Any, expected: type, path: str) -> None:
+    if type(value) is not expected:
+        raise ModelFormatError(f"expected {_NAMES[expected]}, found {_text(value)}", path)
+
+
+def _text(value: Any) -> str:
+    """Return a JSON value for a message: short ones in full, lists and objects by their kind."""
+    if isinstance(value, list | dict):
+        return _NAMES[type(value)]
+    return json.dumps(value, ensure_ascii=False)[:40]
+
+
+def from_json(text: str) -> Robot | Fleet:
+    """Return the model of a text that ``to_json`` has written.
+
+    Raises ``ModelFormatError`` if the text is not such a model: not JSON, of another format
+    or version, with a field that is missing or unknown, or with a value of the wrong type.
     """
     try:
         head = json.loads(text)
-        if head["format"] != FORMAT:
-            raise ModelFormatError(f"not a {FORMAT} file")
-        if head["version"] != VERSION:
-            raise ModelFormatError(f"version {head['version']}; this program reads {VERSION}")
-        cls = {"Robot": Robot, "Fleet": Fleet}[head["kind"]]
-        decoded: Robot | Fleet = _decode(cls, head["model"])
-        return decoded
-    except ModelFormatError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError, RecursionError) as fault:
-        raise ModelFormatError(f"not a {FORMAT} file: {fault!r}") from fault
+    except (ValueError, RecursionError) as error:
+        raise ModelFormatError(f"not a {FORMAT} file: not JSON ({error})") from error
+    if not isinstance(head, dict) or head.get("format") != FORMAT:
+        raise ModelFormatError(f"not a {FORMAT} file")
+    version = head.get("version")
+    if type(version) is not int or version != VERSION:
+        raise ModelFormatError(f"version {_text(version)}; this program reads {VERSION}")
+    _report_fields(head, ["format", "version", "kind", "model"], "")
+    kind = head["kind"]
+    if not isinstance(kind, str) or kind not in KINDS:
+        expected = " or ".join(KINDS)
+        raise ModelFormatError(f"expected {expected}, found {_text(kind)}", "kind")
+    decode = _decoder(cast(Hashable, KINDS[kind]))
+    return cast(Robot | Fleet, decode(head["model"], kind.lower()))
