@@ -81,10 +81,10 @@ class Watch:
         for device in self.devices:
 
             class Watched(type(device)):  # type: ignore[misc]
-                def ready(self) -> None:
+                def initialised(self) -> None:
                     """Its motors stand still: nothing is controlled, which saves half the time."""
                     if not still:
-                        super().ready()
+                        super().initialised()
 
                 @property
                 def node_id(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -103,9 +104,7 @@ def test_the_wrong_robots_file_writes_nothing() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     for device, serial in zip(bench.devices().values(), (0x901, 0x902, 0x903, 0x904), strict=True):
         device.power_off()
-        device.profile = type(device.profile)(
-            **{n: getattr(device.profile, n) for n in device.profile.__slots__} | {"serial": serial}
-        )
+        device.description = dataclasses.replace(device.description, serial=serial)
         device.power_on()
     bench.simulated.run(0.2)
     count = writes(bench)
@@ -251,7 +250,7 @@ def test_an_interrupt_closes_the_journal() -> None:
 
 def test_a_node_that_cannot_store_stops_it() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    bench.devices()["rl_controller"].keep = lambda changes, done=None: None  # type: ignore[method-assign]
+    bench.devices()["rl_controller"].store = lambda changes, done=None: None  # type: ignore[method-assign]
     with pytest.raises(DiagnosticError, match=r"step 1 of 9 .*does not answer"):
         bench.apply()
 

@@ -76,7 +76,7 @@ def test_a_duplicate_is_suspected_by_listening_and_by_asking(robot: str) -> None
 def test_two_devices_of_one_identity() -> None:
     bench = Bench(four_drives(), delivered=False, timing=QUICK)
     spare = bench.simulated.clone("fl_controller", "spare")
-    spare.profile = bench.devices()["fl_controller"].profile  # type: ignore[attr-defined]
+    spare.description = bench.devices()["fl_controller"].description  # type: ignore[attr-defined]
     spare.power_on()
     bench.simulated.run(0.3)
     scan = bench.scan()

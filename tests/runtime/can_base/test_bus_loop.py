@@ -320,7 +320,7 @@ def test_a_driver_that_was_held_up_does_not_blame_others() -> None:
 def test_a_node_that_leaves_operational_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    from thorvaldc.simulation.bus.canopen_device import NmtState
+    from thorvaldc.can.canopen import NmtState
 
     device(rig).enter(NmtState.PRE_OPERATIONAL)
     rig.until(lambda: rig.state is State.FAULT, 1.0)
@@ -536,11 +536,11 @@ def test_a_power_stage_without_power_is_an_emergency_stop() -> None:
     rig.drive()
     drive = device(rig)
     assert isinstance(drive, RoboteqController)
-    drive.power_stage_fault = True
+    drive.power_stage_error = True
     rig.until(lambda: rig.state is State.ESTOP, 1.0)
     assert "power stage is off" in rig.reason
     rig.until(lambda: rig.speed() == 0.0, 2.0)
-    drive.power_stage_fault = False
+    drive.power_stage_error = False
     rig.twist = ZERO_TWIST
     rig.run(0.5)
     rig.runner.reset()

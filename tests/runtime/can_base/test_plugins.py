@@ -15,7 +15,7 @@ from thorvaldc.runtime.can_base import battery_and_io_drivers as devices
 from thorvaldc.runtime.can_base import motor_controller as controller
 from thorvaldc.runtime.can_base.battery_and_io_drivers import KcBatteryDriver
 from thorvaldc.runtime.can_base.roboteq_driver import RoboteqScriptController
-from thorvaldc.simulation.bus import device_builders as builders
+from thorvaldc.simulation.bus.device_table import SIMULATED_DEVICES
 
 
 class Mine(RoboteqScriptController):
@@ -54,7 +54,8 @@ def renamed(robot: Robot, node: str, protocol: str) -> Robot:
     bus = robot.buses[0]
     before = next(n.protocol for n in bus.nodes if n.name == node)
     nodes = tuple(replace(n, protocol=protocol) if n.name == node else n for n in bus.nodes)
-    builders.BUILDERS.setdefault(protocol, builders.BUILDERS[before])
+    builtin = SIMULATED_DEVICES.builtin
+    builtin.setdefault(protocol, builtin[before])
     return replace(robot, buses=(replace(bus, nodes=nodes),))
 
 
@@ -62,7 +63,7 @@ def test_a_robot_drives_by_a_motor_controller_of_another_package(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", Mine))
-    monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
+    monkeypatch.setattr(SIMULATED_DEVICES, "builtin", dict(SIMULATED_DEVICES.builtin))
     rig = Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
     kinds = [type(c) for c in rig.base.supervisor.controllers]
     assert kinds.count(Mine) == 1
@@ -71,7 +72,7 @@ def test_a_robot_drives_by_a_motor_controller_of_another_package(
 
 def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, devices.PLUGINS.group, Entry("acme_battery", MyBattery))
-    monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
+    monkeypatch.setattr(SIMULATED_DEVICES, "builtin", dict(SIMULATED_DEVICES.builtin))
     robot = four_wheels()
     name = robot.batteries[0].node
     assert name is not None
@@ -92,7 +93,7 @@ def test_a_driver_that_cannot_be_used(
     found: object, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", found))
-    monkeypatch.setattr(builders, "BUILDERS", dict(builders.BUILDERS))
+    monkeypatch.setattr(SIMULATED_DEVICES, "builtin", dict(SIMULATED_DEVICES.builtin))
     with pytest.raises(DiagnosticError) as caught:
         Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
     assert caught.value.diagnostic.code.name == "bus-driver-unknown"

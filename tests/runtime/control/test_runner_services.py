@@ -179,7 +179,7 @@ def test_frames_of_foreign_devices_pass_both_ways() -> None:
     rig.runner.from_devices()
     rig.runner.send_to_device(COMMAND, b"\x01\x02")
     rig.run(0.1)
-    assert sprayer.heard == [CanFrame(COMMAND, b"\x01\x02")]
+    assert sprayer.commands == [CanFrame(COMMAND, b"\x01\x02")]
     assert [found.cob_id for found in rig.runner.from_devices()] == [STATE]  # its answer
     rig.runner.mute_devices()
     with pytest.raises(RequestRefused, match="muted"):

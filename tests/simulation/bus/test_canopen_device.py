@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from tests.simulation.bus.master import Master, Refused
-from thorvaldc.simulation.bus.canopen_device import CanopenDevice, NmtState, Profile
+from thorvaldc.can.canopen import NmtState
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice, DeviceDescription
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
@@ -18,8 +19,8 @@ SAVE, LOAD = 0x65766173, 0x64616F6C
 NAME = "a name that takes more than one segment"
 
 
-def profile(serial: int | None = 0x1001, **more: Any) -> Profile:
-    return Profile(0x192, 0x469, 2, 3, serial, NAME, **more)
+def profile(serial: int | None = 0x1001, **more: Any) -> DeviceDescription:
+    return DeviceDescription(0x192, 0x469, 2, 3, serial, NAME, **more)
 
 
 class Bench:
@@ -145,7 +146,7 @@ def test_power_lost_while_writing(torn: bool) -> None:
     bench = Bench(5)
     device = bench.devices[0]
     device.torn_writes = torn
-    device.keep({"node_id": 9})
+    device.store({"node_id": 9})
     bench.sleep(device.write_time / 2)
     device.power_off()
     device.power_on()

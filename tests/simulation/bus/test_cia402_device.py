@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.simulation.bus.master import Master
-from thorvaldc.simulation.bus.canopen_device import Profile
+from thorvaldc.simulation.bus.canopen_device import DeviceDescription
 from thorvaldc.simulation.bus.cia402_axis import AxisSettings
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.pdo import Pdo
@@ -50,7 +50,7 @@ class Drive:
             self.wire,
             500_000,
             NODE,
-            Profile(heartbeat_period=0.0),
+            DeviceDescription(heartbeat_period=0.0),
             [(settings, self.motor)],
             received=[
                 Pdo(1, 0x200, 1, ((0x6040, 0, 16), (0x607A, 0, 32))),

@@ -67,7 +67,7 @@ def test_time_outs_are_virtual(wire: Wire) -> None:
     with interface.SimulatedBus(wire) as bus:
         began = time.perf_counter()
         assert bus.recv(3600.0) is None
-        assert bus.port.now == pytest.approx(3600.0)
+        assert bus.interface.now == pytest.approx(3600.0)
         assert time.perf_counter() - began < 1.0
 
 
@@ -78,7 +78,7 @@ def test_filters_do_not_shorten_or_lengthen_a_time_out(wire: Wire) -> None:
         for k in range(20):
             wire.timeline.after((k + 1) * 10_000_000, lambda: other.send(interface.CanFrame(0x100)))
         assert bus.recv(0.1) is None
-        assert bus.port.now == pytest.approx(0.1)
+        assert bus.interface.now == pytest.approx(0.1)
         wire.timeline.after(1_000_000, lambda: other.send(interface.CanFrame(0x200)))
         got = bus.recv(0.1)
         assert got is not None
@@ -103,15 +103,15 @@ def test_a_full_queue_and_bus_off_are_errors_of_python_can(wire: Wire) -> None:
     with interface.SimulatedBus(wire) as bus:  # alone: nobody acknowledges
         for _ in range(32):
             bus.send(message(0x100))
-        assert isinstance(bus.port, VirtualTimeInterface)
+        assert isinstance(bus.interface, VirtualTimeInterface)
         with pytest.raises(can.CanOperationError, match="full"):
             bus.send(message(0x100), timeout=0.0)
-        assert bus.port.now == 0.0
+        assert bus.interface.now == 0.0
         with pytest.raises(can.CanOperationError, match="full"):
             bus.send(message(0x100))
-        assert bus.port.now == pytest.approx(1.0)
+        assert bus.interface.now == pytest.approx(1.0)
         assert bus.state is can.BusState.PASSIVE
-        bus.port.controller.go_bus_off()
+        bus.interface.controller.go_bus_off()
         assert bus.state is can.BusState.ERROR
         with pytest.raises(can.CanOperationError, match="bus-off"):
             bus.send(message(0x100))
@@ -408,7 +408,7 @@ def test_a_burst_in_lockstep_waits_for_room(wire: Wire, channel: str) -> None:
     ):
         for k in range(100):
             bus.send(message(k))
-        bus.port.sleep(0.1)  # type: ignore[attr-defined]
+        bus.interface.sleep(0.1)  # type: ignore[attr-defined]
         assert all(other.recv(1.0) is not None for _ in range(100))
 
 
@@ -424,13 +424,13 @@ def play(channel: str, pauses: tuple[float, float]) -> list[tuple[float, int, by
                 time.sleep(pauses[0])
                 bus.send(message(0x080))
                 bus.send(message(0x000, bytes([1, k % 5])))
-                bus.port.sleep(0.02)  # type: ignore[attr-defined]
+                bus.interface.sleep(0.02)  # type: ignore[attr-defined]
 
     def monitor() -> None:
         with can.Bus(
             interface="thorvaldc_sim", channel=channel, lockstep=True, listen_only=True
         ) as bus:
-            while bus.port.now < 0.3:  # type: ignore[attr-defined]
+            while bus.interface.now < 0.3:  # type: ignore[attr-defined]
                 got = bus.recv(0.05)
                 if got is not None:
                     time.sleep(pauses[1])

@@ -214,7 +214,7 @@ def test_delivered_devices_have_neither_id_nor_parameters() -> None:
     found = sorted(bus.seen)
     assert found == [0x1A0, 0x3C1, 0x3D1, 0x3E1, 0x728], "only what cannot be addressed"
     serials = {
-        d.profile.serial for d in bus.simulated.devices.values() if isinstance(d, CanopenDevice)
+        d.description.serial for d in bus.simulated.devices.values() if isinstance(d, CanopenDevice)
     }
     assert serials == {0x101, 0x102, 0x103, 0x104}
 
@@ -223,7 +223,7 @@ def test_a_foreign_device_answers_what_it_is_told() -> None:
     bus = Bus(cia402_robot())
     bus.master.send(0x240, b"spray\1")
     assert bus.master.wait(0x1C0) == b"\1\0\0\0"
-    assert bus.simulated.devices["sprayer"].heard[-1].data == b"spray\1"  # type: ignore[attr-defined]
+    assert bus.simulated.devices["sprayer"].commands[-1].data == b"spray\1"  # type: ignore[attr-defined]
 
 
 def test_the_io_board_switches_and_reports() -> None:

@@ -1,24 +1,30 @@
-"""Devices without CANopen: the KC battery, the IO board, devices of others."""
+"""Simulated devices without CANopen: the KC battery, the IO board and foreign devices."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
 
+if TYPE_CHECKING:
+    from typing import Self
+
+    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+
 BATTERY_FRAMES = (0x3C0, 0x3D0, 0x3E0)
+"""Bases of the identifiers; the battery id is added."""
 _SECONDS_PER_HOUR = 3600.0
 
 
 class KcBattery(SimulatedDevice):
-    """The battery by KC: three frames, again and again.
+    """The battery by KC, which sends three frames periodically.
 
-    ``current`` (A, positive: discharging) may be set, or given as a function of time;
-    ``charge`` is the state of charge, 0..1.
+    ``current`` in A, positive: discharging.  ``charge``: state of charge, 0..1.
     """
 
     def __init__(
@@ -48,6 +54,24 @@ class KcBattery(SimulatedDevice):
         self.temperatures = [25, 25, 25, 25, 25, 25]
         self.charge_enabled = self.discharge_enabled = True
 
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        node = specification.node
+        batteries = specification.robot.batteries
+        battery = next((battery for battery in batteries if battery.node == node.name), None)
+        properties = dict(battery.properties) if battery is not None else {}
+        capacity = properties.get("capacity")  # A s in the model
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            node.id,
+            voltage=float(properties.get("voltage") or 48.0),
+            capacity=float(capacity) / _SECONDS_PER_HOUR if capacity else 70.0,
+            period=specification.period(BATTERY_FRAMES[0] + node.id, 0.1),
+            **specification.common(),
+        )
+
     def start(self) -> None:
         self.every(lambda: self.period, self._report, first=self.random.uniform(0.0, self.period))
 
@@ -69,9 +93,9 @@ class KcBattery(SimulatedDevice):
 
 
 class IoBoard(SimulatedDevice):
-    """Outputs switched by 0x200 + id, reported with the inputs as 0x180 + id.
+    """An IO board: 0x200 + id sets its outputs, 0x180 + id reports outputs and inputs.
 
-    ``outputs``: bit 0 and 1 the relays, 2 to 4 the beacon (red, yellow, green).
+    ``outputs``: bits 0 and 1 the relays, bits 2 to 4 the beacon (red, yellow, green).
     """
 
     def __init__(
@@ -86,6 +110,7 @@ class IoBoard(SimulatedDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
+        """``at_start``: outputs after power-on.  ``period`` s."""
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = node_id
         self.period = period
@@ -93,32 +118,47 @@ class IoBoard(SimulatedDevice):
         self.outputs = 0
         self.inputs = 0
 
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        node = specification.node
+        relays = [bool(specification.property(f"relay_{i}_at_start")) for i in range(2)]
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            node.id,
+            at_start=int(relays[0]) | int(relays[1]) << 1,
+            period=specification.period(TPDO[0] + node.id, 0.1),
+            **specification.common(),
+        )
+
     def start(self) -> None:
         self.outputs = self.at_start
-        self.handlers[0x200 + self.id] = self._switch
+        self.handlers[RPDO[0] + self.id] = self._set_outputs
         self.every(lambda: self.period, self._report, first=self.random.uniform(0.0, self.period))
 
     def stop(self) -> None:
         self.outputs = 0
 
     def change_node_id(self, node_id: int) -> None:
-        handler = self.handlers.pop(0x200 + self.id, None)
+        handler = self.handlers.pop(RPDO[0] + self.id, None)
         self.id = node_id
         if handler is not None:
-            self.handlers[0x200 + node_id] = handler
+            self.handlers[RPDO[0] + node_id] = handler
 
-    def _switch(self, frame: CanFrame) -> None:
+    def _set_outputs(self, frame: CanFrame) -> None:
         if len(frame.data) >= 3 and frame.data[0] == 1:
             self.outputs = frame.data[1] & 0x1F
 
     def _report(self) -> None:
-        self.send(0x180 + self.id, bytes([1, self.outputs, self.inputs]))
+        self.send(TPDO[0] + self.id, bytes([1, self.outputs, self.inputs]))
 
 
 class ForeignFrame(NamedTuple):
-    """A frame of a device that nothing else is known of; ``period`` (s) ``None``: an answer.
+    """A frame of a foreign device.
 
-    ``data`` ``None``: it counts in its first byte.
+    ``period`` (s) ``None``: the frame answers a command.  ``data`` ``None``: its first byte
+    counts the frames.
     """
 
     cob_id: int
@@ -128,9 +168,9 @@ class ForeignFrame(NamedTuple):
 
 
 class ForeignDevice(SimulatedDevice):
-    """A device of somebody else's: reports by time, and answers what it is told.
+    """A device of another maker: sends periodic frames, and answers the commands it receives.
 
-    ``heard`` holds the frames that were for it, the newest last.
+    ``commands`` holds the last 64 received frames, the newest last.
     """
 
     def __init__(
@@ -138,37 +178,60 @@ class ForeignDevice(SimulatedDevice):
         name: str,
         wire: Wire,
         bitrate: int,
-        listens: Sequence[int],
+        receives: Sequence[int],
         sends: Sequence[ForeignFrame],
         *,
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
+        """``receives``: identifiers of its commands."""
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
-        self._listens = tuple(listens)
+        self._receives = tuple(receives)
         self._sends = tuple(sends)
         self._count = 0
-        self.heard: list[CanFrame] = []
+        self.commands: list[CanFrame] = []
+
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        data_frames = ("pdo", "broadcast", "relay")
+        sends = [
+            ForeignFrame(
+                frame.cob_id,
+                frame.length,
+                frame.period,
+                bytes([NmtState.OPERATIONAL]) if frame.kind == "heartbeat" else None,
+            )
+            for frame in specification.sent
+            if frame.kind in (*data_frames, "heartbeat")
+        ]
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            [frame.cob_id for frame in specification.received if frame.kind in data_frames],
+            sends,
+            **specification.common(),
+        )
 
     def start(self) -> None:
-        for cob_id in self._listens:
-            self.handlers[cob_id] = self._hear
+        for cob_id in self._receives:
+            self.handlers[cob_id] = self._receive
         for frame in self._sends:
             if frame.period is not None:
-                self._say_every(frame, frame.period)
+                self._send_periodically(frame, frame.period)
 
-    def _say_every(self, frame: ForeignFrame, period: float) -> None:
+    def _send_periodically(self, frame: ForeignFrame, period: float) -> None:
         first = self.random.uniform(0.0, period)
-        self.every(lambda: period, lambda: self._say(frame), first=first)
+        self.every(lambda: period, lambda: self._send_frame(frame), first=first)
 
-    def _hear(self, frame: CanFrame) -> None:
-        self.heard.append(frame)
-        del self.heard[:-64]
+    def _receive(self, frame: CanFrame) -> None:
+        self.commands.append(frame)
+        del self.commands[:-64]
         for answer in self._sends:
             if answer.period is None:
-                self._say(answer)
+                self._send_frame(answer)
 
-    def _say(self, frame: ForeignFrame) -> None:
+    def _send_frame(self, frame: ForeignFrame) -> None:
         data = frame.data
         if data is None:
             self._count = (self._count + 1) % 256

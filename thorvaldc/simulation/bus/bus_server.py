@@ -1,4 +1,11 @@
-"""Runs simulated wires by the clock, or in lockstep, for programs in other processes."""
+"""Runs simulated wires in real time or in lockstep, for programs in other processes.
+
+``thorvaldc.can.simulated_bus_protocol`` draws the messages.  Lockstep with two clients (ms):
+
+    client A   WAIT 20 -->                          <-- TIME 10         (a frame reached it)
+    client B               WAIT 10 -->              <-- TIME 10         (its time is up)
+    server                             runs 0 to 10                     both wait: time advances
+"""
 
 from __future__ import annotations
 
@@ -22,15 +29,16 @@ from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
 
 LONGEST_WAIT = 0.5
+"""s: longest wait for a client, so that ``stop`` takes effect."""
 LONGEST_WORK = 20_000_000
-"""ns of work on the simulation after which clients are served, however far behind it is."""
+"""ns of simulation after which the server serves its clients, even if time lags behind."""
 BACKLOG = 1 << 20
-"""Bytes that wait for a client that does not read; after that it loses frames."""
+"""Bytes that may wait for a client that does not read; then the server drops frames."""
 _MAXIMUM_RATE = 10_000_000
 
 
 class _Connection:
-    """A client: its socket, its controller, and what it waits for."""
+    """A client with its socket, its controller and the time it waits for."""
 
     def __init__(self, stream: socket.socket, wire: Wire) -> None:
         self.stream = stream
@@ -40,12 +48,13 @@ class _Connection:
         self.controller: CanController | None = None
         self.lockstep = False
         self.waits_until: int | None = None
-        self.heard = False
+        self.has_frame = False
         self.lost = 0
         self.pending = 0
+        """Frames in the controller's send queue, as the client knows them."""
 
-    def tell_state(self) -> None:
-        """The controller's state, and how many frames it dropped with it (bus-off, restart)."""
+    def send_state(self) -> None:
+        """Sends the error state, and how many queued frames bus-off or a restart dropped."""
         controller = self.controller
         if controller is not None:
             dropped, self.pending = self.pending - controller.pending, controller.pending
@@ -61,23 +70,24 @@ class _Connection:
 
 
 class BusServer:
-    """Listens on a channel for each wire of a timeline and lets the time run.
+    """Serves one channel for each wire of a timeline, and advances the time.
 
-    By the clock: simulated time follows it, from where the timeline stands; what takes
-    longer to compute than it lasts falls behind, and is caught up with (``behind`` is the
-    most, in ns).  In ``lockstep`` time moves only while every client that asked for
-    lockstep waits.
+    In real time the simulation follows the clock.  If it computes too slowly, it lags and
+    catches up later; ``behind`` is the greatest lag in ns.  In ``lockstep`` time advances only
+    while every client in lockstep waits.
     """
 
     def __init__(
         self, timeline: Timeline, wires: Mapping[str, Wire], *, lockstep: bool = False
     ) -> None:
-        """``wires`` by channel.  Raises ``OSError`` where a channel is in use."""
+        """``wires`` by name of the channel.  Raises ``OSError`` if a channel is in use."""
         self.timeline = timeline
         self.lockstep = lockstep
         self.channels = tuple(wires)
         self.behind = 0
-        self._selector = selectors.SelectSelector()  # to the microsecond, unlike epoll
+        self._selector = (
+            selectors.SelectSelector()
+        )  # waits with microsecond resolution; epoll has milliseconds
         self._connections: list[_Connection] = []
         self._paths: list[Path] = []
         self._listeners: list[socket.socket] = []
@@ -96,7 +106,7 @@ class BusServer:
             raise
 
     def run(self) -> None:
-        """Until ``stop`` is called, from another thread or from a signal's handler."""
+        """Runs until ``stop``, which another thread or a signal handler calls."""
         self._start = time.monotonic_ns() - self.timeline.now
         self._epoch = 0.0 if self.lockstep else time.time() - self.timeline.seconds
         try:
@@ -106,7 +116,7 @@ class BusServer:
                 else:
                     self._advance()
                 self._flush()
-                self._serve(self._patience())
+                self._serve(self._wait_time())
         finally:
             self._close()
 
@@ -118,14 +128,14 @@ class BusServer:
     # -- time ---------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        began = time.monotonic_ns()
-        clock = began - self._start
+        started = time.monotonic_ns()
+        clock = started - self._start
         self.behind = max(self.behind, clock - self.timeline.next_time)
-        limit = began + LONGEST_WORK
+        limit = started + LONGEST_WORK
         self.timeline.run_until(clock, lambda: time.monotonic_ns() > limit)
 
-    def _patience(self) -> float:
-        """s until something must be done without a client's asking."""
+    def _wait_time(self) -> float:
+        """Time (s) until the simulation has the next event."""
         if self.lockstep:
             return 0.0 if self._all_wait() else LONGEST_WAIT
         ahead = self.timeline.next_time - (time.monotonic_ns() - self._start)
@@ -136,20 +146,20 @@ class BusServer:
         return bool(steppers) and all(c.waits_until is not None for c in steppers)
 
     def _step(self) -> None:
-        """Run until somebody who waits has something, or has waited long enough."""
+        """Lockstep: runs until a waiting client has a frame, or its time is up."""
         if not self._all_wait():
             return
         steppers = [c for c in self._connections if c.lockstep]
         until = min(c.waits_until for c in steppers if c.waits_until is not None)
         if until >= NEVER - 1 and self.timeline.next_time >= NEVER:
             return
-        # In pieces, so that a wait without end can be broken off.
-        piece = min(until, self.timeline.now + 1_000_000_000)
-        self.timeline.run_until(piece, lambda: any(c.heard for c in steppers))
+        # At most 1 s at a time, so that ``stop`` can end an unlimited wait.
+        end = min(until, self.timeline.now + 1_000_000_000)
+        self.timeline.run_until(end, lambda: any(c.has_frame for c in steppers))
         for connection in steppers:
             limit = connection.waits_until
-            if limit is not None and (connection.heard or self.timeline.now >= limit):
-                connection.waits_until, connection.heard = None, False
+            if limit is not None and (connection.has_frame or self.timeline.now >= limit):
+                connection.waits_until, connection.has_frame = None, False
                 connection.put(protocol.pack_time(protocol.TIME, self.timeline.now))
 
     # -- clients ------------------------------------------------------------------------------
@@ -164,8 +174,8 @@ class BusServer:
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ, wire)
 
-    def _serve(self, patience: float) -> None:
-        for key, events in self._selector.select(patience):
+    def _serve(self, wait_time: float) -> None:
+        for key, events in self._selector.select(wait_time):
             if key.data is None:
                 with contextlib.suppress(OSError):
                     self._woken.recv(64)
@@ -196,17 +206,17 @@ class BusServer:
             self._drop(connection)
             return
         if not self.lockstep:
-            self._advance()  # what it sends, it sends now
+            self._advance()  # its frames are sent at the present time
         try:
             for kind, body in connection.unpacker.feed(data):
-                self._take(connection, kind, body)
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as fault:
-            self._refuse(connection, f"not understood: {fault}")
+                self._handle(connection, kind, body)
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            self._refuse(connection, f"not understood: {error}")
 
-    def _take(self, connection: _Connection, kind: bytes, body: bytes) -> None:
+    def _handle(self, connection: _Connection, kind: bytes, body: bytes) -> None:
         controller = connection.controller
         if kind == protocol.HELLO and controller is None:
-            self._greet(connection, json.loads(body))
+            self._welcome(connection, json.loads(body))
         elif kind == protocol.SEND and controller is not None:
             _, frame, _ = protocol.unpack_frame(body)
             if controller.send(frame):
@@ -215,19 +225,19 @@ class BusServer:
                 connection.put(pack(protocol.REFUSED))
         elif kind == protocol.RESTART and controller is not None:
             controller.restart()
-            connection.tell_state()
+            connection.send_state()
         elif kind == protocol.WAIT and connection.lockstep:
             connection.waits_until = protocol.unpack_time(body)
         else:
             raise ValueError(f"message {kind!r}")
 
-    def _greet(self, connection: _Connection, hello: Mapping[str, Any]) -> None:
+    def _welcome(self, connection: _Connection, hello: Mapping[str, Any]) -> None:
         if hello["version"] != protocol.VERSION:
-            self._refuse(connection, f"another version of the protocol than {protocol.VERSION}")
+            self._refuse(connection, f"the protocol version is not {protocol.VERSION}")
             return
         wire = connection.wire
         if hello["lockstep"] and not self.lockstep:
-            self._refuse(connection, "this bus goes by the clock: lockstep is not possible")
+            self._refuse(connection, "this bus runs in real time: lockstep is not possible")
             return
         bitrate = hello["bitrate"] or wire.bitrate
         if not isinstance(bitrate, int) or not 0 < bitrate <= _MAXIMUM_RATE:
@@ -242,24 +252,28 @@ class BusServer:
             listen_only=bool(hello["listen_only"]),
             auto_recovery=False,
         )
-        own = bool(hello["receive_own"])
+        receive_own = bool(hello["receive_own"])
 
-        def hear(frame: CanFrame) -> None:
-            connection.heard = True
+        def on_frame(frame: CanFrame) -> None:
+            connection.has_frame = True
             connection.put(protocol.pack_frame(protocol.FRAME, frame, self.timeline.now))
 
-        def sent(frame: CanFrame) -> None:
+        def on_sent(frame: CanFrame) -> None:
             connection.pending -= 1
             connection.put(pack(protocol.SENT))
-            if own:
-                connection.heard = True
+            if receive_own:
+                connection.has_frame = True
                 now = self.timeline.now
                 connection.put(protocol.pack_frame(protocol.FRAME, frame, now, own=True))
 
-        def changed(_: ErrorState) -> None:
-            connection.tell_state()
+        def on_state(_: ErrorState) -> None:
+            connection.send_state()
 
-        controller.on_frame, controller.on_sent, controller.on_state = hear, sent, changed
+        controller.on_frame, controller.on_sent, controller.on_state = (
+            on_frame,
+            on_sent,
+            on_state,
+        )
         connection.controller = controller
         wire.attach(controller)
         controller.switch_on()
@@ -291,10 +305,10 @@ class BusServer:
         except OSError:
             self._drop(connection)
             return
-        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if connection.out else 0)
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if connection.out else 0)
         with contextlib.suppress(KeyError):
-            if self._selector.get_key(connection.stream).events != wanted:
-                self._selector.modify(connection.stream, wanted, connection)
+            if self._selector.get_key(connection.stream).events != events:
+                self._selector.modify(connection.stream, events, connection)
 
     def _drop(self, connection: _Connection) -> None:
         if connection in self._connections:
@@ -328,7 +342,10 @@ def serving(
     lockstep: bool = False,
     stopped: Callable[[], None] | None = None,
 ) -> Iterator[BusServer]:
-    """Run a server in a thread of its own; meanwhile the simulation belongs to that thread."""
+    """Runs a server in its own thread, which alone may use the simulation until the end.
+
+    ``stopped`` is called after the thread has ended.
+    """
     server = BusServer(timeline, wires, lockstep=lockstep)
     thread = threading.Thread(target=server.run, name="bus server", daemon=True)
     thread.start()

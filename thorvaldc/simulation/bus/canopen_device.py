@@ -1,53 +1,64 @@
-"""What every CANopen device does (CiA 301): states, heartbeat, emergencies, SDO, LSS, storing."""
+"""A CANopen device (CiA 301): NMT, heartbeat, emergencies, SDO, PDOs, LSS and storing.
+
+From power-on to the first heartbeat:
+
+    power --boot time--> boot-up (0x700 + id: 00) --period--> heartbeat (7F) --period--> ...
+          INITIALISING |  PRE_OPERATIONAL: SDO            | NMT start: OPERATIONAL, PDOs too
+
+A device without a node id stays silent after its boot time; it answers only LSS.
+"""
 
 from __future__ import annotations
 
-import enum
-import struct
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from thorvaldc.can import lss as lss_layer
+from thorvaldc.can import canopen, lss
+from thorvaldc.can.canopen import AbortCode, Emergency, NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.simulation.bus import lss_slave as lss
+from thorvaldc.simulation.bus.lss_slave import LssSlave
 from thorvaldc.simulation.bus.object_dictionary import (
-    STORE_REFUSED,
+    DelayedWrite,
     Entry,
-    Later,
     ObjectDictionary,
     SdoAbort,
+    parameter_name,
 )
 from thorvaldc.simulation.bus.pdo import PdoSet
 from thorvaldc.simulation.bus.sdo_server import SdoServer
 from thorvaldc.simulation.bus.simulated_device import BITRATE, SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
 
+if TYPE_CHECKING:
+    from typing import Self
+
+    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+
 BOOT_TIME = 0.1
-"""s from power to the boot-up message, and up to a tenth more."""
+"""s from power-on to the boot-up message; up to a tenth is added at random."""
 SAVE, LOAD = 0x65766173, 0x64616F6C
-"""`save` and `load`, the signatures of 0x1010 and 0x1011."""
+"""ASCII `save` and `load`: signatures of objects 0x1010 and 0x1011."""
 NODE_ID, PARAMETERS = "node_id", "parameters"
+"""Keys of non-volatile memory."""
 CONSUMERS = 4
+"""Entries of object 0x1016."""
+HISTORY = 8
+"""Entries of object 0x1003."""
 EMCY_HEARTBEAT, EMCY_PASSIVE, EMCY_RECOVERED = 0x8130, 0x8120, 0x8140
 GENERIC_ERROR, COMMUNICATION_ERROR = 0x01, 0x10
-
-
-class NmtState(enum.IntEnum):
-    INITIALISING = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
+"""Bits of the error register (0x1001)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
-    """What a CANopen device says of itself and can do.
+class DeviceDescription:
+    """Identity and abilities of a CANopen device.
 
-    ``serial`` ``None``: it has no serial number, and no LSS.  ``bitrates`` (bit/s):
-    those that it can do.  ``operational_at_start``: it does not wait for NMT.
+    ``serial`` ``None``: the device has no serial number and no LSS.  ``bitrates`` (bit/s):
+    the supported ones.  ``operational_at_start``: it does not wait for the NMT start command.
     """
 
     device_type: int = 0
@@ -59,17 +70,65 @@ class Profile:
     hardware: str = "1.0"
     software: str = "1.0"
     heartbeat_period: float = 0.1
-    bitrates: tuple[int, ...] = tuple(lss_layer.BITRATES.values())
+    bitrates: tuple[int, ...] = tuple(lss.BITRATES.values())
     operational_at_start: bool = False
+
+    @classmethod
+    def from_specification(
+        cls, specification: DeviceSpecification, name: str, device_type: int = 0
+    ) -> DeviceDescription:
+        """The description of a node; ``device_type`` applies if the node states none."""
+        node = specification.node
+        is_clone = specification.name != node.name
+        serial = None if is_clone else _serial_number(node.serial)
+        if serial is None and node.lss:
+            # The robot file need not state it: the same in every run, another for each device.
+            serial = zlib.crc32(f"{specification.robot.name}/{specification.name}".encode())
+        factory_state = specification.delivered and node.lss
+        return cls(
+            device_type=node.device_type or device_type,
+            vendor=node.vendor_id or 0,
+            product=node.product_code or 0,
+            revision=node.revision_number or 0,
+            serial=serial if node.lss else None,
+            name=name,
+            heartbeat_period=0.0 if factory_state else specification.heartbeat_period,
+            bitrates=node.bitrates or tuple(lss.BITRATES.values()),
+        )
+
+
+def _serial_number(text: str | None) -> int | None:
+    try:
+        return None if text is None else int(text, 0) & 0xFFFFFFFF
+    except ValueError:
+        return None
+
+
+def commissioned_memory(specification: DeviceSpecification) -> dict[str, Any]:
+    """Returns the non-volatile memory of a node: its id and the values of the CAN map.
+
+    ``delivered``: no values; no id either if LSS can set it.
+    """
+    node = specification.node
+    without_id = specification.delivered and node.lss
+    parameters = {
+        parameter_name(entry.index, entry.subindex): entry.value
+        for entry in node.objects
+        if entry.access == "rw" and entry.value is not None
+    }
+    return {
+        NODE_ID: lss.UNCONFIGURED if without_id else node.id,
+        PARAMETERS: {} if specification.delivered else parameters,
+        **specification.nonvolatile,
+    }
 
 
 class CanopenDevice(SimulatedDevice):
-    """A device with a node id.  Subclasses add objects, PDOs and what they are for.
+    """A device with a node id.  Subclasses add objects, PDOs and their application.
 
-    ``nonvolatile`` holds ``node_id`` (255: none yet) and the stored ``parameters``.  An id or a
-    bitrate set by LSS is pending: the id is taken on by an NMT reset of the
-    communication, stored by LSS's store.  Power on and an NMT reset of the node start from
-    what is stored.
+    ``nonvolatile`` contains ``node_id`` (255: none) and the stored ``parameters``.  A node id
+    or bitrate set by LSS is pending: an NMT reset of the communication applies the id, and the LSS
+    service "store" writes both to memory.  Power-on and an NMT reset of the node load the memory.
     """
 
     def __init__(
@@ -78,47 +137,60 @@ class CanopenDevice(SimulatedDevice):
         wire: Wire,
         bitrate: int,
         node_id: int,
-        profile: Profile,
+        description: DeviceDescription,
         *,
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        start = {NODE_ID: node_id, PARAMETERS: {}, **(nonvolatile or {})}
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=start)
-        self.profile = profile
-        self.node_id = lss_layer.UNCONFIGURED
+        memory = {NODE_ID: node_id, PARAMETERS: {}, **(nonvolatile or {})}
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
+        self.description = description
+        self.node_id = lss.UNCONFIGURED
         self.state = NmtState.INITIALISING
         self.heartbeat_stopped = False
         self.boot_time = BOOT_TIME
         self.objects = ObjectDictionary()
         self.pdos: PdoSet | None = None
-        self.lss: lss.LssSlave | None = None
+        self.lss: LssSlave | None = None
         self._sdo = SdoServer(self.objects, self._respond)
         self._pending_id = node_id
         self._pending_rate = bitrate
         self._history: list[int] = []
         self._error_register = 0
-        self._heard: dict[int, float] = {}
+        self._heartbeats: dict[int, float] = {}
+        """Time (s) of the last heartbeat of each watched node."""
         self._was_bus_off = False
-        self.controller.on_state = self._bus_state
+        self.controller.on_state = self._error_state_changed
 
-    # -- what subclasses say -----------------------------------------------------------------
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            specification.node.id,
+            DeviceDescription.from_specification(specification, cls.__name__),
+            seed=specification.seed,
+            nonvolatile=commissioned_memory(specification),
+        )
 
-    def build(self, objects: ObjectDictionary) -> None:
-        """Add the device's own objects; called at every start."""
+    # -- for subclasses -----------------------------------------------------------------------
+
+    def add_objects(self, objects: ObjectDictionary) -> None:
+        """Adds the device's own objects; called at every start."""
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet | None:
-        """Its PDOs, after its objects."""
+        """Returns the PDOs; called after ``add_objects``."""
         return None
 
-    def ready(self) -> None:
-        """It has an id, its objects are there, and it has said so."""
+    def initialised(self) -> None:
+        """Called after the boot-up message: start the application's timers here."""
 
-    def entered(self, state: NmtState) -> None:
-        """The NMT state has changed."""
+    def nmt_state_changed(self, state: NmtState) -> None:
+        """Called after a change of the NMT state."""
 
     def communication_error(self) -> None:
-        """A heartbeat is missing, or the controller went bus-off: what object 0x1029 says."""
+        """Reacts to a missing heartbeat or bus-off as object 0x1029 defines."""
         reaction = self.objects[0x1029, 1].value
         if reaction == 0 and self.state is NmtState.OPERATIONAL:
             self.enter(NmtState.PRE_OPERATIONAL)
@@ -128,8 +200,8 @@ class CanopenDevice(SimulatedDevice):
     # -- start and stop -------------------------------------------------------------------------
 
     def start(self) -> None:
-        self.node_id = lss_layer.UNCONFIGURED
-        self._pending_id = self.nonvolatile.get(NODE_ID, lss_layer.UNCONFIGURED)
+        self.node_id = lss.UNCONFIGURED
+        self._pending_id = self.nonvolatile.get(NODE_ID, lss.UNCONFIGURED)
         self._pending_rate = self.nonvolatile.get(BITRATE, self.controller.bitrate)
         self.state = NmtState.INITIALISING
         self._error_register = 0
@@ -139,25 +211,25 @@ class CanopenDevice(SimulatedDevice):
 
     def stop(self) -> None:
         self.state = NmtState.INITIALISING
-        self.node_id = lss_layer.UNCONFIGURED
+        self.node_id = lss.UNCONFIGURED
         self.pdos = None
         self.lss = None
 
     def change_node_id(self, node_id: int) -> None:
-        """As if somebody had set it: nonvolatile, and taken on with a reset."""
+        """Stores another node id and resets the node."""
         self.nonvolatile[NODE_ID] = node_id
         if self.powered:
             self.reset_node()
 
     def reset_node(self) -> None:
-        """As after power on, but that the CAN controller goes on."""
+        """Starts again as after power-on, except that the CAN controller stays on the bus."""
         self._life += 1
         self.handlers = {}
         self.stop()
         self.start()
 
     def reset_communication(self) -> None:
-        """Communication objects as stored, and the pending node id."""
+        """Restores the stored communication objects, and applies the pending node id."""
         self._life += 1
         self.handlers = {}
         self.enter(NmtState.INITIALISING)
@@ -165,105 +237,110 @@ class CanopenDevice(SimulatedDevice):
 
     def _initialise(self) -> None:
         self.node_id = self._pending_id
-        self._heard = {}
+        self._heartbeats = {}
         self.handlers = {}
-        profile = self.profile
-        if profile.serial is not None:
-            identity = lss_layer.Identity(
-                profile.vendor, profile.product, profile.revision, profile.serial
-            )
-            self.lss = lss.LssSlave(
-                identity,
-                lambda data: self.send(lss_layer.RESPONSE, data),
-                lambda: self.node_id,
-                set_id=self._set_pending_id,
-                set_bitrate=self._set_pending_rate,
-                activate=self._activate_rate,
-                store=self._store_lss,
-                left=self._lss_left,
-            )
-            slave = self.lss
-            self.handlers[lss_layer.REQUEST] = lambda frame: slave.request(frame.data)
-        if self.node_id == lss_layer.UNCONFIGURED:
+        if self.description.serial is not None:
+            self._start_lss(self.description.serial)
+        if self.node_id == lss.UNCONFIGURED:
             return
         self.objects = objects = ObjectDictionary()
-        self._add_standard(objects)
-        self.build(objects)
+        self._add_standard_objects(objects)
+        self.add_objects(objects)
         self.pdos = self.make_pdos(objects)
         objects.restore(self.nonvolatile.get(PARAMETERS, {}))
         self._sdo = SdoServer(objects, self._respond)
-        self.handlers[0x000] = self._nmt
-        self.handlers[0x080] = self._sync
-        self.handlers[0x600 + self.node_id] = self._sdo_request
-        self._listen()
-        self.send(0x700 + self.node_id, b"\0")
+        self.handlers[canopen.NMT] = self._nmt
+        self.handlers[canopen.SYNC] = self._sync
+        self.handlers[canopen.SDO_REQUEST + self.node_id] = self._sdo_request
+        self._add_configured_handlers()
+        self.send(canopen.HEARTBEAT + self.node_id, bytes([NmtState.INITIALISING]))
         self.every(self._heartbeat_period, self._heartbeat, first=self._heartbeat_period())
-        self.every(lambda: 0.02, self._look_for_heartbeats)
+        self.every(lambda: 0.02, self._check_heartbeats)
         self.state = NmtState.PRE_OPERATIONAL
-        self.ready()
-        if profile.operational_at_start:
+        self.initialised()
+        if self.description.operational_at_start:
             self.enter(NmtState.OPERATIONAL)
+
+    def _start_lss(self, serial: int) -> None:
+        description = self.description
+        slave = LssSlave(
+            lss.Identity(description.vendor, description.product, description.revision, serial),
+            lambda data: self.send(lss.RESPONSE, data),
+            lambda: self.node_id,
+            set_id=self._set_pending_id,
+            set_bitrate=self._set_pending_rate,
+            activate=self._activate_rate,
+            store=self._store_lss,
+            left=self._lss_left,
+        )
+        self.lss = slave
+        self.handlers[lss.REQUEST] = lambda frame: slave.request(frame.data)
 
     # -- objects ----------------------------------------------------------------------------------
 
-    def _add_standard(self, objects: ObjectDictionary) -> None:
-        profile = self.profile
-        objects.add(0x1000, 0, Entry("u32", profile.device_type, "const"))
+    def _add_standard_objects(self, objects: ObjectDictionary) -> None:
+        description = self.description
+        objects.add(0x1000, 0, Entry("u32", description.device_type, "const"))
         objects.add(0x1001, 0, Entry("u8", read=lambda: self._error_register))
-        objects.add(0x1003, 0, Entry("u8", 0, "rw", read=self._errors, write=self._clear, upper=0))
-        for place in range(8):
-            objects.add(0x1003, place + 1, Entry("u32", read=partial(self._error, place)))
-        objects.add(0x1005, 0, Entry("u32", 0x80, "rw", lower=0x80, upper=0x80))
-        objects.add(0x1008, 0, Entry("text", profile.name, "const"))
-        objects.add(0x1009, 0, Entry("text", profile.hardware, "const"))
-        objects.add(0x100A, 0, Entry("text", profile.software, "const"))
+        objects.add(
+            0x1003,
+            0,
+            Entry("u8", 0, "rw", read=self._error_count, write=self._clear_errors, upper=0),
+        )
+        for position in range(HISTORY):
+            objects.add(0x1003, position + 1, Entry("u32", read=partial(self._error, position)))
+        sync = canopen.SYNC
+        objects.add(0x1005, 0, Entry("u32", sync, "rw", lower=sync, upper=sync))
+        objects.add(0x1008, 0, Entry("text", description.name, "const"))
+        objects.add(0x1009, 0, Entry("text", description.hardware, "const"))
+        objects.add(0x100A, 0, Entry("text", description.software, "const"))
         objects.add_record(0x1010, Entry("u32", 1, "rw", read=lambda: 1, write=self._save))
-        objects.add_record(0x1011, Entry("u32", 1, "rw", read=lambda: 1, write=self._restore))
-        own = 0x80 + self.node_id
-        objects.add(0x1014, 0, Entry("u32", own, "rw", lower=own, upper=own))
+        objects.add_record(0x1011, Entry("u32", 1, "rw", read=lambda: 1, write=self._load_defaults))
+        emcy = canopen.EMCY + self.node_id
+        objects.add(0x1014, 0, Entry("u32", emcy, "rw", lower=emcy, upper=emcy))
         objects.add(0x1015, 0, Entry("u16", 0, "rw", stored=True))
         objects.add_record(0x1016, *(Entry("u32", 0, "rw", stored=True) for _ in range(CONSUMERS)))
-        period = round(profile.heartbeat_period * 1000.0)
+        period = round(description.heartbeat_period * 1000.0)
         objects.add(0x1017, 0, Entry("u16", period, "rw", stored=True))
-        numbers = [profile.vendor, profile.product, profile.revision]
-        if profile.serial is not None:
-            numbers.append(profile.serial)
-        objects.add_record(0x1018, *(Entry("u32", number, "const") for number in numbers))
+        identity = [description.vendor, description.product, description.revision]
+        if description.serial is not None:
+            identity.append(description.serial)
+        objects.add_record(0x1018, *(Entry("u32", number, "const") for number in identity))
         objects.add_record(0x1029, Entry("u8", 0, "rw", upper=2, stored=True))
         objects.add_record(
             0x1200,
-            Entry("u32", 0x600 + self.node_id, "const"),
-            Entry("u32", 0x580 + self.node_id, "const"),
+            Entry("u32", canopen.SDO_REQUEST + self.node_id, "const"),
+            Entry("u32", canopen.SDO_RESPONSE + self.node_id, "const"),
         )
 
-    def _save(self, value: Any) -> Later:
+    def _save(self, value: Any) -> DelayedWrite:
         if value != SAVE:
-            raise SdoAbort(STORE_REFUSED)
+            raise SdoAbort(AbortCode.STORE_REFUSED)
         parameters = self.objects.parameters()
-        return lambda done: self.keep({PARAMETERS: parameters}, done)
+        return lambda done: self.store({PARAMETERS: parameters}, done)
 
-    def _restore(self, value: Any) -> Later:
-        """The values from the factory, from the next reset on."""
+    def _load_defaults(self, value: Any) -> DelayedWrite:
+        """Object 0x1011: the factory values apply from the next reset on."""
         if value != LOAD:
-            raise SdoAbort(STORE_REFUSED)
-        return lambda done: self.keep({PARAMETERS: {}}, done)
+            raise SdoAbort(AbortCode.STORE_REFUSED)
+        return lambda done: self.store({PARAMETERS: {}}, done)
 
     # -- SDO and PDO ---------------------------------------------------------------------------
 
     def _sdo_request(self, frame: CanFrame) -> None:
         if self.state is not NmtState.STOPPED:
             self._sdo.request(frame.data)
-            self._listen()
+            self._add_configured_handlers()
 
     def _respond(self, data: bytes) -> None:
-        self.send(0x580 + self.node_id, data)
+        self.send(canopen.SDO_RESPONSE + self.node_id, data)
 
-    def _listen(self) -> None:
-        """Take the frames that the objects name: PDOs and others' heartbeats."""
-        for place in range(1, CONSUMERS + 1):
-            other = self.objects[0x1016, place].value >> 16 & 0x7F
-            if other:
-                self.handlers[0x700 + other] = self._heartbeat_heard
+    def _add_configured_handlers(self) -> None:
+        """Adds handlers for the frames that objects define: RPDOs and watched heartbeats."""
+        for subindex in range(1, CONSUMERS + 1):
+            producer = self.objects[0x1016, subindex].value >> 16 & 0x7F
+            if producer:
+                self.handlers[canopen.HEARTBEAT + producer] = self._heartbeat_received
         if self.pdos is not None:
             for cob_id in self.pdos.cob_ids():
                 self.handlers[cob_id] = self._pdo
@@ -282,21 +359,21 @@ class CanopenDevice(SimulatedDevice):
         if len(frame.data) != 2 or frame.data[1] not in (0, self.node_id):
             return
         command = frame.data[0]
-        if command == 1:
+        if command == NmtCommand.START:
             self.enter(NmtState.OPERATIONAL)
-        elif command == 2:
+        elif command == NmtCommand.STOP:
             self.enter(NmtState.STOPPED)
-        elif command == 128:
+        elif command == NmtCommand.ENTER_PRE_OPERATIONAL:
             self.enter(NmtState.PRE_OPERATIONAL)
-        elif command == 129:
+        elif command == NmtCommand.RESET_NODE:
             self.reset_node()
-        elif command == 130:
+        elif command == NmtCommand.RESET_COMMUNICATION:
             self.reset_communication()
 
     def enter(self, state: NmtState) -> None:
         if state is not self.state:
             self.state = state
-            self.entered(state)
+            self.nmt_state_changed(state)
 
     def _heartbeat_period(self) -> float:
         period: int = self.objects[0x1017, 0].value
@@ -304,57 +381,61 @@ class CanopenDevice(SimulatedDevice):
 
     def _heartbeat(self) -> None:
         if not self.heartbeat_stopped:
-            self.send(0x700 + self.node_id, bytes([self.state]))
+            self.send(canopen.HEARTBEAT + self.node_id, bytes([self.state]))
 
-    def _heartbeat_heard(self, frame: CanFrame) -> None:
-        other = frame.id - 0x700
-        if self._consumer_time(other) > 0.0:
-            self._heard[other] = self.now
+    def _heartbeat_received(self, frame: CanFrame) -> None:
+        producer = frame.id - canopen.HEARTBEAT
+        if self._consumer_time(producer) > 0.0:
+            self._heartbeats[producer] = self.now
 
-    def _consumer_time(self, other: int) -> float:
-        for place in range(1, CONSUMERS + 1):
-            value: int = self.objects[0x1016, place].value
-            if value >> 16 & 0x7F == other and other:
+    def _consumer_time(self, producer: int) -> float:
+        """Longest time (s) between heartbeats of a node (0x1016); 0: it is not watched."""
+        for subindex in range(1, CONSUMERS + 1):
+            value: int = self.objects[0x1016, subindex].value
+            if value >> 16 & 0x7F == producer and producer:
                 return (value & 0xFFFF) / 1000.0
         return 0.0
 
-    def _look_for_heartbeats(self) -> None:
-        """A producer is watched from its first heartbeat on."""
-        for other, heard in list(self._heard.items()):
-            limit = self._consumer_time(other)
+    def _check_heartbeats(self) -> None:
+        """Reports a missing heartbeat.  CiA 301: a node is watched from its first one on."""
+        for producer, received_at in list(self._heartbeats.items()):
+            limit = self._consumer_time(producer)
             if limit <= 0.0:
-                del self._heard[other]
-            elif self.now - heard > limit:
-                del self._heard[other]
-                self.emergency(EMCY_HEARTBEAT, COMMUNICATION_ERROR, bytes([other]))
+                del self._heartbeats[producer]
+            elif self.now - received_at > limit:
+                del self._heartbeats[producer]
+                self.emergency(EMCY_HEARTBEAT, COMMUNICATION_ERROR, bytes([producer]))
                 self.communication_error()
 
     # -- emergencies ---------------------------------------------------------------------------
 
     def emergency(self, code: int, register: int = GENERIC_ERROR, more: bytes = b"") -> None:
-        """Tell of an error that has come; code 0: all are gone."""
+        """Sends an EMCY message for a new device error; code 0: all errors are gone.
+
+        ``more``: up to 5 bytes of the manufacturer.
+        """
         if code:
             self._error_register |= register | GENERIC_ERROR
             self._history.insert(0, code)
-            del self._history[8:]
+            del self._history[HISTORY:]
         else:
             self._error_register = 0
-        if self.node_id != lss_layer.UNCONFIGURED and self.state is not NmtState.STOPPED:
-            data = struct.pack("<HB", code, self._error_register) + more[:5].ljust(5, b"\0")
-            self.send(0x80 + self.node_id, data)
+        if self.node_id != lss.UNCONFIGURED and self.state is not NmtState.STOPPED:
+            message = Emergency(code, self._error_register, more)
+            self.send(canopen.EMCY + self.node_id, message.pack())
 
-    def _errors(self) -> int:
+    def _error_count(self) -> int:
         return len(self._history)
 
-    def _error(self, place: int) -> int:
-        return self._history[place] if place < len(self._history) else 0
+    def _error(self, position: int) -> int:
+        return self._history[position] if position < len(self._history) else 0
 
-    def _clear(self, value: Any) -> Later | None:
+    def _clear_errors(self, value: Any) -> DelayedWrite | None:
         self._history = []
         return None
 
-    def _bus_state(self, state: ErrorState) -> None:
-        """The CAN controller's error state; after bus-off it has just come back."""
+    def _error_state_changed(self, state: ErrorState) -> None:
+        """Reacts to the error state of the CAN controller."""
         if not self.powered or self.state is NmtState.INITIALISING:
             return
         if state is ErrorState.PASSIVE:
@@ -372,30 +453,30 @@ class CanopenDevice(SimulatedDevice):
         self._pending_id = node_id
 
     def _set_pending_rate(self, bitrate: int) -> bool:
-        if bitrate not in self.profile.bitrates:
+        if bitrate not in self.description.bitrates:
             return False
         self._pending_rate = bitrate
         return True
 
     def _store_lss(self, done: Callable[[int], None]) -> None:
-        wanted = {NODE_ID: self._pending_id, BITRATE: self._pending_rate}
-        self.keep(wanted, lambda: done(0))
+        pending = {NODE_ID: self._pending_id, BITRATE: self._pending_rate}
+        self.store(pending, lambda: done(0))
 
     def _lss_left(self) -> None:
-        """A device without an id takes one on at once (CiA 305); others wait for a reset."""
-        if self.node_id == lss_layer.UNCONFIGURED and self._pending_id != lss_layer.UNCONFIGURED:
+        """CiA 305: a device without an id applies its first one now; others wait for a reset."""
+        if self.node_id == lss.UNCONFIGURED and self._pending_id != lss.UNCONFIGURED:
             self.reset_communication()
 
     def _activate_rate(self, delay: float) -> None:
-        """Silent for one delay, then the other bitrate, then silent for one more."""
+        """CiA 305: silent for one delay, then the new bitrate, then silent for one more delay."""
         self.controller.listen_only = True
 
         def change() -> None:
             self.controller.bitrate = self._pending_rate
             self.controller.restart()
-            self.after(delay, speak)
+            self.after(delay, end_silence)
 
-        def speak() -> None:
+        def end_silence() -> None:
             self.controller.listen_only = False
 
         self.after(delay, change)

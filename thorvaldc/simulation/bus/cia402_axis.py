@@ -1,4 +1,12 @@
-"""One motor of a CiA 402 drive: its objects, its power state and its control loop."""
+"""One motor of a CiA 402 drive: its objects, its power state and its control loop.
+
+Every 2 ms the loop measures, steps the set-point of the mode (``cia402_motion``) and commands
+the motor.  An object written by the master takes effect in the next turn of the loop.  The axis
+supervises the motor and reports a device error:
+
+    position modes   |set-point - position| > 0x6065 for longer than 0x6066 ms:   0x8611
+    velocity modes   |set-point - speed| > 10 % of the top speed for 0.3 s:        0x8400
+"""
 
 from __future__ import annotations
 
@@ -7,43 +15,39 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.can.cia402 import DriveState
-from thorvaldc.simulation.bus.cia402_motion import (
-    CYCLIC_POSITION,
-    CYCLIC_VELOCITY,
-    HERE,
-    HOMING,
-    MODES,
-    PROFILE_POSITION,
-    PROFILE_VELOCITY,
-    Bounds,
-    Homing,
-    Motion,
-)
+from thorvaldc.can.cia402 import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED, DriveState, Mode
+from thorvaldc.simulation.bus.cia402_motion import PRESENT_POSITION, Bounds, Homing, Motion
 from thorvaldc.simulation.bus.cia402_state_machine import StateMachine
-from thorvaldc.simulation.bus.object_dictionary import Entry, Later, ObjectDictionary
+from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
+from thorvaldc.simulation.bus.setpoint_trajectory import ramp
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 
 BRAKE_TIME = 0.02
 """s that a brake takes to open."""
 NO_WINDOW = 0xFFFFFFFF
+"""Value of object 0x6065 that switches the supervision off."""
 SERVO_LAG = 0.15
-"""s by which a motor with a load may be late in a ramp."""
+"""s: accepted delay of a loaded motor behind its ramp."""
 VELOCITY_ERROR_TIME = 0.3
-"""s for which a motor may differ from its set-point by a tenth of its top speed."""
+"""s for which the speed may differ from its set-point by a tenth of the top speed."""
+_MODES = tuple(Mode)
+INTERNAL_LIMIT = 1 << 11
+FOLLOWING_ERROR_BIT = 1 << 13
+"""Bits of the status word; bit 12 has another meaning in each mode."""
 
-FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_ERROR, CONNECTION_ERROR = 0x8611, 0x8400, 0xFF01, 0x8130
+FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_FAILED, CONNECTION_ERROR = 0x8611, 0x8400, 0xFF01, 0x8130
+"""Error codes of EMCY and object 0x603F."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisSettings:
-    """What is built in.
+    """Hardware and factory settings of a motor.
 
-    ``position_units`` and ``velocity_units`` are the device's units for a rad and a rad/s
-    of the joint.  Speeds in rad/s, torque in N m at the joint.  ``lower``, ``upper``
-    (rad): limit switches, and the software limits as delivered; ``None``: none.
-    ``mode``: the mode of operation as delivered.  ``zero`` (rad): where the joint really is when
-    the encoder reads 0 after a homing, because a switch or the encoder was mounted askew.
+    ``position_units`` and ``velocity_units``: the drive's units per rad and per rad/s of the
+    joint.  Speeds in rad/s, accelerations in rad/s^2, torque in N m at the joint.  ``lower`` and
+    ``upper`` (rad): limit switches and default software limits; ``None``: none.  ``mode``:
+    default mode of operation.  ``zero`` (rad): true joint angle where the encoder reads 0
+    after homing; not 0 if a switch or the encoder is mounted askew.
     """
 
     gear_ratio: float
@@ -61,13 +65,13 @@ class AxisSettings:
 
 
 class Axis:
-    """A motor and what the drive makes of it.
+    """A motor with its objects, state machine and set-point.
 
-    ``tell`` is called with an error code when a fault comes, with 0 when it is reset.
+    ``report_error`` is called with the code of a new device error, and with 0 at its reset.
     """
 
     def __init__(
-        self, settings: AxisSettings, motor: MotorModel, tell: Callable[[int], None]
+        self, settings: AxisSettings, motor: MotorModel, report_error: Callable[[int], None]
     ) -> None:
         self.settings = settings
         self.motor = motor
@@ -78,20 +82,20 @@ class Axis:
         self.error_code = 0
         self.motion = Motion()
         self.homing: Homing | None = None
-        self._tell = tell
+        self._report_error = report_error
         self._entries: dict[tuple[int, int], Entry] = {}
-        self._true = 0.0
+        self._joint_position = 0.0
         self._torque = 0.0
-        self._moves_from = math.inf
-        self._free = False
-        self._off_since: float | None = None
-        self._late_speed = 0.0
+        self._brake_open_at = math.inf
+        self._relaxed = False
+        self._error_since: float | None = None
+        self._lagged_speed = 0.0
 
     # -- objects ---------------------------------------------------------------------------
 
-    def build(self, objects: ObjectDictionary, base: int) -> None:
-        """Add the objects of this motor, from ``base`` (0x6000) on."""
-        s = self.settings
+    def add_objects(self, objects: ObjectDictionary, base: int) -> None:
+        """Adds the objects of this motor; ``base`` is 0x6000 for the first motor."""
+        settings = self.settings
         self._entries = {}
 
         def add(index: int, entry: Entry, subindex: int = 0) -> None:
@@ -101,8 +105,8 @@ class Axis:
             entry = Entry(kind, round(start), "rw", lower=low, stored=True)
             add(index, entry, subindex)
 
-        position, velocity = s.position_units, s.velocity_units
-        speed, acceleration = s.max_velocity * velocity, s.max_acceleration * velocity
+        position, velocity = settings.position_units, settings.velocity_units
+        speed, acceleration = settings.max_velocity * velocity, settings.max_acceleration * velocity
         add(0x07, Entry("i16", 1, "rw", lower=0, upper=3, stored=True))
         add(0x3F, Entry("u16", read=lambda: self.error_code))
         add(0x40, Entry("u16", 0, "rw", write=self._control))
@@ -110,7 +114,7 @@ class Axis:
         add(0x5A, Entry("i16", 2, "rw", lower=0, upper=6, stored=True))
         add(0x5C, Entry("i16", 1, "rw", lower=0, upper=1, stored=True))
         add(0x5E, Entry("i16", 2, "rw", lower=0, upper=2, stored=True))
-        add(0x60, Entry("i8", s.mode, "rw", stored=True))
+        add(0x60, Entry("i8", settings.mode, "rw", stored=True))
         add(0x61, Entry("i8", read=lambda: self.motion.mode))
         add(0x62, Entry("i32", read=lambda: round(self.motion.move.position * position)))
         add(0x64, Entry("i32", read=lambda: round(self.position * position)))
@@ -121,21 +125,21 @@ class Axis:
         add(0x6B, Entry("i32", read=lambda: round(self.motion.move.speed * velocity)))
         add(0x6C, Entry("i32", read=lambda: round(self.velocity * velocity)))
         stored(0x6D, "u16", min(0.02 * speed, 0xFFFF))
-        add(0x77, Entry("i16", read=self._torque_share))
+        add(0x77, Entry("i16", read=self._torque_permille))
         add(0x79, Entry("u32", 48000))
         add(0x7A, Entry("i32", 0, "rw"))
         add(0x7C, Entry("i32", 0, "rw", stored=True))
         objects.add(base + 0x7D, 0, Entry("u8", 2, "const"))
-        for subindex, limit in ((1, s.lower), (2, s.upper)):
+        for subindex, limit in ((1, settings.lower), (2, settings.upper)):
             start = 0 if limit is None else round(limit * position)
             add(0x7D, Entry("i32", start, "rw", stored=True), subindex)
         stored(0x7F, "u32", speed)
-        stored(0x80, "u32", s.max_velocity * s.gear_ratio * 30.0 / math.pi)
+        stored(0x80, "u32", settings.max_velocity * settings.gear_ratio * 30.0 / math.pi)
         stored(0x81, "u32", speed)
         for index in (0x83, 0x84, 0x85, 0x9A, 0xC5):
             stored(index, "u32", acceleration, low=1)
         objects.add(base + 0x8F, 0, Entry("u8", 2, "const"))
-        stored(0x8F, "u32", 4 * s.encoder_pulses, 1, 1)
+        stored(0x8F, "u32", 4 * settings.encoder_pulses, 1, 1)
         stored(0x8F, "u32", 1, 2, 1)
         add(0x98, Entry("i8", 37, "rw", stored=True))
         objects.add(base + 0x99, 0, Entry("u8", 2, "const"))
@@ -147,22 +151,23 @@ class Axis:
         add(0xF4, Entry("i32", read=self._following_error))
         add(0xFD, Entry("u32", read=self._inputs))
         add(0xFF, Entry("i32", 0, "rw"))
-        objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in MODES), "const"))
+        objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in Mode), "const"))
 
     def number(self, index: int, subindex: int = 0) -> int:
-        """The value of an object of this motor."""
-        found: int = self._entries[index, subindex].value
-        return found
+        """Returns an object of this motor; ``index`` counts from the motor's base."""
+        value: int = self._entries[index, subindex].value
+        return value
 
     def _angle(self, index: int, subindex: int = 0) -> float:
-        """rad"""
+        """Returns an object as an angle (rad)."""
         return self.number(index, subindex) / self.settings.position_units
 
     def _speed(self, index: int, subindex: int = 0) -> float:
-        """rad/s, or rad/s^2 of an acceleration."""
+        """Returns an object as a speed (rad/s) or an acceleration (rad/s^2)."""
         return self.number(index, subindex) / self.settings.velocity_units
 
-    def _torque_share(self) -> int:
+    def _torque_permille(self) -> int:
+        """Object 0x6077: thousandths of the rated torque."""
         limit = self.settings.max_torque
         return round(1000.0 * self._torque / limit) if limit else 0
 
@@ -175,25 +180,25 @@ class Axis:
 
     @property
     def switches(self) -> tuple[bool, bool]:
-        """The limit switches, at the joint's true position."""
-        s = self.settings
-        low = s.lower is not None and self._true <= s.lower
-        return low, s.upper is not None and self._true >= s.upper
+        """State of the negative and the positive limit switch."""
+        lower, upper = self.settings.lower, self.settings.upper
+        low = lower is not None and self._joint_position <= lower
+        return low, upper is not None and self._joint_position >= upper
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The software limits (0x607D); none where they are equal."""
+        """Software limits (0x607D) in rad; infinite if they are equal."""
         low, high = self._angle(0x7D, 1), self._angle(0x7D, 2)
         return (low, high) if low < high else (-math.inf, math.inf)
 
     # -- states ------------------------------------------------------------------------------
 
-    def _control(self, word: Any) -> Later | None:
-        before = self.states.state
+    def _control(self, word: Any) -> DelayedWrite | None:
+        previous = self.states.state
         self.states.command(word, self.number(0x5A), self.number(0x5C))
-        if before is DriveState.FAULT and self.states.state is not before:
+        if previous is DriveState.FAULT and self.states.state is not previous:
             self.error_code = 0
-            self._tell(0)
+            self._report_error(0)
         self.motion.control(word)
         return None
 
@@ -202,29 +207,29 @@ class Axis:
         low, high = self.limits
         beyond = self.position < low - 1e-3 or self.position > high + 1e-3
         word = self.states.statusword()
-        word |= int(motion.reached) << 10 | int(motion.limited or beyond) << 11
-        if motion.mode == HOMING:
+        word |= TARGET_REACHED * motion.reached | INTERNAL_LIMIT * (motion.limited or beyond)
+        if motion.mode == Mode.HOMING:
             if homing is not None:
-                word |= int(homing.attained) << 12 | int(homing.failed) << 13
-        elif motion.mode == PROFILE_POSITION:
+                word |= HOMING_ATTAINED * homing.attained | HOMING_ERROR * homing.failed
+        elif motion.mode == Mode.PROFILE_POSITION:
             word |= int(motion.acknowledged) << 12
-        elif motion.mode == PROFILE_VELOCITY:
+        elif motion.mode == Mode.PROFILE_VELOCITY:
             word |= int(abs(self.velocity) < 1e-3) << 12
-        elif motion.mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
+        elif motion.mode in (Mode.CYCLIC_POSITION, Mode.CYCLIC_VELOCITY):
             word |= int(self.states.state is DriveState.OPERATION_ENABLED) << 12
-        if motion.mode in (PROFILE_POSITION, CYCLIC_POSITION):
-            word |= int(self._off_since is not None) << 13
+        if motion.mode in (Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION):
+            word |= FOLLOWING_ERROR_BIT * (self._error_since is not None)
         return word
 
     def fail(self, code: int) -> None:
-        """A fault: the reaction of 0x605E, then FAULT until it is reset."""
+        """Enters FAULT with the reaction of object 0x605E, and reports the error."""
         if self.states.fault(self.number(0x5E)):
             self.error_code = code
-            self._off_since = None
-            self._tell(code)
+            self._error_since = None
+            self._report_error(code)
 
     def connection_lost(self) -> None:
-        """The master is gone: what 0x6007 says."""
+        """Reacts to the loss of the master as object 0x6007 defines."""
         option = self.number(0x07)
         if not self.states.state.powered:
             return
@@ -236,12 +241,12 @@ class Axis:
             self.states.quick_stop(self.number(0x5A))
 
     def power_stage_off(self, now: float) -> None:
-        """At once, with nothing forgotten."""
+        """Switches the power stage off without a ramp; keeps position and set-points."""
         self.states.disable()
         self._relax(now)
 
     def start(self, now: float) -> None:
-        """Power has come: the encoder counts from here."""
+        """Starts after power-on; the encoder counts from the present position."""
         self.error_code, self.homing = 0, None
         self.encoder.set_zero(self.motor.read(now))
         self.states = StateMachine()
@@ -251,82 +256,83 @@ class Axis:
         self.motion.rest(self.position, self._mode())
 
     def stop(self, now: float) -> None:
-        """Power is gone."""
+        """Stops after a loss of power."""
         self.states = StateMachine()
         self._relax(now)
 
     # -- the loop ------------------------------------------------------------------------------
 
     def tick(self, now: float, dt: float) -> None:
-        """One turn of the control loop, ``dt`` s after the one before."""
+        """Runs one turn of the control loop, ``dt`` s after the previous one."""
         self._measure(now)
         motion = self.motion
         if not self.states.state.powered:
             self._relax(now)
             motion.rest(self.position, self._mode())
-            motion.take_start()  # what was asked for without power is forgotten
+            motion.take_start()  # a start commanded without power does not count
             return
-        if self._free:
-            self._free = False
-            self._moves_from = now + (BRAKE_TIME if self.settings.brake else 0.0)
+        if self._relaxed:
+            self._relaxed = False
+            self._brake_open_at = now + (BRAKE_TIME if self.settings.brake else 0.0)
             motion.rest(self.position, self._mode())
             self._stand(now)
-        if now < self._moves_from:
+        if now < self._brake_open_at:
             return
         if self.states.reaction is not None:
             self._react(now, dt)
             return
         if self.states.state is DriveState.QUICK_STOP_ACTIVE:
-            return  # stands; the way on is a control word
+            return  # at rest, until the next control word
         if motion.mode != self._mode():
             motion.change(self._mode(), self.position, self.velocity)
             self.homing = None
-            self._off_since = None
+            self._error_since = None
             self._stand(now)
         self._move(now, dt)
 
     def _measure(self, now: float) -> None:
         state = self.motor.read(now)
-        self._true, self._torque = state.position, state.torque
+        self._joint_position, self._torque = state.position, state.torque
         self.position, self.velocity = self.encoder.measure(state)
 
     def _mode(self) -> int:
-        """The mode asked for; one that the drive does not have changes nothing."""
-        wanted = self.number(0x60)
-        return wanted if wanted in MODES else self.motion.mode
+        """The commanded mode; an unsupported one keeps the present mode."""
+        commanded = self.number(0x60)
+        return commanded if commanded in _MODES else self.motion.mode
 
     def _bounds(self, acceleration: int = 0x83, deceleration: int = 0x84) -> Bounds:
-        most = self.settings.max_acceleration
-        motor = self.number(0x80) * math.pi / 30.0 / self.settings.gear_ratio
+        top = self.settings.max_acceleration
+        motor_speed = self.number(0x80) * math.pi / 30.0 / self.settings.gear_ratio
         return Bounds(
             *self.limits,
-            min(self._speed(0x7F), motor, self.settings.max_velocity),
-            min(self._speed(acceleration), most),
-            min(self._speed(deceleration), most),
+            min(self._speed(0x7F), motor_speed, self.settings.max_velocity),
+            min(self._speed(acceleration), top),
+            min(self._speed(deceleration), top),
         )
 
     def _move(self, now: float, dt: float) -> None:
+        """Advances the set-point of the present mode and commands the motor."""
         motion = self.motion
-        if motion.mode == PROFILE_POSITION:
+        if motion.mode == Mode.PROFILE_POSITION:
             bounds = self._bounds()
             bounds = bounds._replace(velocity=min(self._speed(0x81), bounds.velocity))
             motion.profile_position(self._angle(0x7A), bounds, dt)
             self._hold(now)
             motion.settle(self.position, self._angle(0x67), self.number(0x68) / 1000.0, dt)
             self._check_position(now)
-        elif motion.mode == CYCLIC_POSITION:
+        elif motion.mode == Mode.CYCLIC_POSITION:
             cycle = self.number(0xC2, 1) * 10.0 ** self.number(0xC2, 2)
             motion.cyclic_position(self._angle(0x7A), self._bounds(), cycle, dt)
             self._hold(now)
             self._check_position(now)
-        elif motion.mode in (PROFILE_VELOCITY, CYCLIC_VELOCITY):
-            profiled = motion.mode == PROFILE_VELOCITY
+        elif motion.mode in (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY):
+            profiled = motion.mode == Mode.PROFILE_VELOCITY
             bounds = self._bounds() if profiled else self._bounds(0xC5, 0xC5)
             goal = motion.velocity(self._speed(0xFF), self.position, bounds, dt)
             self.motor.turn(motion.move.speed, now)
             motion.reached = profiled and abs(goal - self.velocity) <= self._speed(0x6D)
             self._check_velocity(now, dt)
-        elif motion.mode == HOMING:
+        elif motion.mode == Mode.HOMING:
             self._home(now, dt)
 
     def _home(self, now: float, dt: float) -> None:
@@ -339,11 +345,11 @@ class Axis:
             return
         fast, slow = self._speed(0x99, 1), self._speed(0x99, 2)
         limit = min(self._speed(0x9A), self.settings.max_acceleration)
-        wanted = homing.speed(self.switches, self.velocity, fast, slow, dt)
+        speed = homing.speed(self.switches, self.velocity, fast, slow, dt)
         if homing.attained:
-            # CiA 402: zero lies at the home position plus the offset.
+            # CiA 402: zero position = home position + home offset (0x607C).
             state = self.motor.read(now)
-            if homing.method not in HERE:
+            if homing.method not in PRESENT_POSITION:
                 state = state._replace(position=state.position + self.settings.zero)
             self.encoder.set_zero(state, -self._angle(0x7C) * self.encoder.counts_per_radian)
             self._measure(now)
@@ -353,15 +359,13 @@ class Axis:
         elif homing.failed:
             motion.move.speed = 0.0
             self._stand(now)
-            self._tell(HOMING_ERROR)
+            self._report_error(HOMING_FAILED)
         else:
-            step = limit * dt
-            speed = motion.move.speed
-            motion.move.speed = min(max(wanted, speed - step), speed + step)
+            motion.move.speed = ramp(motion.move.speed, speed, limit, dt)
             self.motor.turn(motion.move.speed, now)
 
     def _react(self, now: float, dt: float) -> None:
-        """Ramp to rest, then whatever state follows."""
+        """Advances the ramp to rest, then enters the state that follows."""
         reaction, motion = self.states.reaction, self.motion
         if reaction is None:
             return
@@ -382,30 +386,31 @@ class Axis:
 
     def _check_velocity(self, now: float, dt: float) -> None:
         speed = self.motion.move.speed
-        self._late_speed += (speed - self._late_speed) * dt / (SERVO_LAG + dt)
-        error = min(abs(speed - self.velocity), abs(self._late_speed - self.velocity))
-        fits = error <= 0.1 * self.settings.max_velocity
-        self._check(fits, VELOCITY_ERROR_TIME, VELOCITY_ERROR, now)
+        self._lagged_speed += (speed - self._lagged_speed) * dt / (SERVO_LAG + dt)
+        error = min(abs(speed - self.velocity), abs(self._lagged_speed - self.velocity))
+        within = error <= 0.1 * self.settings.max_velocity
+        self._check(within, VELOCITY_ERROR_TIME, VELOCITY_ERROR, now)
 
-    def _check(self, fits: bool, time: float, code: int, now: float) -> None:
-        if fits:
-            self._off_since = None
-        elif self._off_since is None:
-            self._off_since = now
-        elif now - self._off_since >= time:
+    def _check(self, within: bool, time: float, code: int, now: float) -> None:
+        """Reports the error ``code`` if the limit has been exceeded for ``time`` s."""
+        if within:
+            self._error_since = None
+        elif self._error_since is None:
+            self._error_since = now
+        elif now - self._error_since >= time:
             self.fail(code)
 
     def _hold(self, now: float) -> None:
         self.motor.hold(self.encoder.joint_position(self.motion.move.position), now)
 
     def _stand(self, now: float) -> None:
-        """Powered, at rest where it is."""
+        """Holds the present position."""
         self.motor.hold(self.motor.read(now).position, now)
 
     def _relax(self, now: float) -> None:
-        """Power stage off; a brake, if there is one, has closed."""
-        if not self._free:
-            self._free = True
+        """Releases the motor, or closes its brake."""
+        if not self._relaxed:
+            self._relaxed = True
             if self.settings.brake:
                 self._stand(now)
             else:

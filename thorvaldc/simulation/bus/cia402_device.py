@@ -1,33 +1,48 @@
-"""A drive after CiA 402 on CANopen, with one motor or several."""
+"""A CANopen drive with the profile CiA 402, for one motor or several."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.cia402 import DriveState
-from thorvaldc.simulation.bus.canopen_device import CanopenDevice, NmtState, Profile
+from thorvaldc.model import Actuator
+from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node
+from thorvaldc.simulation.bus.canopen_device import (
+    CanopenDevice,
+    DeviceDescription,
+    commissioned_memory,
+)
 from thorvaldc.simulation.bus.cia402_axis import Axis, AxisSettings
 from thorvaldc.simulation.bus.object_dictionary import ObjectDictionary
-from thorvaldc.simulation.bus.pdo import Pdo, PdoSet
+from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
 from thorvaldc.simulation.bus.simulated_motors import MotorModel
 from thorvaldc.simulation.bus.wire import Wire
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 CONTROL_PERIOD = 0.002
 """s"""
 STRIDE = 0x800
-"""From the objects of one motor to those of the next."""
+"""Distance from the objects of one motor to those of the next (CiA 402)."""
 DEVICE_TYPE = 0x00020192
 """Object 0x1000 of a servo drive: profile 402."""
 MOTION_ERROR = 0x20
+"""Bit of the error register (0x1001)."""
+_UNUSED_CHANNEL = AxisSettings(1.0, 1024, 652.0, 652.0, 1.0, 1.0)
 
 
 class Cia402Drive(CanopenDevice):
-    """Starts in SWITCH ON DISABLED, whatever was before.
+    """A drive that starts in SWITCH ON DISABLED.
 
-    ``received`` and ``sent`` are its PDOs as delivered, their identifiers without the node
-    id.  What it does when the master is lost (a heartbeat of 0x1016 missing, bus-off, or
-    taken out of OPERATIONAL while it is powered) is 0x6007's to say.
+    ``received`` and ``sent`` are its PDOs in the factory state; their identifiers lack the
+    node id.  Object 0x6007 defines the reaction to a loss of the master: a missing heartbeat of
+    0x1016, bus-off, or a command out of OPERATIONAL while a motor is powered.
     """
 
     def __init__(
@@ -36,7 +51,7 @@ class Cia402Drive(CanopenDevice):
         wire: Wire,
         bitrate: int,
         node_id: int,
-        profile: Profile,
+        description: DeviceDescription,
         axes: Sequence[tuple[AxisSettings, MotorModel]],
         *,
         received: Sequence[Pdo] = (),
@@ -44,14 +59,40 @@ class Cia402Drive(CanopenDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(name, wire, bitrate, node_id, profile, seed=seed, nonvolatile=nonvolatile)
-        self.axes = [Axis(settings, motor, self._told) for settings, motor in axes]
+        super().__init__(
+            name, wire, bitrate, node_id, description, seed=seed, nonvolatile=nonvolatile
+        )
+        self.axes = [Axis(settings, motor, self._report_error) for settings, motor in axes]
         self._received = tuple(received)
         self._sent = tuple(sent)
 
-    def build(self, objects: ObjectDictionary) -> None:
-        for place, axis in enumerate(self.axes):
-            axis.build(objects, 0x6000 + STRIDE * place)
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        node = specification.node
+        axes = []
+        for channel in node.channels:
+            actuator = specification.actuator(channel.name)
+            motor = specification.motor_of(actuator)
+            if actuator is None:
+                axes.append((_UNUSED_CHANNEL, motor))
+            else:
+                axes.append((_axis_settings(specification, actuator), motor))
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            node.id,
+            DeviceDescription.from_specification(specification, "CiA 402 drive", DEVICE_TYPE),
+            axes,
+            received=_factory_pdos(specification.received, node),
+            sent=_factory_pdos(specification.sent, node),
+            seed=specification.seed,
+            nonvolatile=commissioned_memory(specification),
+        )
+
+    def add_objects(self, objects: ObjectDictionary) -> None:
+        for number, axis in enumerate(self.axes):
+            axis.add_objects(objects, 0x6000 + STRIDE * number)
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
         received, sent = (
@@ -60,7 +101,7 @@ class Cia402Drive(CanopenDevice):
         )
         return PdoSet(objects, received, sent, self.send)
 
-    def ready(self) -> None:
+    def initialised(self) -> None:
         for axis in self.axes:
             if axis.states.state is DriveState.NOT_READY:
                 axis.start(self.now)
@@ -71,7 +112,7 @@ class Cia402Drive(CanopenDevice):
         for axis in self.axes:
             axis.stop(self.now)
 
-    def entered(self, state: NmtState) -> None:
+    def nmt_state_changed(self, state: NmtState) -> None:
         if state is NmtState.INITIALISING:
             for axis in self.axes:
                 axis.power_stage_off(self.now)
@@ -93,8 +134,43 @@ class Cia402Drive(CanopenDevice):
         if self.pdos is not None and self.state is NmtState.OPERATIONAL:
             self.pdos.tick(now)
 
-    def _told(self, code: int) -> None:
+    def _report_error(self, code: int) -> None:
         if code:
             self.emergency(code, MOTION_ERROR)
         elif all(axis.error_code == 0 for axis in self.axes):
             self.emergency(0)
+
+
+def _axis_settings(specification: DeviceSpecification, actuator: Actuator) -> AxisSettings:
+    joint = specification.robot.joint(actuator.joint)
+    steering = actuator.role == "steering"
+    # Four counts for each encoder pulse, at the joint.
+    counts_per_radian = 4.0 * actuator.encoder_ppr * actuator.gear_ratio / math.tau
+    return AxisSettings(
+        actuator.gear_ratio,
+        actuator.encoder_ppr,
+        counts_per_radian,
+        counts_per_radian,
+        actuator.max_velocity,
+        actuator.max_acceleration,
+        actuator.max_torque,
+        joint.lower if steering else None,
+        joint.upper if steering else None,
+        brake=steering,
+        zero=actuator.encoder_offset,
+    )
+
+
+def _factory_pdos(frames: Sequence[FrameDefinition], node: Node) -> list[Pdo]:
+    return [
+        Pdo(
+            frame.pdo,
+            frame.cob_id - node.id,
+            EVENT_DRIVEN,
+            tuple(
+                (index, subindex, OBJECT_TYPES[kind][1]) for index, subindex, kind in frame.mapping
+            ),
+        )
+        for frame in frames
+        if frame.pdo is not None
+    ]

@@ -1,25 +1,42 @@
-"""Set-points of a CiA 402 drive in its modes of operation.  Everything in rad, rad/s and s."""
+r"""Set-points of a CiA 402 drive in its modes of operation, in rad, rad/s and s.
+
+The drive computes a set-point every 2 ms.  Profile position moves on a trapezoid to its target
+(``setpoint_trajectory``).  Profile and cyclic velocity ramp to the target speed.  Cyclic position
+interpolates: the master sends a target every cycle (0x60C2), and the set-point moves straight to it
+in one cycle, which hides the steps of 20 ms from the motor.
+
+Near a position limit a speed is bounded so that the drive can still stop there: with the
+deceleration a and the distance d to the limit, v <= sqrt(2 a d).
+
+Profile position uses a handshake of bits 4 (new set-point) and 12 (acknowledged):
+
+    control word bit 4   ____/-------\______
+    status word bit 12   ______/-------\____     acknowledged until bit 4 is 0 again
+    status word bit 10   ------\__________/--    target reached
+"""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
+from thorvaldc.can.cia402 import CHANGE_IMMEDIATELY, NEW_SET_POINT, Mode
 from thorvaldc.simulation.bus.setpoint_trajectory import Move, ramp
 
-PROFILE_POSITION, PROFILE_VELOCITY, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY = 1, 3, 6, 8, 9
-MODES = (PROFILE_POSITION, PROFILE_VELOCITY, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY)
+RELATIVE, HALT = 1 << 6, 1 << 8
+"""Bits of the control word."""
 
 TO_NEGATIVE_STOP, TO_POSITIVE_STOP = -1, -2
 NEGATIVE_SWITCH, POSITIVE_SWITCH = 17, 18
-HERE = (35, 37)
+PRESENT_POSITION = (35, 37)
 SEARCH = 2.5 * math.pi
-"""rad: how far a drive looks for its home position before it gives up."""
+"""rad: the search for the home position fails after twice this distance."""
 STALL_TIME = 0.1
+"""s at rest after which the drive assumes a mechanical stop."""
 
 
 class Bounds(NamedTuple):
-    """What a set-point keeps to; all but ``lower`` are not negative."""
+    """Limits of a set-point: position (rad), speed (rad/s), accelerations (rad/s^2)."""
 
     lower: float
     upper: float
@@ -29,10 +46,10 @@ class Bounds(NamedTuple):
 
 
 class Motion:
-    """The set-point and what the control word asks of it.
+    """The set-point, and the state of the handshake with the control word.
 
-    ``reached`` and ``acknowledged`` are bits 10 and 12 of the status word, ``limited``
-    bit 11: what was asked for is more than is allowed.
+    ``reached`` and ``acknowledged`` are bits 10 and 12 of the status word; ``limited`` is bit
+    11: the target is beyond a limit.
     """
 
     def __init__(self) -> None:
@@ -42,62 +59,65 @@ class Motion:
         self.limited = False
         self.acknowledged = False
         self.start = False
+        """Bit 4 of the control word."""
         self.halt = False
         self._relative = False
         self._immediately = False
-        self._asked = False
+        self._start_pending = False
         self._goal = 0.0
-        self._next: float | None = None
+        self._next_goal: float | None = None
         self._settled = 0.0
+        """s for which the position has been in the window."""
         self._target = math.nan
         self._rate = 0.0
 
     def control(self, word: int) -> None:
-        """The bits of the control word that belong to the mode."""
-        start = bool(word & 0x10)
+        """Handles the bits of the control word that depend on the mode."""
+        start = bool(word & NEW_SET_POINT)
         if start and not self.start:
-            self._asked = True
+            self._start_pending = True
         if not start:
-            self.acknowledged = self._next is not None
+            self.acknowledged = self._next_goal is not None
         self.start = start
-        self.halt = bool(word & 0x100)
-        self._relative, self._immediately = bool(word & 0x40), bool(word & 0x20)
+        self.halt = bool(word & HALT)
+        self._relative, self._immediately = bool(word & RELATIVE), bool(word & CHANGE_IMMEDIATELY)
 
     def rest(self, position: float, mode: int) -> None:
-        """Stand at ``position`` in ``mode``, with no set-point left over."""
+        """Sets the set-point to rest at ``position``, and drops pending targets."""
         self.mode = mode
         self.move = Move(position)
         self.reached = self.limited = False
-        self._goal, self._next, self._target = position, None, math.nan
+        self._goal, self._next_goal, self._target = position, None, math.nan
 
     def change(self, mode: int, position: float, velocity: float) -> None:
-        """Another mode, at speed."""
+        """Changes the mode while the motor turns."""
         self.rest(position, mode)
         self.move.speed = velocity
 
     def take_start(self) -> bool:
-        """Whether bit 4 has risen since it was asked for last."""
-        asked, self._asked = self._asked, False
-        return asked
+        """Whether bit 4 has risen since the last call."""
+        pending, self._start_pending = self._start_pending, False
+        return pending
 
     # -- modes ---------------------------------------------------------------------------------
 
     def stop(self, deceleration: float, dt: float) -> None:
-        """On the way to rest."""
+        """Advances a ramp to rest by ``dt`` s."""
         self.move.speed = ramp(self.move.speed, 0.0, deceleration, dt)
         self.move.position += self.move.speed * dt
         self.limited = False
 
     def profile_position(self, target: float, bounds: Bounds, dt: float) -> None:
+        """Advances by ``dt`` s.  ``target`` applies at the next rising edge of bit 4."""
         if self.take_start():
             start = self._goal if self._relative else 0.0
-            self._next = start + target
+            self._next_goal = start + target
             self.acknowledged = True
         arrived = self.move.position == self._goal and self.move.speed == 0.0
-        if self._next is not None and (arrived or self._immediately):
-            wanted, self._next = self._next, None
-            self._goal = min(max(wanted, bounds.lower), bounds.upper)
-            self.limited = self._goal != wanted
+        if self._next_goal is not None and (arrived or self._immediately):
+            goal, self._next_goal = self._next_goal, None
+            self._goal = min(max(goal, bounds.lower), bounds.upper)
+            self.limited = self._goal != goal
             self.reached, self._settled = False, 0.0
             self.acknowledged = self.start
         if self.halt:
@@ -108,23 +128,23 @@ class Motion:
         self.move.step(self._goal, bounds.velocity, bounds.acceleration, bounds.deceleration, dt)
 
     def settle(self, position: float, window: float, time: float, dt: float) -> None:
-        """Reached is what stays in the window for the time."""
+        """Sets ``reached`` once the position has been in the ``window`` (rad) for ``time`` s."""
         if self.halt:
             return
         close = abs(self._goal - position) <= window
-        self._settled = self._settled + dt if close and self._next is None else 0.0
+        self._settled = self._settled + dt if close and self._next_goal is None else 0.0
         self.reached = self._settled > 0.0 and self._settled >= time
 
-    def velocity(self, wanted: float, position: float, bounds: Bounds, dt: float) -> float:
-        """Profile and cyclic velocity.  Returns the speed that the ramp leads to."""
-        if self.halt and self.mode == PROFILE_VELOCITY:
-            wanted = 0.0
-        allowed = min(max(wanted, -bounds.velocity), bounds.velocity)
+    def velocity(self, target: float, position: float, bounds: Bounds, dt: float) -> float:
+        """Advances profile or cyclic velocity; returns the speed at the end of the ramp."""
+        if self.halt and self.mode == Mode.PROFILE_VELOCITY:
+            target = 0.0
+        allowed = min(max(target, -bounds.velocity), bounds.velocity)
         room = (bounds.upper - position) if allowed > 0.0 else (position - bounds.lower)
         if allowed and room < math.inf:
-            most = math.sqrt(2.0 * bounds.deceleration * room) if room > 0.0 else 0.0
-            allowed = math.copysign(min(abs(allowed), most), allowed)
-        self.limited = allowed != wanted
+            top = math.sqrt(2.0 * bounds.deceleration * room) if room > 0.0 else 0.0
+            allowed = math.copysign(min(abs(allowed), top), allowed)
+        self.limited = allowed != target
         slower = abs(allowed) < abs(self.move.speed)
         rate = bounds.deceleration if slower else bounds.acceleration
         self.move.speed = ramp(self.move.speed, allowed, rate, dt)
@@ -132,30 +152,31 @@ class Motion:
         return allowed
 
     def cyclic_position(self, target: float, bounds: Bounds, cycle: float, dt: float) -> None:
-        """Straight from one target to the next in the time between two of them."""
+        """Advances on a straight line to ``target``, which takes one ``cycle`` (s)."""
         allowed = min(max(target, bounds.lower), bounds.upper)
         if allowed != self._target:
             self._target = allowed
-            way = abs(allowed - self.move.position)
-            self._rate = min(way / max(cycle, dt), bounds.velocity)
-            self.limited = allowed != target or way > bounds.velocity * max(cycle, dt) * 1.001
+            distance = abs(allowed - self.move.position)
+            self._rate = min(distance / max(cycle, dt), bounds.velocity)
+            too_far = distance > bounds.velocity * max(cycle, dt) * 1.001
+            self.limited = allowed != target or too_far
         step = self._rate * dt
-        way = min(max(allowed - self.move.position, -step), step)
-        self.move.position += way
-        self.move.speed = way / dt
+        change = min(max(allowed - self.move.position, -step), step)
+        self.move.position += change
+        self.move.speed = change / dt
 
 
 class Homing:
-    """A search for the home position.  ``attained`` or ``failed`` is its end.
+    """A search for the home position; it ends with ``attained`` or ``failed``.
 
-    Methods of CiA 402: 17 and 18 (the negative, the positive limit switch: to it fast,
-    off it slowly), 35 and 37 (where it stands); -1 and -2 are this drive's own: the
-    negative, the positive mechanical stop.
+    Methods of CiA 402: 17 and 18 (negative or positive limit switch: to it fast, off it slowly),
+    35 and 37 (the present position).  -1 and -2 are this drive's own: the negative or positive
+    mechanical stop.
     """
 
     def __init__(self, method: int) -> None:
         self.method = method
-        self.attained = method in HERE
+        self.attained = method in PRESENT_POSITION
         self.failed = not self.attained and method not in (
             TO_NEGATIVE_STOP,
             TO_POSITIVE_STOP,
@@ -163,27 +184,33 @@ class Homing:
             POSITIVE_SWITCH,
         )
         self._backing = False
+        """The switch was reached; the drive moves off it."""
         self._stalled = 0.0
-        self._way = 0.0
+        """s at rest."""
+        self._distance = 0.0
+        """rad of commanded motion."""
 
     def speed(
         self, switches: tuple[bool, bool], velocity: float, fast: float, slow: float, dt: float
     ) -> float:
-        """The speed to search with; ``switches``: the negative and the positive limit switch."""
+        """Returns the search speed for the next ``dt`` s.
+
+        ``switches``: the negative and the positive limit switch; ``velocity``: measured.
+        """
         if self.attained or self.failed:
             return 0.0
         negative = self.method in (TO_NEGATIVE_STOP, NEGATIVE_SWITCH)
-        way = -1.0 if negative else 1.0
+        direction = -1.0 if negative else 1.0
         if self.method in (TO_NEGATIVE_STOP, TO_POSITIVE_STOP):
-            wanted = way * slow
-            standing = abs(velocity) < 0.1 * slow and self._way > 0.2 * slow
+            speed = direction * slow
+            standing = abs(velocity) < 0.1 * slow and self._distance > 0.2 * slow
             self._stalled = self._stalled + dt if standing else 0.0
             self.attained = self._stalled >= STALL_TIME
         else:
-            on = switches[0] if negative else switches[1]
-            self.attained = self._backing and not on
-            self._backing = self._backing or on
-            wanted = -way * slow if self._backing else way * fast
-        self._way += abs(wanted) * dt
-        self.failed = not self.attained and self._way > 2.0 * SEARCH
-        return 0.0 if self.attained or self.failed else wanted
+            on_switch = switches[0] if negative else switches[1]
+            self.attained = self._backing and not on_switch
+            self._backing = self._backing or on_switch
+            speed = -direction * slow if self._backing else direction * fast
+        self._distance += abs(speed) * dt
+        self.failed = not self.attained and self._distance > 2.0 * SEARCH
+        return 0.0 if self.attained or self.failed else speed

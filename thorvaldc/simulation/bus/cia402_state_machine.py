@@ -1,41 +1,52 @@
-"""The power state machine of CiA 402: control word in, status word out."""
+"""The power state machine of a CiA 402 drive: reads the control word, makes the status word.
+
+``thorvaldc.can.cia402`` draws the states.  The control word has these bits:
+
+    bit 0 switch on   bit 1 enable voltage   bit 2 quick stop (active low)
+    bit 3 enable operation   bit 7 fault reset (rising edge)
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from thorvaldc.can.cia402 import DriveState
+from thorvaldc.can.cia402 import REMOTE, VOLTAGE_ENABLED, DriveState
 
-VOLTAGE_ENABLED, REMOTE = 1 << 4, 1 << 9
+SWITCH_ON, ENABLE_VOLTAGE, QUICK_STOP, ENABLE_OPERATION, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
+QUICK_STOP_INACTIVE = 1 << 5
+"""Bit of the status word; part of the pattern of the powered states."""
 
 
 class Reaction(NamedTuple):
-    """A ramp to rest, ``quick`` by 0x6085 or else by 0x6084, and the state that follows."""
+    """A ramp to rest, and the state that follows it.
+
+    ``quick``: the ramp uses the quick stop deceleration (0x6085), else the profile's (0x6084).
+    """
 
     quick: bool
-    then: DriveState
+    next_state: DriveState
 
 
 class StateMachine:
-    """``reaction`` is the stop under way, if any; its owner says when it is ``stopped``."""
+    """The state of one motor.  ``reaction``: the stop in progress; its owner calls ``stopped``."""
 
     def __init__(self) -> None:
         self.state = DriveState.NOT_READY
         self.reaction: Reaction | None = None
-        self._word = 0
+        self._control_word = 0
 
     def statusword(self) -> int:
         word = self.state.value | REMOTE
         if self.state is not DriveState.NOT_READY:
             word |= VOLTAGE_ENABLED
         if self.state in (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT):
-            word |= 1 << 5 if not self._quick_stop_asked() else 0
+            word |= QUICK_STOP_INACTIVE if self._control_word & QUICK_STOP else 0
         return word
 
     def command(self, word: int, quick_stop_option: int, disable_option: int) -> None:
-        """Take a control word; options are those of 0x605A and 0x605C."""
-        reset = bool(word & 0x80) and not self._word & 0x80
-        self._word = word
+        """Handles a control word with the options of objects 0x605A and 0x605C."""
+        reset = bool(word & FAULT_RESET) and not self._control_word & FAULT_RESET
+        self._control_word = word
         state = self.state
         if state is DriveState.FAULT:
             if reset:
@@ -43,29 +54,29 @@ class StateMachine:
             return
         if state in (DriveState.NOT_READY, DriveState.FAULT_REACTION_ACTIVE):
             return
-        if not word & 0x02:
+        if not word & ENABLE_VOLTAGE:
             self.disable()
-        elif not word & 0x04:
+        elif not word & QUICK_STOP:
             if state is DriveState.OPERATION_ENABLED:
                 self.quick_stop(quick_stop_option)
             elif state is not DriveState.QUICK_STOP_ACTIVE:
                 self.disable()
-        elif not word & 0x01:
+        elif not word & SWITCH_ON:
             if state is not DriveState.QUICK_STOP_ACTIVE:
-                self._go(DriveState.READY_TO_SWITCH_ON)
-        elif not word & 0x08:
+                self._enter(DriveState.READY_TO_SWITCH_ON)
+        elif not word & ENABLE_OPERATION:
             self._switch_on(disable_option)
         else:
             self._enable()
 
     def _switch_on(self, disable_option: int) -> None:
         if self.state is DriveState.READY_TO_SWITCH_ON:
-            self._go(DriveState.SWITCHED_ON)
+            self._enter(DriveState.SWITCHED_ON)
         elif self.state is DriveState.OPERATION_ENABLED and self.reaction is None:
             if disable_option == 1:
                 self.reaction = Reaction(False, DriveState.SWITCHED_ON)
             else:
-                self._go(DriveState.SWITCHED_ON)
+                self._enter(DriveState.SWITCHED_ON)
 
     def _enable(self) -> None:
         if self.state in (
@@ -73,48 +84,52 @@ class StateMachine:
             DriveState.SWITCHED_ON,
             DriveState.OPERATION_ENABLED,
         ):
-            self._go(DriveState.OPERATION_ENABLED)
+            self._enter(DriveState.OPERATION_ENABLED)
         elif self.state is DriveState.QUICK_STOP_ACTIVE:
-            stays = self.reaction is None or self.reaction.then is DriveState.QUICK_STOP_ACTIVE
-            if stays:
-                self._go(DriveState.OPERATION_ENABLED)
+            reaction = self.reaction
+            if reaction is None or reaction.next_state is DriveState.QUICK_STOP_ACTIVE:
+                self._enter(DriveState.OPERATION_ENABLED)
 
     def disable(self) -> None:
-        """Power stage off at once."""
+        """Switches the power stage off without a ramp."""
         if self.state is not DriveState.FAULT:
-            self._go(DriveState.SWITCH_ON_DISABLED)
+            self._enter(DriveState.SWITCH_ON_DISABLED)
 
     def quick_stop(self, option: int) -> None:
-        """``option`` of 0x605A: 0 off at once, 1 and 2 ramp and off, 5 and 6 ramp and stay."""
+        """Quick stop by object 0x605A.
+
+        0: power off without a ramp; 1 and 2: ramp, then power off; 5 and 6: ramp, then stay
+        in QUICK STOP ACTIVE.  1 and 5 use the profile's deceleration.
+        """
         if self.state is not DriveState.OPERATION_ENABLED:
             return
         if option == 0:
             self.disable()
             return
         stays = option >= 5
-        then = DriveState.QUICK_STOP_ACTIVE if stays else DriveState.SWITCH_ON_DISABLED
+        next_state = DriveState.QUICK_STOP_ACTIVE if stays else DriveState.SWITCH_ON_DISABLED
         self.state = DriveState.QUICK_STOP_ACTIVE
-        self.reaction = Reaction(option not in (1, 5), then)
+        self.reaction = Reaction(option not in (1, 5), next_state)
 
     def fault(self, option: int) -> bool:
-        """Go to fault, with a ramp first where 0x605E says so; ``False``: it is there already."""
+        """Enters FAULT, with a ramp first if object 0x605E (``option``) says so.
+
+        ``False``: the drive already is in a fault.
+        """
         if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return False
         if self.state.powered and option != 0:
             self.state = DriveState.FAULT_REACTION_ACTIVE
             self.reaction = Reaction(option != 1, DriveState.FAULT)
         else:
-            self._go(DriveState.FAULT)
+            self._enter(DriveState.FAULT)
         return True
 
     def stopped(self) -> None:
-        """The ramp of the reaction has come to rest."""
+        """The ramp of the reaction has reached rest: enters the state that follows."""
         if self.reaction is not None:
-            self._go(self.reaction.then)
+            self._enter(self.reaction.next_state)
 
-    def _go(self, state: DriveState) -> None:
+    def _enter(self, state: DriveState) -> None:
         self.state = state
         self.reaction = None
-
-    def _quick_stop_asked(self) -> bool:
-        return not self._word & 0x04

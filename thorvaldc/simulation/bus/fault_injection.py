@@ -1,4 +1,4 @@
-"""FaultInjector of a simulated bus: struck when a script says so, or at once."""
+"""Injected faults of a simulated bus: by a script, or by a test at any time."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
 
-Tell = Callable[[float, BusFault, bool], None]
-"""Told of each fault at its time (s): that it begins (``True``) or ends."""
+Listener = Callable[[float, BusFault, bool], None]
+"""Called at the beginning (``True``) and the end of each fault, with the time (s)."""
 
 
 class FaultInjector:
-    """Plans a script's faults on a robot's buses.
+    """Plans the faults of a script on a robot's buses.
 
-    ``active`` are those under way, in the order in which they began.
+    ``active``: the present faults, in the order in which they began.
     """
 
     def __init__(
-        self, simulated: SimulatedRobot, script: BusFaults, tell: Tell | None = None
+        self, simulated: SimulatedRobot, script: BusFaults, listener: Listener | None = None
     ) -> None:
         self.simulated = simulated
         self.active: list[BusFault] = []
-        self._tell = tell
+        self._listener = listener
         self._random = random.Random(f"{script.seed}:faults")
         for fault in script.faults:
             if fault.frame is not None:
                 wire = simulated.wires[fault.bus]
-                wire.at_frame(fault.frame, self._later(fault, fault.delay))
+                wire.at_frame(fault.frame, self._starter(fault, fault.delay))
             else:
                 time = to_ns((fault.time or 0.0) + fault.delay)
-                simulated.timeline.at(time, self._later(fault, 0.0))
+                simulated.timeline.at(time, self._starter(fault, 0.0))
 
     def strike(self, fault: BusFault) -> None:
-        """Let it happen now."""
+        """Starts a fault now."""
         self.active.append(fault)
-        self._say(fault, True)
-        mend = self._begin(fault)
+        self._report(fault, True)
+        remove = self._inject(fault)
         if fault.duration is not None:
             timeline = self.simulated.timeline
-            timeline.after(to_ns(fault.duration), lambda: self._end(fault, mend))
+            timeline.after(to_ns(fault.duration), lambda: self._end(fault, remove))
 
-    def _later(self, fault: BusFault, delay: float) -> Action:
+    def _starter(self, fault: BusFault, delay: float) -> Action:
         def act() -> None:
             if delay > 0.0:
                 self.simulated.timeline.after(to_ns(delay), lambda: self.strike(fault))
@@ -59,43 +59,47 @@ class FaultInjector:
 
         return act
 
-    def _end(self, fault: BusFault, mend: Action) -> None:
+    def _end(self, fault: BusFault, remove: Action) -> None:
         self.active = [f for f in self.active if f is not fault]
-        mend()
-        self._say(fault, False)
+        remove()
+        self._report(fault, False)
 
-    def _say(self, fault: BusFault, begins: bool) -> None:
-        if self._tell is not None:
-            self._tell(self.simulated.timeline.seconds, fault, begins)
+    def _report(self, fault: BusFault, begins: bool) -> None:
+        if self._listener is not None:
+            self._listener(self.simulated.timeline.seconds, fault, begins)
 
-    # -- what happens ----------------------------------------------------------------------
+    # -- kinds of faults ----------------------------------------------------------------------
 
-    def _begin(self, fault: BusFault) -> Action:
-        """Let it happen; returns what ends it."""
+    def _inject(self, fault: BusFault) -> Action:
+        """Starts a fault; returns the function that removes it."""
         wire = self.simulated.wires[fault.bus]
         devices = self._devices(fault)
         if fault.kind == "power_cut":
-            cut = [device for device in devices if device.powered]
-            for device in cut:
+            powered = [device for device in devices if device.powered]
+            for device in powered:
                 device.power_off()
-            return lambda: _all(cut, SimulatedDevice.power_on)
+
+            def restore_power() -> None:
+                for device in powered:
+                    device.power_on()
+
+            return restore_power
         if fault.kind == "noise":
             wire.noise = fault.share
 
-            def clear() -> None:
+            def end_noise() -> None:
                 wire.noise = 0.0
 
-            return clear
+            return end_noise
         if fault.kind == "lost_frames":
-            return self._lose(fault, devices)
-        return self._begin_of(fault, devices[0])
+            return self._drop_frames(fault, devices)
+        return self._inject_device_fault(fault, devices[0])
 
-    def _begin_of(self, fault: BusFault, device: SimulatedDevice) -> Action:
-        """A fault of one device."""
+    def _inject_device_fault(self, fault: BusFault, device: SimulatedDevice) -> Action:
         if fault.kind == "mute":
-            return _switched(device, "muted")
+            return _set_flag(device, "muted")
         if fault.kind == "heartbeat_stop" and isinstance(device, CanopenDevice):
-            return _switched(device, "heartbeat_stopped")
+            return _set_flag(device, "heartbeat_stopped")
         if fault.kind == "emcy" and isinstance(device, CanopenDevice):
             device.emergency(fault.code, fault.register)
         elif fault.kind == "duplicate_id":
@@ -103,15 +107,15 @@ class FaultInjector:
         elif fault.kind == "bus_off":
             device.controller.go_bus_off()
         elif fault.kind == "wrong_bitrate":
-            before = device.controller.bitrate
+            bitrate = device.controller.bitrate
             device.change_bitrate(fault.bitrate)
-            return lambda: device.change_bitrate(before)
+            return lambda: device.change_bitrate(bitrate)
         elif fault.kind == "frozen_encoder":
             encoder, _ = self._motor(device, fault.channel)
-            return _switched(encoder, "frozen") if encoder is not None else _nothing
+            return _set_flag(encoder, "frozen") if encoder is not None else _nothing
         elif fault.kind == "blocked_motor":
             _, motor = self._motor(device, fault.channel)
-            return _switched(motor, "blocked") if motor is not None else _nothing
+            return _set_flag(motor, "blocked") if motor is not None else _nothing
         elif fault.kind == "babble":
             return self._babble(fault, device)
         return _nothing
@@ -125,62 +129,57 @@ class FaultInjector:
     def _motor(
         self, device: SimulatedDevice, channel: str
     ) -> tuple[Encoder | None, MotorModel | None]:
-        place = self._channel(device.name, channel)
-        if isinstance(device, RoboteqController) and place < 2:
-            found = device.channels[place]
-            return found.encoder, found.motor
-        if isinstance(device, Cia402Drive) and place < len(device.axes):
-            axis = device.axes[place]
+        index = self._channel_index(device.name, channel)
+        if isinstance(device, RoboteqController) and index < 2:
+            motor_channel = device.channels[index]
+            return motor_channel.encoder, motor_channel.motor
+        if isinstance(device, Cia402Drive) and index < len(device.axes):
+            axis = device.axes[index]
             return axis.encoder, axis.motor
         return None, None
 
-    def _channel(self, node: str, channel: str) -> int:
+    def _channel_index(self, node_name: str, channel: str) -> int:
         for bus in self.simulated.robot.buses:
-            for found in bus.nodes:
-                if found.name == node:
-                    return [c.name for c in found.channels].index(channel)
-        raise KeyError(node)
+            for node in bus.nodes:
+                if node.name == node_name:
+                    return [c.name for c in node.channels].index(channel)
+        raise KeyError(node_name)
 
-    def _lose(self, fault: BusFault, devices: list[SimulatedDevice]) -> Action:
+    def _drop_frames(self, fault: BusFault, devices: list[SimulatedDevice]) -> Action:
         def accepts(frame: CanFrame) -> bool:
-            hit = fault.cob_id is None or frame.id == fault.cob_id
-            return not (hit and self._random.random() < fault.share)
+            affected = fault.cob_id is None or frame.id == fault.cob_id
+            return not (affected and self._random.random() < fault.share)
 
         for device in devices:
             device.controller.accepts = accepts
 
-        def mend() -> None:
+        def remove_filter() -> None:
             for device in devices:
                 device.controller.accepts = None
 
-        return mend
+        return remove_filter
 
     def _babble(self, fault: BusFault, device: SimulatedDevice) -> Action:
         frame = CanFrame(fault.cob_id or 0, bytes(8))
-        going = True
+        babbling = True
 
-        def again() -> None:
-            if going and device.powered:
+        def repeat() -> None:
+            if babbling and device.powered:
                 device.controller.send(frame)
-                self.simulated.timeline.after(to_ns(fault.period), again)
+                self.simulated.timeline.after(to_ns(fault.period), repeat)
 
         def stop() -> None:
-            nonlocal going
-            going = False
+            nonlocal babbling
+            babbling = False
 
-        again()
+        repeat()
         return stop
 
 
-def _switched(thing: object, name: str) -> Action:
-    setattr(thing, name, True)
-    return lambda: setattr(thing, name, False)
-
-
-def _all(devices: list[SimulatedDevice], what: Callable[[SimulatedDevice], None]) -> None:
-    for device in devices:
-        what(device)
+def _set_flag(device: object, name: str) -> Action:
+    setattr(device, name, True)
+    return lambda: setattr(device, name, False)
 
 
 def _nothing() -> None:
-    """Some faults are over when they have happened."""
+    """The end of a fault that lasts no time, such as an emergency."""

@@ -1,25 +1,33 @@
-"""The slave's side of the layer setting services (CiA 305): addresses and bitrates by identity."""
+"""An LSS slave (layer setting services, CiA 305): node id and bitrate, set by identity.
+
+    WAITING  --(switch state selective: all four parts of the identity match)-->  CONFIGURATION
+    WAITING  --(fastscan: the last bit of the last part matches)---------------->  CONFIGURATION
+    any      --(switch state global)--------------------------------->  WAITING or CONFIGURATION
+
+Configuration services (node id, bit timing, store, inquire) need the CONFIGURATION state.  A new
+node id is pending until the slave leaves that state (if it had none) or its communication is reset.
+
+Fastscan finds a slave whose identity is unknown, bit by bit; see ``lss_master`` of the
+commissioning for the sequence.
+"""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
 
-from thorvaldc.can.lss import BITRATES, UNCONFIGURED, Identity
-
-_SELECT = (0x40, 0x41, 0x42, 0x43)
-_IDENTIFY = (0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B)
-_INQUIRE = (0x5A, 0x5B, 0x5C, 0x5D)
+from thorvaldc.can import lss
+from thorvaldc.can.lss import UNCONFIGURED, Identity
 
 
 class LssSlave:
-    """The services of one device.  What it decides is carried out by its device:
+    """The LSS services of one device.  Callbacks to the device:
 
-    - ``set_id(id)``: the pending node id, 1..127 or 255;
-    - ``set_bitrate(bit/s)``: the pending bitrate; ``False`` where it cannot do it;
-    - ``activate(delay)``: change to the pending bitrate after ``delay`` s;
-    - ``store(done)``: keep the pending values, then call ``done(code)`` (0: nonvolatile);
-    - ``left()``: the configuration state was left, a first id may take effect.
+    - ``set_id(id)``: sets the pending node id, 1..127 or 255;
+    - ``set_bitrate(bit/s)``: sets the pending bitrate; ``False``: not supported;
+    - ``activate(delay)``: changes to the pending bitrate after ``delay`` s;
+    - ``store(done)``: stores the pending values, then calls ``done(code)`` (0: stored);
+    - ``left()``: the slave left the configuration state; a first node id may take effect.
     """
 
     def __init__(
@@ -43,37 +51,39 @@ class LssSlave:
         self._activate = activate
         self._store = store
         self._left = left
+        # Number of parts of the identity that matched so far, for each service.
         self._selected = 0
         self._identified = 0
         self._scanned = 0
 
     def request(self, data: bytes) -> None:
+        """Handles a request of 8 bytes; messages of other lengths get no answer."""
         if len(data) != 8:
             return
         command = data[0]
         number: int = struct.unpack_from("<I", data, 1)[0]
-        if command == 0x04:
-            self._switch(data[1] == 1)
-        elif command in _SELECT:
-            self._select(_SELECT.index(command), number)
-        elif command in _IDENTIFY:
-            self._identify(_IDENTIFY.index(command), number)
-        elif command == 0x4C:
+        if command == lss.SWITCH_STATE_GLOBAL:
+            self._switch(data[1] == lss.CONFIGURATION)
+        elif command in lss.SWITCH_STATE_SELECTIVE:
+            self._select(lss.SWITCH_STATE_SELECTIVE.index(command), number)
+        elif command in lss.IDENTIFY_REMOTE_SLAVE:
+            self._identify(lss.IDENTIFY_REMOTE_SLAVE.index(command), number)
+        elif command == lss.IDENTIFY_NON_CONFIGURED:
             if self._node_id() == UNCONFIGURED:
-                self._answer(0x50)
-        elif command == 0x51:
+                self._answer(lss.NON_CONFIGURED_IDENTIFIED)
+        elif command == lss.FASTSCAN:
             self._fastscan(number, data[5], data[6], data[7])
         elif self.configuring:
             self._configure(command, data)
 
     def _switch(self, configure: bool) -> None:
-        was, self.configuring = self.configuring, configure
+        was_configuring, self.configuring = self.configuring, configure
         self._selected = 0
-        if was and not configure:
+        if was_configuring and not configure:
             self._left()
 
     def _select(self, part: int, number: int) -> None:
-        """Four requests in a row, one for each part of the identity."""
+        """Handles one of four requests in a row, one for each part of the identity."""
         if part == 0:
             self._selected = 0
         if part != self._selected or number != self.identity[part]:
@@ -83,10 +93,10 @@ class LssSlave:
         if self._selected == 4:
             self._selected = 0
             self.configuring = True
-            self._answer(0x44)
+            self._answer(lss.SELECTED)
 
     def _identify(self, part: int, number: int) -> None:
-        """Vendor, product, lowest and highest revision, lowest and highest serial number."""
+        """Handles one of six: vendor, product, revision (low, high), serial number (low, high)."""
         if part == 0:
             self._identified = 0
         vendor, product, revision, serial = self.identity
@@ -104,45 +114,49 @@ class LssSlave:
         self._identified += 1
         if self._identified == 6:
             self._identified = 0
-            self._answer(0x4F)
+            self._answer(lss.SLAVE_IDENTIFIED)
 
     def _fastscan(self, number: int, bit: int, part: int, following: int) -> None:
-        """Unconfigured slaves in the waiting state answer where their bits so far agree."""
+        """Answers if the bits of ``part`` from 31 down to ``bit`` equal those of ``number``.
+
+        Only slaves without a node id in the waiting state answer.  ``following`` is the part
+        that the master scans next; a lower one means that the scan is complete.
+        """
         if self._node_id() != UNCONFIGURED or self.configuring:
             return
-        if bit == 0x80:
+        if bit == lss.FASTSCAN_START:
             self._scanned = 0
-            self._answer(0x4F)
+            self._answer(lss.SLAVE_IDENTIFIED)
             return
         if bit > 31 or part > 3 or part != self._scanned:
             return
         if number >> bit != self.identity[part] >> bit:
             return
-        self._answer(0x4F)
+        self._answer(lss.SLAVE_IDENTIFIED)
         if bit == 0:
-            if following < part:  # the last part agrees as well: this slave is found
+            if following < part:  # the last part matches too: the scan has found this slave
                 self.configuring = True
             self._scanned = following & 3
 
     def _configure(self, command: int, data: bytes) -> None:
-        if command == 0x11:
+        if command == lss.CONFIGURE_NODE_ID:
             valid = 1 <= data[1] <= 127 or data[1] == UNCONFIGURED
             if valid:
                 self._set_id(data[1])
-            self._answer(0x11, 0 if valid else 1)
-        elif command == 0x13:
-            rate = BITRATES.get(data[2]) if data[1] == 0 else None
-            taken = rate is not None and self._set_bitrate(rate)
-            self._answer(0x13, 0 if taken else 1)
-        elif command == 0x15:
+            self._answer(command, 0 if valid else 1)
+        elif command == lss.CONFIGURE_BIT_TIMING:
+            rate = lss.BITRATES.get(data[2]) if data[1] == 0 else None
+            supported = rate is not None and self._set_bitrate(rate)
+            self._answer(command, 0 if supported else 1)
+        elif command == lss.ACTIVATE_BIT_TIMING:
             self._activate(struct.unpack_from("<H", data, 1)[0] / 1000.0)
-        elif command == 0x17:
-            self._store(lambda code: self._answer(0x17, code))
-        elif command in _INQUIRE:
-            found = self.identity[_INQUIRE.index(command)]
-            self._respond(struct.pack("<BI3x", command, found))
-        elif command == 0x5E:
-            self._answer(0x5E, self._node_id())
+        elif command == lss.STORE_CONFIGURATION:
+            self._store(lambda code: self._answer(command, code))
+        elif command in lss.INQUIRE_IDENTITY:
+            number = self.identity[lss.INQUIRE_IDENTITY.index(command)]
+            self._respond(struct.pack("<BI3x", command, number))
+        elif command == lss.INQUIRE_NODE_ID:
+            self._answer(command, self._node_id())
 
     def _answer(self, command: int, value: int = 0) -> None:
         self._respond(bytes([command, value, 0, 0, 0, 0, 0, 0]))

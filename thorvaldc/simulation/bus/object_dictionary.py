@@ -6,21 +6,7 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
-# Abort codes of SDO transfers, CiA 301.
-TOGGLE_NOT_ALTERNATED = 0x05030000
-TIMED_OUT = 0x05040000
-COMMAND_UNKNOWN = 0x05040001
-UNSUPPORTED_ACCESS = 0x06010000
-WRITE_ONLY = 0x06010001
-READ_ONLY = 0x06010002
-OBJECT_UNKNOWN = 0x06020000
-NOT_MAPPABLE = 0x06040041
-MAPPING_TOO_LONG = 0x06040042
-LENGTH_WRONG = 0x06070010
-SUBINDEX_UNKNOWN = 0x06090011
-VALUE_RANGE = 0x06090030
-STORE_REFUSED = 0x08000020
-STATE_REFUSED = 0x08000022
+from thorvaldc.can.canopen import AbortCode
 
 _FORMATS = {
     "bool": "<?",
@@ -34,12 +20,12 @@ _FORMATS = {
 }
 
 
-Later = Callable[[Callable[[], None]], None]
-"""What takes its time: called with what is to be done when it is finished."""
+DelayedWrite = Callable[[Callable[[], None]], None]
+"""A write that takes time, such as storing; called with the function to run at its end."""
 
 
 class SdoAbort(Exception):
-    """A transfer is refused with this abort code."""
+    """The server aborts the transfer with this abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"abort {code:#010x}")
@@ -47,13 +33,13 @@ class SdoAbort(Exception):
 
 
 class Entry:
-    """One value.  ``kind`` is ``u8`` to ``i32``, ``bool``, ``f32`` or ``text``.
+    """One entry.  ``kind`` is ``u8`` to ``i32``, ``bool``, ``f32`` or ``text``.
 
-    ``access`` is ``ro``, ``rw``, ``wo`` or ``const``.  ``read`` gives a value that changes
-    by itself.  ``write`` is called before a new value is taken; it may raise
-    ``SdoAbort``, or return what is to be waited for before the answer.  ``lower`` and
-    ``upper`` bound what is taken.  ``stored`` entries are among the parameters that a
-    device stores (0x1010).
+    ``access`` is ``ro``, ``rw``, ``wo`` or ``const``.  ``read`` computes a value that changes
+    by itself.  ``write`` is called before a new value is set; it may raise ``SdoAbort``, or
+    return a ``DelayedWrite`` that must end before the response.  ``lower`` and ``upper`` are
+    the limits of accepted values.  ``stored``: the entry belongs to the parameters that object
+    0x1010 stores.
     """
 
     __slots__ = ("access", "kind", "lower", "read", "stored", "upper", "value", "write")
@@ -65,7 +51,7 @@ class Entry:
         access: str = "ro",
         *,
         read: Callable[[], Any] | None = None,
-        write: Callable[[Any], Later | None] | None = None,
+        write: Callable[[Any], DelayedWrite | None] | None = None,
         lower: float | None = None,
         upper: float | None = None,
         stored: bool = False,
@@ -81,23 +67,24 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Bytes; 0 for text, which has no fixed size."""
-        found = _FORMATS.get(self.kind)
-        return struct.calcsize(found) if found else 0
+        """Length in bytes; 0 for text, which has no fixed length."""
+        number_format = _FORMATS.get(self.kind)
+        return struct.calcsize(number_format) if number_format else 0
 
     def get(self) -> Any:
         return self.value if self.read is None else self.read()
 
-    def set(self, value: Any) -> Later | None:
-        """Take a value as a client writes it.  Raises ``SdoAbort``."""
+    def set(self, value: Any) -> DelayedWrite | None:
+        """Sets the value that a client writes.  Raises ``SdoAbort``."""
         too_low = self.lower is not None and value < self.lower
         if too_low or (self.upper is not None and value > self.upper):
-            raise SdoAbort(VALUE_RANGE)
-        later = self.write(value) if self.write is not None else None
+            raise SdoAbort(AbortCode.VALUE_RANGE)
+        delayed = self.write(value) if self.write is not None else None
         self.value = value
-        return later
+        return delayed
 
     def encode(self) -> bytes:
+        """Returns the value as SDO and PDO transfer it."""
         value = self.get()
         if self.kind == "text":
             return str(value).encode("latin-1", "replace")
@@ -108,11 +95,11 @@ class Entry:
         return struct.pack(_FORMATS[self.kind], value)
 
     def decode(self, data: bytes) -> Any:
-        """Raises ``SdoAbort`` where the length does not fit."""
+        """Returns the value of received bytes.  Raises ``SdoAbort`` if their number is wrong."""
         if self.kind == "text":
             return data.decode("latin-1")
         if len(data) != self.size:
-            raise SdoAbort(LENGTH_WRONG)
+            raise SdoAbort(AbortCode.LENGTH_WRONG)
         return struct.unpack(_FORMATS[self.kind], data)[0]
 
 
@@ -129,41 +116,43 @@ class ObjectDictionary:
         return entry
 
     def add_record(self, index: int, *entries: Entry) -> None:
-        """Entries from subindex 1 on, and their number at 0."""
+        """Adds entries from subindex 1 on, and their number at subindex 0."""
         self.add(index, 0, Entry("u8", len(entries), "const"))
         for subindex, entry in enumerate(entries, 1):
             self.add(index, subindex, entry)
 
-    def __getitem__(self, place: tuple[int, int]) -> Entry:
-        """Raises ``SdoAbort`` where there is no such entry."""
+    def __getitem__(self, key: tuple[int, int]) -> Entry:
+        """Returns the entry at (index, subindex).  Raises ``SdoAbort`` if there is none."""
         try:
-            return self._entries[place]
+            return self._entries[key]
         except KeyError:
-            known = place[0] in self._indices
-            raise SdoAbort(SUBINDEX_UNKNOWN if known else OBJECT_UNKNOWN) from None
+            known = key[0] in self._indices
+            code = AbortCode.SUBINDEX_UNKNOWN if known else AbortCode.OBJECT_UNKNOWN
+            raise SdoAbort(code) from None
 
-    def __contains__(self, place: tuple[int, int]) -> bool:
-        return place in self._entries
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        return key in self._entries
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """What a client reads.  Raises ``SdoAbort``."""
+        """Returns the bytes that a client reads.  Raises ``SdoAbort``."""
         entry = self[index, subindex]
         if entry.access == "wo":
-            raise SdoAbort(WRITE_ONLY)
+            raise SdoAbort(AbortCode.WRITE_ONLY)
         return entry.encode()
 
-    def download(self, index: int, subindex: int, data: bytes) -> Later | None:
-        """What a client writes.  Raises ``SdoAbort``."""
+    def download(self, index: int, subindex: int, data: bytes) -> DelayedWrite | None:
+        """Sets the entry to the bytes that a client writes.  Raises ``SdoAbort``."""
         entry = self[index, subindex]
         if entry.access in ("ro", "const"):
-            raise SdoAbort(READ_ONLY)
+            raise SdoAbort(AbortCode.READ_ONLY)
         return entry.set(entry.decode(data))
 
     def parameters(self) -> dict[str, Any]:
-        """The stored entries' values, by ``index.subindex`` in hexadecimal."""
+        """The values of the ``stored`` entries, by ``index.subindex`` in hexadecimal."""
         return {name: entry.value for name, entry in self._stored()}
 
     def restore(self, values: dict[str, Any]) -> None:
+        """Sets the ``stored`` entries to values of ``parameters``."""
         for name, entry in self._stored():
             if name in values:
                 entry.value = values[name]
@@ -171,4 +160,9 @@ class ObjectDictionary:
     def _stored(self) -> Iterator[tuple[str, Entry]]:
         for (index, subindex), entry in self._entries.items():
             if entry.stored:
-                yield f"{index:04x}.{subindex:02x}", entry
+                yield parameter_name(index, subindex), entry
+
+
+def parameter_name(index: int, subindex: int) -> str:
+    """Returns the name of an entry in non-volatile memory: ``1017.00``."""
+    return f"{index:04x}.{subindex:02x}"

@@ -1,4 +1,16 @@
-"""Process data objects of a CANopen device: communication, mapping, SYNC and events (CiA 301)."""
+"""Process data objects of a CANopen device: communication, mapping, SYNC and events (CiA 301).
+
+Objects of PDO number n (RPDO: base 0x1400, TPDO: base 0x1800):
+
+    base + n - 1           sub 1 COB-ID (bit 31: switched off), sub 2 transmission type,
+                           sub 5 event timer in ms
+    base + 0x200 + n - 1   sub 0 number of mapped entries, then index << 16 | subindex << 8 | bits
+
+A master changes a PDO in this order: switch it off, set sub 0 of the mapping to 0, write
+the mapping, set sub 0, switch it on.  Any other order is aborted.
+
+Transmission types: 0 = at SYNC if changed, 1 to 240 = at every n-th SYNC, above = by event or time.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +18,28 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from thorvaldc.can.canopen import AbortCode
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.simulation.bus.object_dictionary import (
-    MAPPING_TOO_LONG,
-    NOT_MAPPABLE,
-    STATE_REFUSED,
+    DelayedWrite,
     Entry,
-    Later,
     ObjectDictionary,
     SdoAbort,
 )
 
 INVALID = 1 << 31
 SYNCHRONOUS = 240
-"""The highest transmission type that waits for SYNC."""
+"""Highest transmission type that is synchronous."""
 EVENT_DRIVEN = 255
-_MAPPED = 8
+_SLOTS = 8
+"""Entries that a mapping can hold."""
 
 
 class Pdo(NamedTuple):
-    """A PDO as it is before anything is configured.
+    """A PDO in its factory configuration.
 
-    ``number`` from 1; ``cob_id``; ``transmission`` type; ``mapping``: index, subindex and
-    bits of each object in it; ``event_ms`` of one that is sent by time.
+    ``number`` starts at 1.  ``transmission`` is the transmission type.  ``mapping`` has index,
+    subindex and length (bits) of each object.  ``event_ms`` is the event timer, 0: none.
     """
 
     number: int
@@ -38,16 +49,17 @@ class Pdo(NamedTuple):
     event_ms: int = 0
 
 
-class _Configured:
-    """The entries of one PDO in the object dictionary."""
+class _ConfiguredPdo:
+    """A PDO as its entries in the object dictionary define it now."""
 
-    def __init__(self, pdo: Pdo, sends: bool, objects: ObjectDictionary) -> None:
-        self.sends = sends
+    def __init__(self, pdo: Pdo, transmit: bool, objects: ObjectDictionary) -> None:
         self._objects = objects
         self.pending: bytes | None = None
+        """Received data that waits for SYNC."""
         self.syncs = 0
         self.last: bytes | None = None
-        base = 0x1800 if sends else 0x1400
+        """Data sent last."""
+        base = 0x1800 if transmit else 0x1400
         index = base + pdo.number - 1
         self.cob = Entry("u32", pdo.cob_id, "rw", write=self._check_cob, stored=True)
         self.type = Entry("u8", pdo.transmission, "rw", stored=True)
@@ -57,77 +69,80 @@ class _Configured:
         objects.add(index, 2, self.type)
         objects.add(index, 3, Entry("u16", 0, "rw", stored=True))
         objects.add(index, 5, self.event)
-        words = [place << 16 | sub << 8 | bits for place, sub, bits in pdo.mapping]
+        mapping = [index << 16 | sub << 8 | bits for index, sub, bits in pdo.mapping]
         self.count = Entry(
-            "u8", len(words), "rw", upper=_MAPPED, write=self._check_count, stored=True
+            "u8", len(mapping), "rw", upper=_SLOTS, write=self._check_count, stored=True
         )
         objects.add(index + 0x200, 0, self.count)
         self.slots = []
-        for slot in range(_MAPPED):
-            value = words[slot] if slot < len(words) else 0
+        for slot in range(_SLOTS):
+            value = mapping[slot] if slot < len(mapping) else 0
             entry = Entry("u32", value, "rw", write=self._check_slot, stored=True)
             self.slots.append(objects.add(index + 0x200, slot + 1, entry))
 
     @property
     def cob_id(self) -> int | None:
-        """``None`` where it is switched off."""
+        """``None``: the PDO is switched off."""
         value: int = self.cob.value
         return None if value & INVALID else value & 0x7FF
 
     def mapped(self) -> list[Entry | int]:
-        """The entries in order; a number of bits where nothing is."""
-        found: list[Entry | int] = []
+        """The mapped entries in order; a number of bits for a gap without an object."""
+        items: list[Entry | int] = []
         for slot in self.slots[: self.count.value]:
-            place = (slot.value >> 16, slot.value >> 8 & 0xFF)
-            found.append(self._objects[place] if place in self._objects else slot.value & 0xFF)
-        return found
+            key = (slot.value >> 16, slot.value >> 8 & 0xFF)
+            items.append(self._objects[key] if key in self._objects else slot.value & 0xFF)
+        return items
 
     def pack(self) -> bytes:
+        """Returns the present values of the mapped entries as the data of a frame."""
         parts = [
             item.encode() if isinstance(item, Entry) else bytes(item // 8) for item in self.mapped()
         ]
         return b"".join(parts)
 
     def unpack(self, data: bytes) -> None:
-        at = 0
+        """Sets the mapped entries; an entry whose value is out of range keeps its value."""
+        position = 0
         for item in self.mapped():
             size = item.size if isinstance(item, Entry) else item // 8
             if isinstance(item, Entry):
-                with contextlib.suppress(SdoAbort):  # a value out of range is left alone
-                    item.set(item.decode(data[at : at + size]))
-            at += size
+                with contextlib.suppress(SdoAbort):
+                    item.set(item.decode(data[position : position + size]))
+            position += size
 
     @property
     def length(self) -> int:
+        """Bytes of data."""
         sizes = [item.size if isinstance(item, Entry) else item // 8 for item in self.mapped()]
         return sum(sizes)
 
-    def _check_cob(self, value: Any) -> Later | None:
-        """The identifier changes only while the PDO is switched off."""
+    def _check_cob(self, value: Any) -> DelayedWrite | None:
+        """The identifier may change only while the PDO is switched off."""
         changed = (value ^ self.cob.value) & 0x7FF
         if changed and not (value & INVALID or self.cob.value & INVALID):
-            raise SdoAbort(STATE_REFUSED)
+            raise SdoAbort(AbortCode.STATE_REFUSED)
         return None
 
-    def _check_slot(self, value: Any) -> Later | None:
+    def _check_slot(self, value: Any) -> DelayedWrite | None:
         if self.count.value or not self.cob.value & INVALID:
-            raise SdoAbort(STATE_REFUSED)
-        place = (value >> 16, value >> 8 & 0xFF)
-        if value and (place not in self._objects or self._objects[place].size == 0):
-            raise SdoAbort(NOT_MAPPABLE)
+            raise SdoAbort(AbortCode.STATE_REFUSED)
+        key = (value >> 16, value >> 8 & 0xFF)
+        if value and (key not in self._objects or self._objects[key].size == 0):
+            raise SdoAbort(AbortCode.NOT_MAPPABLE)
         return None
 
-    def _check_count(self, value: Any) -> Later | None:
+    def _check_count(self, value: Any) -> DelayedWrite | None:
         if not self.cob.value & INVALID:
-            raise SdoAbort(STATE_REFUSED)
+            raise SdoAbort(AbortCode.STATE_REFUSED)
         bits = sum(slot.value & 0xFF for slot in self.slots[:value])
         if bits > 64:
-            raise SdoAbort(MAPPING_TOO_LONG)
+            raise SdoAbort(AbortCode.MAPPING_TOO_LONG)
         return None
 
 
 class PdoSet:
-    """The PDOs of a device.  ``send`` sends a frame; ``after`` plans something in s."""
+    """The PDOs of a device: ``received`` are its RPDOs, ``sent`` its TPDOs."""
 
     def __init__(
         self,
@@ -136,17 +151,21 @@ class PdoSet:
         sent: Sequence[Pdo],
         send: Callable[[int, bytes], None],
     ) -> None:
+        """``send`` sends a frame: identifier, data."""
         self._send = send
-        self.received = [_Configured(pdo, False, objects) for pdo in received]
-        self.sent = [_Configured(pdo, True, objects) for pdo in sent]
+        self.received = [_ConfiguredPdo(pdo, False, objects) for pdo in received]
+        self.sent = [_ConfiguredPdo(pdo, True, objects) for pdo in sent]
         self._next_event = [0.0] * len(self.sent)
 
     def receive(self, frame: CanFrame) -> bool:
-        """Take the values of a frame, at once or at the next SYNC; whether it is one of these."""
+        """Handles a received frame; its values apply immediately, or at the next SYNC.
+
+        Returns whether the frame is one of the RPDOs.
+        """
         for pdo in self.received:
             if pdo.cob_id == frame.id:
                 if len(frame.data) < pdo.length:
-                    continue  # CiA 301: too short, not taken
+                    continue  # CiA 301: a PDO that is too short is not processed
                 if pdo.type.value <= SYNCHRONOUS:
                     pdo.pending = frame.data
                 else:
@@ -155,10 +174,11 @@ class PdoSet:
         return False
 
     def cob_ids(self) -> list[int]:
+        """COB-IDs of the RPDOs that are switched on."""
         return [pdo.cob_id for pdo in self.received if pdo.cob_id is not None]
 
     def synchronise(self) -> None:
-        """SYNC: what was received becomes valid, what is synchronous is sampled and sent."""
+        """Handles SYNC: applies pending RPDOs, then samples and sends synchronous TPDOs."""
         for pdo in self.received:
             if pdo.pending is not None:
                 data, pdo.pending = pdo.pending, None
@@ -176,33 +196,34 @@ class PdoSet:
                 pdo.last = data
                 self._send(cob_id, data)
 
-    def event_period(self, place: int) -> float:
-        """s between two of a sent PDO, from 0 on; 0 where it has none or is switched off."""
-        pdo = self.sent[place]
+    def event_period(self, index: int) -> float:
+        """Event timer (s) of the TPDO at ``index`` of ``sent``; 0: none, or switched off."""
+        pdo = self.sent[index]
         period: int = pdo.event.value
         return period / 1000.0 if pdo.cob_id is not None else 0.0
 
-    def set_event_period(self, place: int, milliseconds: int) -> None:
-        self.sent[place].event.value = milliseconds
+    def set_event_period(self, index: int, milliseconds: int) -> None:
+        self.sent[index].event.value = milliseconds
 
-    def send_now(self, place: int) -> None:
-        pdo = self.sent[place]
+    def send_now(self, index: int) -> None:
+        """Sends the TPDO at ``index`` of ``sent``, unless it is switched off."""
+        pdo = self.sent[index]
         if pdo.cob_id is not None:
             self._send(pdo.cob_id, pdo.pack())
 
     def tick(self, now: float) -> None:
-        """Send what goes by time or, without one, by change."""
-        for place, pdo in enumerate(self.sent):
+        """Sends the event-driven TPDOs whose timer is due; without a timer, those that changed."""
+        for index, pdo in enumerate(self.sent):
             cob_id = pdo.cob_id
             if cob_id is None or pdo.type.value <= SYNCHRONOUS:
                 continue
             period = pdo.event.value / 1000.0
-            if period and now + 1e-9 < self._next_event[place]:
+            if period and now + 1e-9 < self._next_event[index]:
                 continue
             data = pdo.pack()
             if not period and data == pdo.last:
                 continue
             pdo.last = data
-            late = now - self._next_event[place]
-            self._next_event[place] = (now if late > period else self._next_event[place]) + period
+            late = now - self._next_event[index]
+            self._next_event[index] = (now if late > period else self._next_event[index]) + period
             self._send(cob_id, data)

@@ -1,4 +1,4 @@
-"""A channel of a motor controller: a motor with its encoder, told and read in motor rpm."""
+"""A channel of the Roboteq controller: a motor with its encoder, in units of motor rpm."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from dataclasses import dataclass
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel, MotorState
 
 STALL_TIME = 0.5
-NOISE_RPM = 30.0
+"""s at rest, despite a commanded speed, after which the channel reports a stall."""
+STALL_RPM = 30.0
+"""Commanded speed below which a motor at rest is not stalled."""
 DRIVE = 0
-"""The mode in which a channel starts."""
+"""Mode of a channel after power-on."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelSettings:
-    """A motor on a channel: ``max_rpm`` of the motor, ``limit`` (rad) of a steering's angle.
+    """Hardware of a channel.  ``limit`` (rad) bounds a steering angle to either side.
 
     ``steering`` ``False``: a propulsion motor.
     """
@@ -29,7 +31,7 @@ class ChannelSettings:
 
 
 class Channel:
-    """A motor with its encoder; speeds in motor rpm, forward or not as ``direction`` says."""
+    """A motor with its encoder.  ``position`` is in rad of the joint, ``rpm`` of the motor."""
 
     def __init__(self, settings: ChannelSettings, motor: MotorModel) -> None:
         self.settings = settings
@@ -40,9 +42,10 @@ class Channel:
         self.rpm = 0.0
         self.position = 0.0
         self.state = MotorState(0.0, 0.0, 0.0)
-        self.encoder_fault = False
+        self.encoder_error = False
         self._still_since: float | None = None
         self.setpoint = 0.0
+        """Motor rpm."""
         self.acceleration = 0.0
         """Motor rpm per s; 0: as fast as the motor can."""
 
@@ -53,12 +56,14 @@ class Channel:
 
     @property
     def counts(self) -> int:
+        """The position in encoder counts."""
         return round(self.position * self.encoder.counts_per_radian)
 
     def start(self, now: float) -> None:
+        """Starts after power-on; the encoder counts from the present position."""
         self.mode = DRIVE
         self.max_rpm, self.acceleration = self.settings.max_rpm, 0.0
-        self.encoder_fault, self._still_since, self.setpoint = False, None, 0.0
+        self.encoder_error, self._still_since, self.setpoint = False, None, 0.0
         self.encoder.set_zero(self.motor.read(now))
         self.measure(now)
 
@@ -68,17 +73,17 @@ class Channel:
         self.rpm = velocity / self.radians_per_rpm
 
     def turn(self, rpm: float, now: float, dt: float) -> None:
-        """At most at its speed limit; the rest of the ramp is the motor's own."""
-        wanted = min(max(rpm, -self.max_rpm), self.max_rpm)
+        """Commands a speed within the speed limit; the motor model adds its own ramp."""
+        setpoint = min(max(rpm, -self.max_rpm), self.max_rpm)
         if self.acceleration > 0.0:
             step = self.acceleration * dt
-            wanted = min(max(wanted, self.setpoint - step), self.setpoint + step)
-        self.setpoint = wanted
-        self.motor.turn(wanted * self.radians_per_rpm, now)
+            setpoint = min(max(setpoint, self.setpoint - step), self.setpoint + step)
+        self.setpoint = setpoint
+        self.motor.turn(setpoint * self.radians_per_rpm, now)
 
     def stalled(self, now: float) -> bool:
-        """Asked to turn and standing for a while: stuck, or its encoder does not count."""
-        if abs(self.setpoint) < NOISE_RPM or abs(self.rpm) > NOISE_RPM / 2.0:
+        """The motor has not turned for a while, despite its command, or its encoder has failed."""
+        if abs(self.setpoint) < STALL_RPM or abs(self.rpm) > STALL_RPM / 2.0:
             self._still_since = None
         elif self._still_since is None:
             self._still_since = now

@@ -1,8 +1,20 @@
 """The two-channel motor controller of the Thorvald: Roboteq FBL2360 with the robot's script.
 
-CANopen framing, but not CiA 402: the PDOs carry variables of the script.  What is known of
-it is followed (frames, scalings, flags, setup ids); what is not is chosen, and listed in
-docs/simulated-bus.md.
+It uses CANopen frames but not CiA 402: the PDOs carry variables of the script.  Frames, scalings,
+flags and setup ids are those of the real script; docs/simulated-bus.md lists the behaviour that
+is not published and therefore assumed.
+
+One command, from the master's frame to its effect:
+
+    master   RPDO1 sequence, speed -->
+    script   (writes variables 9 and 10; the second write makes them a command)
+             loop every 5 ms: measure, check time-out and stalls, command both motors
+    script                                  --> TPDO1 speeds, counts (every cycle, free-running)
+
+If the sequence number does not change for 0.5 s, the script stops the propulsion.
+
+Homing: the switch reads 1 on one side of the home angle and 0 on the other, so its first reading
+tells the direction.  The steering turns until the reading changes, and counts from there.
 """
 
 from __future__ import annotations
@@ -11,47 +23,58 @@ import math
 import struct
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from thorvaldc.simulation.bus.canopen_device import CanopenDevice, NmtState, Profile
-from thorvaldc.simulation.bus.object_dictionary import Entry, Later, ObjectDictionary
+from thorvaldc.can.canopen import RPDO, TPDO, NmtState
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice, DeviceDescription
+from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
 from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
-from thorvaldc.simulation.bus.roboteq_channel import DRIVE, NOISE_RPM, Channel, ChannelSettings
+from thorvaldc.simulation.bus.roboteq_channel import DRIVE, STALL_RPM, Channel, ChannelSettings
 from thorvaldc.simulation.bus.simulated_motors import MotorModel, MotorState
 from thorvaldc.simulation.bus.wire import Wire
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 LOOP_PERIOD = 0.005
 """s of the script's loop."""
 COMMAND_TIMEOUT = 0.5
-"""s without a new sequence number after which the propulsion is stopped."""
+"""s without a new sequence number after which the script stops the propulsion."""
 HOME, DECOUPLED = 1, 2
+"""Modes of a channel, as RPDO3 sets them."""
 MODES = (DRIVE, HOME, DECOUPLED)
 
 PROPULSION_ENCODER, STEERING_ENCODER, ALIGNMENT, POWER_STAGE_OFF = 0x80, 0x40, 0x20, 0x10
 STALL, HOMING_AT_MAXIMUM, ILLEGAL_COMMAND, NOT_OK = 0x08, 0x04, 0x02, 0x01
+"""Flags in byte 0 of TPDO3."""
 CONFIGURATION, VERSION, ENCODER = 1, 2, 3
+"""Contents of TPDO4, selected by its byte 3; the script sends them in turn."""
 HOMED, HOMING = 0x01, 0x02
 """Bits of the configuration in TPDO4."""
 
 SETTINGS = {1: "direction", 2: "home_count", 3: "home_speed"}
-"""Setup ids that are nonvolatile without power."""
+"""Setup ids of values in non-volatile memory."""
+APPROACH_GAIN = 8.0
+"""1/s: speed of a steering near its goal, per rad of distance."""
 SEARCH = 2.2 * math.pi
-"""rad of the steering: how far it turns to find the home switch."""
+"""rad: the search for the home switch ends after this distance."""
 EMCY_STALL, EMCY_ENCODER = 0x7121, 0x7305
 MOTOR_ERROR = 0x81
+"""Error register: generic and manufacturer-specific."""
 
 VENDOR = 0x469
 _STATIC_POWER = 24.0
-"""W that it takes standing."""
+"""W at rest."""
 
 
 class RoboteqController(CanopenDevice):
-    """Propulsion and steering, or two propulsion motors, on one node.
+    """Two channels on one node: propulsion and steering, or two propulsion motors.
 
-    Its id cannot be written over the bus: ``become`` is what its maker's tool does.
-
-    ``home_angle`` (rad) is where the steering's home switch really is; the setting
-    `home_count` says what is counted there, so that a steering counts from straight ahead.
+    The node id cannot be written over the bus; ``change_node_id`` does what the maker's tool
+    does.  ``home_angle`` (rad): true angle of the steering's home switch.  The setting
+    ``home_count`` is the encoder count there, so that a steering counts from straight ahead.
     """
 
     def __init__(
@@ -62,7 +85,7 @@ class RoboteqController(CanopenDevice):
         node_id: int,
         channels: tuple[tuple[ChannelSettings, MotorModel], tuple[ChannelSettings, MotorModel]],
         *,
-        profile: Profile | None = None,
+        description: DeviceDescription | None = None,
         status_period: float = 0.1,
         identity_period: float = 1.0,
         cycle: float = 0.02,
@@ -72,15 +95,16 @@ class RoboteqController(CanopenDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        start = {"direction": 0, "home_count": 0, "home_speed": 500, **(nonvolatile or {})}
+        memory = {"direction": 0, "home_count": 0, "home_speed": 500, **(nonvolatile or {})}
         super().__init__(
             name,
             wire,
             bitrate,
             node_id,
-            profile or Profile(vendor=VENDOR, product=0x2360, revision=0x20, name="FBL2360"),
+            description
+            or DeviceDescription(vendor=VENDOR, product=0x2360, revision=0x20, name="FBL2360"),
             seed=seed,
-            nonvolatile=start,
+            nonvolatile=memory,
         )
         self.channels = (Channel(*channels[0]), Channel(*channels[1]))
         self.home_angle = home_angle
@@ -88,51 +112,91 @@ class RoboteqController(CanopenDevice):
         self.controller_type = controller_type
         self.supply_voltage = 48.0
         self.temperature = 25
-        self.power_stage_fault = False
-        self.alignment_fault = False
+        self.power_stage_error = False
+        self.alignment_error = False
         self.home_switch_works = True
         self._running = False
         self._cycles = (cycle, status_period, status_period, identity_period)
-        self._restart()
+        self._reset_state()
+
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        node = specification.node
+        channels = []
+        home_angle = 0.0
+        for channel in node.channels[:2]:
+            actuator = specification.actuator(channel.name)
+            motor = specification.motor_of(actuator)
+            if actuator is not None and actuator.encoder_offset:
+                home_angle = actuator.encoder_offset
+            if actuator is None:
+                settings = ChannelSettings(1.0, 1024, 3000.0, steering=channel.role == "steering")
+            else:
+                joint = specification.robot.joint(actuator.joint)
+                limits = [abs(limit) for limit in (joint.lower, joint.upper) if limit is not None]
+                settings = ChannelSettings(
+                    actuator.gear_ratio,
+                    actuator.encoder_ppr,
+                    actuator.motor_max_speed * 30.0 / math.pi,
+                    actuator.max_torque,
+                    max(limits, default=math.pi),
+                    actuator.role == "steering",
+                )
+            channels.append((settings, motor))
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            node.id,
+            (channels[0], channels[1]),
+            description=DeviceDescription.from_specification(specification, "FBL2360"),
+            cycle=specification.period(TPDO[0] + node.id, specification.bus.sync_period),
+            status_period=specification.period(TPDO[1] + node.id, 0.1),
+            identity_period=specification.period(TPDO[3] + node.id, 1.0),
+            version=_version(specification.property("script_version")),
+            controller_type=int(specification.property("script_type") or 0),
+            home_angle=home_angle,
+            **specification.common(),
+        )
 
     # -- start and stop --------------------------------------------------------------------
 
-    def _restart(self) -> None:
+    def _reset_state(self) -> None:
         self.homed = False
         self.homing_at_maximum = False
         self.illegal_command = False
         self._stalled = False
         self._speeds = [0, 0]
         self._position = 0
-        self._position_given = False
+        self._position_commanded = False
         self._steering_rpm = 0
         self._sequence: int | None = None
-        self._commanded_at = -math.inf
-        self._home_way = 0.0
-        self._home_side: bool | None = None
+        self._last_command = -math.inf
+        self._home_distance = 0.0
+        self._home_reading: bool | None = None
         self._content = 0
-        self._told = [0] * 8
+        self._variables = [0] * 8
 
-    def ready(self) -> None:
+    def initialised(self) -> None:
         if not self._running:
-            self._restart()
+            self._reset_state()
             for channel in self.channels:
                 channel.start(self.now)
             self._running = True
         self.every(lambda: LOOP_PERIOD, self._loop, first=LOOP_PERIOD)
-        for place in range(4):
-            # They start at different times, as cycles do that nothing keeps together.
-            first = self.random.uniform(0.0, self._cycle(place))
-            self.every(partial(self._cycle, place), partial(self._report, place), first=first)
+        for index in range(4):
+            # Random phases: the cycles of the TPDOs are not synchronised.
+            first = self.random.uniform(0.0, self._cycle(index))
+            self.every(partial(self._cycle, index), partial(self._send_tpdo, index), first=first)
 
-    def _cycle(self, place: int) -> float:
-        return self.pdos.event_period(place) if self.pdos is not None else 0.0
+    def _cycle(self, index: int) -> float:
+        return self.pdos.event_period(index) if self.pdos is not None else 0.0
 
-    def _report(self, place: int) -> None:
+    def _send_tpdo(self, index: int) -> None:
         if self.state is NmtState.OPERATIONAL and self.pdos is not None:
-            if place == 3:
+            if index == 3:
                 self._content = self._content % 3 + 1
-            self.pdos.send_now(place)
+            self.pdos.send_now(index)
 
     def stop(self) -> None:
         super().stop()
@@ -141,15 +205,15 @@ class RoboteqController(CanopenDevice):
             channel.release(self.now)
             channel.mode = DRIVE
 
-    def entered(self, state: NmtState) -> None:
+    def nmt_state_changed(self, state: NmtState) -> None:
         if state is not NmtState.OPERATIONAL:
             self._speeds = [0, 0]
 
-    def build(self, objects: ObjectDictionary) -> None:
-        """The script's variables: 9 to 16 are told to it, 1 to 8 are what it tells."""
-        self._told = [0] * 8
+    def add_objects(self, objects: ObjectDictionary) -> None:
+        """Adds the script's variables: the master writes 9 to 16 and reads 1 to 8."""
+        self._variables = [0] * 8
         reports = (
-            self._speeds_measured,
+            self._measured_speeds,
             self._counts,
             self._currents,
             self._powers,
@@ -160,28 +224,27 @@ class RoboteqController(CanopenDevice):
         )
         objects.add(0x2005, 0, Entry("u8", 16, "const"))
         objects.add(0x2106, 0, Entry("u8", 16, "const"))
-        for place in range(8):
-            entry = Entry("i32", 0, "rw", write=partial(self._tell_script, place))
-            objects.add(0x2005, place + 9, entry)
-            objects.add(0x2106, place + 1, Entry("i32", read=reports[place]))
+        for number in range(8):
+            entry = Entry("i32", 0, "rw", write=partial(self._write_variable, number))
+            objects.add(0x2005, number + 9, entry)
+            objects.add(0x2106, number + 1, Entry("i32", read=reports[number]))
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
-        """Two variables in each of four PDOs either way."""
+        """Returns four PDOs in each direction, with two variables each."""
 
-        def two(index: int, first: int) -> tuple[tuple[int, int, int], ...]:
+        def variables(index: int, first: int) -> tuple[tuple[int, int, int], ...]:
             return (index, first, 32), (index, first + 1, 32)
 
-        n = self.node_id
+        node = self.node_id
         received = [
-            Pdo(k + 1, 0x200 + 0x100 * k + n, EVENT_DRIVEN, two(0x2005, 9 + 2 * k))
-            for k in range(4)
+            Pdo(k + 1, RPDO[k] + node, EVENT_DRIVEN, variables(0x2005, 9 + 2 * k)) for k in range(4)
         ]
         sent = [
             Pdo(
                 k + 1,
-                0x180 + 0x100 * k + n,
+                TPDO[k] + node,
                 EVENT_DRIVEN,
-                two(0x2106, 1 + 2 * k),
+                variables(0x2106, 1 + 2 * k),
                 round(1000.0 * self._cycles[k]),
             )
             for k in range(4)
@@ -190,17 +253,17 @@ class RoboteqController(CanopenDevice):
 
     # -- commands -----------------------------------------------------------------------------
 
-    def _tell_script(self, place: int, value: Any) -> Later | None:
-        """A variable of the script is written; the second of two makes a command of them."""
-        self._told[place] = value
-        if place % 2:
-            command = (self._rpdo1, self._rpdo2, self._rpdo3, self._rpdo4)[place // 2]
-            command(self._told[place - 1], value)
+    def _write_variable(self, number: int, value: Any) -> DelayedWrite | None:
+        """Writes a variable of the script; the second of a pair triggers their command."""
+        self._variables[number] = value
+        if number % 2:
+            command = (self._rpdo1, self._rpdo2, self._rpdo3, self._rpdo4)[number // 2]
+            command(self._variables[number - 1], value)
         return None
 
     def _rpdo1(self, sequence: int, speed: int) -> None:
         if sequence != self._sequence:
-            self._sequence, self._commanded_at = sequence, self.now
+            self._sequence, self._last_command = sequence, self.now
         self.illegal_command = abs(speed) > 1000
         if not self.illegal_command:
             self._speeds[0] = speed
@@ -209,7 +272,7 @@ class RoboteqController(CanopenDevice):
         first, second = self.channels
         self.illegal_command = False
         if setup in SETTINGS:
-            self.keep({SETTINGS[setup]: value})
+            self.store({SETTINGS[setup]: value})
         elif setup in (4, 6) and value >= 0:
             channel = first if setup == 4 else second
             channel.max_rpm = min(float(value), channel.settings.max_rpm)
@@ -225,13 +288,13 @@ class RoboteqController(CanopenDevice):
         self.illegal_command = any(mode not in legal for mode in modes)
         if self.illegal_command:
             return
-        for place, (channel, mode) in enumerate(zip(self.channels, modes, strict=True)):
+        for index, (channel, mode) in enumerate(zip(self.channels, modes, strict=True)):
             if mode == channel.mode:
                 continue
             channel.mode = mode
-            self._speeds[place] = 0
+            self._speeds[index] = 0
             if mode == HOME and channel.settings.steering:
-                self._home_way, self._home_side = 0.0, None
+                self._home_distance, self._home_reading = 0.0, None
                 self.homed = self.homing_at_maximum = False
 
     def _rpdo4(self, limit: int, value: int) -> None:
@@ -239,7 +302,7 @@ class RoboteqController(CanopenDevice):
         if self.illegal_command:
             return
         if self.channels[1].settings.steering:
-            self._steering_rpm, self._position, self._position_given = limit, value, True
+            self._steering_rpm, self._position, self._position_commanded = limit, value, True
         else:
             self._speeds[1] = value
 
@@ -249,80 +312,77 @@ class RoboteqController(CanopenDevice):
         now = self.now
         for channel in self.channels:
             channel.measure(now)
-        timed_out = now - self._commanded_at > COMMAND_TIMEOUT
-        off = self.power_stage_fault or self._stalled
-        for place, channel in enumerate(self.channels):
+        timed_out = now - self._last_command > COMMAND_TIMEOUT
+        off = self.power_stage_error or self._stalled
+        for index, channel in enumerate(self.channels):
             if off or channel.mode == DECOUPLED:
                 channel.release(now)
             elif channel.settings.steering:
                 self._steer(channel, now)
             else:
-                share = 0 if timed_out else self._speeds[place] / 1000.0
-                forward = -1.0 if place == 0 and self.nonvolatile["direction"] == 1 else 1.0
-                channel.turn(forward * share * channel.settings.max_rpm, now, LOOP_PERIOD)
-        self._watch(now)
+                share = 0 if timed_out else self._speeds[index] / 1000.0
+                sign = -1.0 if index == 0 and self.nonvolatile["direction"] == 1 else 1.0
+                channel.turn(sign * share * channel.settings.max_rpm, now, LOOP_PERIOD)
+        self._check_stalls(now)
 
     def _steer(self, channel: Channel, now: float) -> None:
         if channel.mode == HOME:
             self._home(channel, now)
             return
-        if not self._position_given:
+        if not self._position_commanded:
             channel.motor.hold(channel.state.position, now)
             return
         goal = self._position / 1000.0 * channel.settings.limit
         top = min(self._steering_rpm or channel.max_rpm, channel.max_rpm)
-        way = goal - channel.position
+        distance = goal - channel.position
         reach = top * channel.radians_per_rpm * LOOP_PERIOD
-        if abs(way) <= reach:
+        if abs(distance) <= reach:
             channel.setpoint = 0.0
             channel.motor.hold(channel.encoder.joint_position(goal), now)
         else:
-            # Slows down as it comes near, so that it does not run past.
-            wanted = math.copysign(min(top, abs(way) * 8.0 / channel.radians_per_rpm), way)
-            channel.turn(wanted, now, LOOP_PERIOD)
+            # Proportional to the distance near the goal, so that the steering does not overshoot.
+            speed = min(top, APPROACH_GAIN * abs(distance) / channel.radians_per_rpm)
+            channel.turn(math.copysign(speed, distance), now, LOOP_PERIOD)
 
     def _home(self, channel: Channel, now: float) -> None:
-        """Turn until the home switch changes, and count from there on."""
-        side = self.home_switch_works and channel.state.position > self.home_angle
+        """Turns the steering until the home switch changes, and counts from there."""
+        reading = self.home_switch_works and channel.state.position > self.home_angle
         speed = float(self.nonvolatile["home_speed"])
-        if self._home_side is None:
-            self._home_side = side
-        elif side != self._home_side:
-            at = self.home_angle
+        if self._home_reading is None:
+            self._home_reading = reading
+        elif reading != self._home_reading:
             counts = float(self.nonvolatile["home_count"])
-            channel.encoder.set_zero(MotorState(at, 0.0, 0.0), counts)
+            channel.encoder.set_zero(MotorState(self.home_angle, 0.0, 0.0), counts)
             channel.measure(now)
             self.homed = True
-            self._position, self._position_given = 0, True
+            self._position, self._position_commanded = 0, True
             channel.mode = DRIVE
             return
-        if self._home_way > SEARCH:
+        if self._home_distance > SEARCH:
             self.homing_at_maximum = True
             channel.motor.hold(channel.state.position, now)
             return
-        # From the one side the switch lies this way, from the other that; at a stop it
-        # turns round.
-        direction = -1.0 if side else 1.0
+        direction = -1.0 if reading else 1.0
         channel.turn(direction * speed, now, LOOP_PERIOD)
-        self._home_way += abs(speed) * channel.radians_per_rpm * LOOP_PERIOD
+        self._home_distance += abs(speed) * channel.radians_per_rpm * LOOP_PERIOD
 
-    def _watch(self, now: float) -> None:
-        """Stalls and encoders that do not count."""
-        for place, channel in enumerate(self.channels):
+    def _check_stalls(self, now: float) -> None:
+        """Reports a stalled motor, or an encoder that does not count."""
+        for index, channel in enumerate(self.channels):
             searching = channel.mode == HOME
             if searching or not channel.stalled(now) or self._stalled:
                 continue
-            moving = abs(channel.state.velocity) > NOISE_RPM * channel.radians_per_rpm
+            moving = abs(channel.state.velocity) > STALL_RPM * channel.radians_per_rpm
             if moving:
-                channel.encoder_fault = True
-                self.emergency(EMCY_ENCODER, MOTOR_ERROR, bytes([place]))
+                channel.encoder_error = True
+                self.emergency(EMCY_ENCODER, MOTOR_ERROR, bytes([index]))
             self._stalled = True
             if not moving:
-                self.emergency(EMCY_STALL, MOTOR_ERROR, bytes([place]))
+                self.emergency(EMCY_STALL, MOTOR_ERROR, bytes([index]))
 
     # -- reports -----------------------------------------------------------------------------------
 
-    def _speeds_measured(self) -> int:
+    def _measured_speeds(self) -> int:
         for channel in self.channels:
             channel.measure(self.now)
         return _words(*(channel.rpm for channel in self.channels))
@@ -359,30 +419,39 @@ class RoboteqController(CanopenDevice):
 
     @property
     def flags(self) -> int:
-        """The first byte of TPDO3."""
+        """Byte 0 of TPDO3."""
         first, second = self.channels
         bits = (
-            (PROPULSION_ENCODER, first.encoder_fault),
-            (STEERING_ENCODER, second.encoder_fault),
-            (ALIGNMENT, self.alignment_fault),
-            (POWER_STAGE_OFF, self.power_stage_fault or self._stalled),
+            (PROPULSION_ENCODER, first.encoder_error),
+            (STEERING_ENCODER, second.encoder_error),
+            (ALIGNMENT, self.alignment_error),
+            (POWER_STAGE_OFF, self.power_stage_error or self._stalled),
             (STALL, self._stalled),
             (HOMING_AT_MAXIMUM, self.homing_at_maximum),
             (ILLEGAL_COMMAND, self.illegal_command),
         )
-        found = sum(bit for bit, on in bits if on)
-        return found | NOT_OK if found & ~ILLEGAL_COMMAND else found
+        flags = sum(bit for bit, is_set in bits if is_set)
+        return flags | NOT_OK if flags & ~ILLEGAL_COMMAND else flags
 
     def _power(self, channel: Channel) -> float:
-        """W; the losses of a moving gear, and what the motor gives."""
+        """Electric power (W): mechanical power, and losses proportional to the speed."""
         state = channel.state
         return abs(state.torque * state.velocity) + 4.0 * abs(state.velocity)
 
 
+def _version(text: Any) -> tuple[int, int, int]:
+    """Returns the script version that the robot file requires; 1.0.0 for any other text."""
+    parts = str(text).split(".")
+    if len(parts) == 3 and all(part.isdigit() and int(part) < 256 for part in parts):
+        return int(parts[0]), int(parts[1]), int(parts[2])
+    return 1, 0, 0
+
+
 def _words(low: float, high: float) -> int:
-    """Two signed words of 16 bits in a variable."""
+    """Packs two signed 16-bit words into a variable."""
     return _i16(low) & 0xFFFF | _i16(high) << 16
 
 
 def _i16(value: float) -> int:
+    """Rounds and saturates."""
     return min(max(round(value), -0x8000), 0x7FFF)

@@ -1,4 +1,19 @@
-"""Set-points of a drive from one moment to the next: speed ramps and moves to a position."""
+r"""Set-points of a drive over time: speed ramps, and moves that end at rest.
+
+A trapezoidal move, here with equal acceleration and deceleration a and top speed v:
+
+    speed ^      v ____________
+          |       /            \
+          |     /                \            braking distance from speed s: s^2 / (2 a)
+          |   /                    \
+          +--+----------------------+--> time
+
+At each step the drive may have at most the speed s from which it can still stop at the goal.  In
+steps of dt the braking distance is s dt + (s - a dt) dt + ... = s^2 / (2 a) + s dt/2, a little
+more than the continuous one.  Set equal to the distance d to the goal:
+
+    s = sqrt((a dt/2)^2 + 2 a d) - a dt/2
+"""
 
 from __future__ import annotations
 
@@ -6,15 +21,15 @@ import math
 
 
 def ramp(speed: float, goal: float, acceleration: float, dt: float) -> float:
-    """The speed after ``dt`` s on the way to ``goal``."""
+    """Returns the speed after ``dt`` s of a change towards ``goal``."""
     step = acceleration * dt
     return min(max(goal, speed - step), speed + step)
 
 
 class Move:
-    """The set-point of a move that ends at rest: trapezoidal, from any speed.
+    """The set-point of a trapezoidal move that ends at rest and may start at any speed.
 
-    ``position`` (rad) and ``speed`` (rad/s) are the set-point's.
+    ``position`` (rad) and ``speed`` (rad/s) are those of the set-point.
     """
 
     def __init__(self, position: float, speed: float = 0.0) -> None:
@@ -24,17 +39,15 @@ class Move:
     def step(
         self, goal: float, velocity: float, acceleration: float, deceleration: float, dt: float
     ) -> bool:
-        """Move on for ``dt`` s; whether the goal is reached.  All limits are positive."""
-        way = goal - self.position
-        # The speed from which the deceleration just brings it to rest at the goal; the
-        # half step keeps a set-point that moves in steps from running past it.
+        """Advances by ``dt`` s; all limits are positive.  Returns whether the goal is reached."""
+        distance = goal - self.position
         half = deceleration * dt / 2.0
-        allowed = math.sqrt(half * half + 2.0 * deceleration * abs(way)) - half
-        wanted = math.copysign(min(velocity, allowed), way)
-        braking = abs(wanted) < abs(self.speed) or wanted * self.speed < 0.0
-        self.speed = ramp(self.speed, wanted, deceleration if braking else acceleration, dt)
+        allowed = math.sqrt(half * half + 2.0 * deceleration * abs(distance)) - half
+        speed_goal = math.copysign(min(velocity, allowed), distance)
+        braking = abs(speed_goal) < abs(self.speed) or speed_goal * self.speed < 0.0
+        self.speed = ramp(self.speed, speed_goal, deceleration if braking else acceleration, dt)
         step = self.speed * dt
-        if abs(way) <= max(abs(step), 1e-9) and abs(self.speed) <= deceleration * dt * 1.01:
+        if abs(distance) <= max(abs(step), 1e-9) and abs(self.speed) <= deceleration * dt * 1.01:
             self.position, self.speed = goal, 0.0
             return True
         self.position += step

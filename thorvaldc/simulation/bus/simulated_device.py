@@ -1,10 +1,10 @@
-"""A simulated device: power, time, frames in and out, and what it keeps without power."""
+"""The base class of simulated devices: power, timers, frames and non-volatile memory."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import NANOSECONDS, to_ns
@@ -12,22 +12,32 @@ from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Action, Event
 from thorvaldc.simulation.bus.wire import Wire
 
+if TYPE_CHECKING:
+    from typing import Self
+
+    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+
 LATENCY = 100e-6
-"""Least time (s) from the end of a frame to a device's reaction; half of it more at random."""
+"""Shortest time (s) from the end of a frame to a device's reaction; up to half of it is added."""
 WRITE_TIME = 20e-3
-"""Time (s) that a device takes to write what it keeps without power."""
+"""Duration (s) of a write to non-volatile memory."""
 BITRATE = "bitrate"
+"""Key of the bitrate (bit/s) in non-volatile memory."""
 
 
 class SimulatedDevice:
-    """What hangs on a wire: subclasses say what it does in ``start`` and with frames.
+    """A device on a wire.  A subclass implements ``start`` and adds frame handlers there.
 
-    Nothing happens before ``power_on``.  Timers, queues and volatile state end with
-    the power; ``nonvolatile`` does not.  Reactions come a little after their frame, in the
-    order of the frames; the times are drawn from ``seed`` and the name.
+    ``handlers`` maps an 11-bit identifier to the function that handles its frames.  A device
+    reacts shortly after a frame, and in the order of the frames; ``seed`` and ``name``
+    determine the delays.
 
-    ``handlers`` takes each frame that concerns the device by its identifier (11 bit).
-    A device that is ``muted`` hears and acknowledges but sends nothing.
+    A device does nothing before ``power_on``.  A loss of power ends its timers, its queue and its
+    volatile state; ``nonvolatile`` remains.  A ``muted`` device receives and acknowledges
+    frames but sends none.
+
+    A class of another package is found by the entry-point group ``thorvaldc.simulated_devices``,
+    under the name of the node's protocol.
     """
 
     def __init__(
@@ -39,7 +49,7 @@ class SimulatedDevice:
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """``bitrate`` (bit/s) at delivery; ``nonvolatile`` may hold another."""
+        """``bitrate`` (bit/s) is the factory setting; ``nonvolatile`` may contain another."""
         self.name = name
         self.wire = wire
         self.timeline = wire.timeline
@@ -48,15 +58,27 @@ class SimulatedDevice:
         self.nonvolatile: dict[str, Any] = {BITRATE: bitrate, **(nonvolatile or {})}
         self.write_time = WRITE_TIME
         self.torn_writes = False
+        """A loss of power during a write destroys the values being written."""
         self.muted = False
         self.powered = False
         self.handlers: dict[int, Callable[[CanFrame], None]] = {}
         self.controller = CanController(wire, name, bitrate)
-        self.controller.on_frame = self._arrived
+        self.controller.on_frame = self._schedule_handler
         wire.attach(self.controller)
         self._life = 0
+        """Counts starts; timers of an earlier one do nothing."""
         self._handled_until = 0
         self._writing: dict[str, Any] = {}
+
+    @classmethod
+    def from_specification(cls, specification: DeviceSpecification) -> Self:
+        """Makes the device of a node.  A subclass with other arguments overrides this method."""
+        return cls(
+            specification.name,
+            specification.wire,
+            specification.bus.bitrate,
+            **specification.common(),
+        )
 
     # -- power ------------------------------------------------------------------------------
 
@@ -64,13 +86,13 @@ class SimulatedDevice:
         if self.powered:
             return
         self.powered = True
-        # A write that was torn may have lost it.
+        # A torn write may have destroyed the stored bitrate.
         self.controller.bitrate = self.nonvolatile.get(BITRATE, self.factory_bitrate)
         self.controller.switch_on()
         self.start()
 
     def power_off(self) -> None:
-        """At once; what is being written is lost, or destroyed where writes are torn."""
+        """Cuts the power.  Values being written are lost, or destroyed with ``torn_writes``."""
         if not self.powered:
             return
         self.powered = False
@@ -84,19 +106,22 @@ class SimulatedDevice:
         self.stop()
 
     def start(self) -> None:
-        """What it does when the power comes."""
+        """Called after power-on: add handlers and start timers here."""
+
+    def stop(self) -> None:
+        """Called after a loss of power: switch motors and outputs off here."""
 
     def change_node_id(self, node_id: int) -> None:
-        """Have another id all of a sudden.  Raises ``ValueError`` where it has none."""
+        """Changes the id, as the maker's tool or a fault does.
+
+        Raises ``ValueError`` for a device without an id.
+        """
         raise ValueError(f"{self.name} has no id")
 
     def change_bitrate(self, bitrate: int) -> None:
-        """Go on with another bitrate until the power goes."""
+        """Changes the bitrate (bit/s) until the next power-on."""
         self.controller.bitrate = bitrate
         self.controller.restart()
-
-    def stop(self) -> None:
-        """What follows from the power's loss, for what is moved by the device."""
 
     # -- time -------------------------------------------------------------------------------
 
@@ -106,7 +131,7 @@ class SimulatedDevice:
         return self.timeline.now / NANOSECONDS
 
     def after(self, delay: float, action: Action) -> Event:
-        """Do it in ``delay`` s, unless the power goes first."""
+        """Calls ``action`` in ``delay`` s, unless the power is lost before."""
         life = self._life
 
         def act() -> None:
@@ -116,26 +141,27 @@ class SimulatedDevice:
         return self.timeline.after(to_ns(delay), act)
 
     def every(self, period: Callable[[], float], action: Action, first: float = 0.0) -> None:
-        """Do it every ``period()`` s, from ``first`` s on, until the power goes.
+        """Calls ``action`` every ``period()`` s, for the first time in ``first`` s.
 
-        While ``period()`` is not positive it is looked at ten times a second.
+        Ends with a loss of power.  ``period()`` may change; while it is not positive, the
+        action pauses and the period is checked every 0.1 s.
         """
 
-        def again() -> None:
+        def repeat() -> None:
             if period() > 0.0:
                 action()
-            self.after(period() if period() > 0.0 else 0.1, again)
+            self.after(period() if period() > 0.0 else 0.1, repeat)
 
-        self.after(first, again)
+        self.after(first, repeat)
 
     # -- frames -----------------------------------------------------------------------------
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send a frame, unless it is muted; a full queue or bus-off loses it."""
+        """Sends a frame, unless the device is muted.  A full queue or bus-off drops it."""
         if not self.muted:
             self.controller.send(CanFrame(identifier, data))
 
-    def _arrived(self, frame: CanFrame) -> None:
+    def _schedule_handler(self, frame: CanFrame) -> None:
         if frame.extended or frame.remote or frame.id not in self.handlers:
             return
         life = self._life
@@ -149,18 +175,18 @@ class SimulatedDevice:
 
         self.timeline.at(self._handled_until, handle)
 
-    # -- what it keeps ------------------------------------------------------------------------
+    # -- non-volatile memory -------------------------------------------------------------------
 
-    def keep(self, changes: Mapping[str, Any], done: Action | None = None) -> None:
-        """Writes to non-volatile memory; calls ``done`` after the write time."""
+    def store(self, changes: Mapping[str, Any], done: Action | None = None) -> None:
+        """Writes to ``nonvolatile``.  After the write time the values are there; calls ``done``."""
         self._writing = {**self._writing, **changes}
-        wanted = dict(changes)
+        values = dict(changes)
 
-        def written() -> None:
-            self.nonvolatile.update(wanted)
-            for key in wanted:
+        def finish() -> None:
+            self.nonvolatile.update(values)
+            for key in values:
                 self._writing.pop(key, None)
             if done is not None:
                 done()
 
-        self.after(self.write_time, written)
+        self.after(self.write_time, finish)

@@ -1,4 +1,4 @@
-"""Motors as a controller on the bus sees them: ideal ones, or the joints of a simulated base."""
+"""Motor models for simulated controllers: ideal motors, or the joints of a simulated base."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from thorvaldc.model import Actuator, Joint, Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 
 POSITION_GAIN = 10.0
-"""1/s: speed asked of a speed-controlled joint for its distance from a position."""
+"""1/s: speed of a speed-controlled joint, per rad of distance from a commanded position."""
 
 LEAD = 0.2
-"""rad: how far a position asked for runs ahead of a joint that is held up."""
+"""rad: greatest distance of a moving commanded position from a joint that lags behind."""
 STOP = math.pi
-"""rad: where a joint that is limited to less has its mechanical stops, to either side."""
+"""rad: mechanical stops to either side of a joint whose limits are smaller."""
 
 
 class MotorState(NamedTuple):
@@ -27,33 +27,33 @@ class MotorState(NamedTuple):
 
 
 class MotorModel(abc.ABC):
-    """A motor with its gear on a joint: rad and rad/s of the joint, N m at the joint.
+    """A motor with its gear on a joint, in rad, rad/s and N m of the joint.
 
-    Times are s and never go back.  What was asked last is followed until something
-    else is asked.  ``blocked``: nothing moves it.
+    Times are in s and never decrease.  The last command applies until the next one.
+    ``blocked``: the joint cannot move.
     """
 
     blocked = False
 
     @abc.abstractmethod
     def read(self, now: float) -> MotorState:
-        """How the joint moves at ``now``."""
+        """Returns the state of the joint at ``now``."""
 
     @abc.abstractmethod
     def turn(self, velocity: float, now: float) -> None:
-        """Turn at that speed, which is reached as fast as the motor can."""
+        """Commands a speed; the motor ramps to it as fast as it can."""
 
     @abc.abstractmethod
     def hold(self, position: float, now: float) -> None:
-        """Go to that position as fast as the motor can and stay."""
+        """Commands a position; the motor moves there as fast as it can and stays."""
 
     @abc.abstractmethod
     def release(self, now: float) -> None:
-        """Power stage off: no torque."""
+        """Switches the power stage off: no torque."""
 
 
 class IdealMotor(MotorModel):
-    """No mass: speeds ramp by ``max_acceleration``, positions slew by ``max_velocity``.
+    """A motor without load: speeds ramp with ``max_acceleration``, positions with ``max_velocity``.
 
     ``lower`` and ``upper`` (rad) are mechanical stops.
     """
@@ -92,7 +92,7 @@ class IdealMotor(MotorModel):
         self._speed, self._goal = None, position
 
     def release(self, now: float) -> None:
-        """Ideal wheels have no inertia to coast with: they stop as they would by themselves."""
+        """Brakes to rest: an ideal motor has no inertia that could make it coast."""
         self._advance(now)
         self._speed, self._goal = 0.0, None
 
@@ -101,37 +101,36 @@ class IdealMotor(MotorModel):
         if dt <= 0.0:
             return
         self._time = now
-        before, speed = self._position, self._velocity
+        start, speed = self._position, self._velocity
         if self._goal is not None:
             reach = self.max_velocity * dt
-            way = min(max(self._goal - before, -reach), reach)
-            after, self._velocity = before + way, way / dt
+            change = min(max(self._goal - start, -reach), reach)
+            end, self._velocity = start + change, change / dt
             self._torque = 0.0
         else:
             limit = self.max_velocity
-            asked = min(max(self._speed or 0.0, -limit), limit)
+            commanded = min(max(self._speed or 0.0, -limit), limit)
             step = self.max_acceleration * dt
-            self._velocity = min(max(asked, speed - step), speed + step)
-            # The ramp takes part of the interval, the speed reached the rest of it.
+            self._velocity = min(max(commanded, speed - step), speed + step)
+            # Trapezoid: mean speed during the ramp, then the final speed for the rest of dt.
             ramp = min(abs(self._velocity - speed) / self.max_acceleration, dt)
-            after = before + (speed + self._velocity) / 2.0 * ramp + self._velocity * (dt - ramp)
+            end = start + (speed + self._velocity) / 2.0 * ramp + self._velocity * (dt - ramp)
             share = (self._velocity - speed) / step
             self._torque = share * self.max_torque
-        held = min(max(after, self.lower), self.upper)
-        if self.blocked or held != after:
-            push = after - before
+        position = min(max(end, self.lower), self.upper)
+        if self.blocked or position != end:
+            push = end - start
             self._torque = math.copysign(self.max_torque, push) if push else 0.0
             self._velocity = 0.0
-            held = before if self.blocked else held
-        self._position = held
+            position = start if self.blocked else position
+        self._position = position
 
 
 class BaseMotors:
-    """The motors of a robot's base, ideal or in MuJoCo, one model for each actuator.
+    """The motors of a simulated base, ideal or in MuJoCo; one model for each actuator.
 
-    Reads and commands of all of them go through one ``BaseHandle``, which moves on
-    when it is read.  A released motor is asked to stand still: the base has no other
-    way to say it.
+    All reads and commands use one ``BaseHandle``, whose simulation advances when it is read.  A
+    released motor is commanded to rest, because a ``BaseHandle`` cannot release a joint.
     """
 
     def __init__(self, robot: Robot, base: BaseHandle) -> None:
@@ -141,16 +140,17 @@ class BaseMotors:
         self._commands = JointCommands([0.0] * n, [0.0] * n)
         self._states: JointStates | None = None
         self._read_at = -1.0
-        self._places: dict[str, tuple[int, bool]] = {}
+        self._joints: dict[str, tuple[int, bool]] = {}
+        """Index of the wheel, and whether it is the steering, by joint."""
         for i, wheel in enumerate(robot.wheels):
-            self._places[wheel.spin_joint] = (i, False)
+            self._joints[wheel.spin_joint] = (i, False)
             if wheel.steering_joint is not None:
-                self._places[wheel.steering_joint] = (i, True)
+                self._joints[wheel.steering_joint] = (i, True)
 
     def motor(self, actuator: Actuator) -> MotorModel | None:
-        """The model of a motor of the base, ``None`` where it moves none of the wheels."""
-        place = self._places.get(actuator.joint)
-        return None if place is None else _BaseMotor(self, *place)
+        """Returns the motor model of an actuator; ``None`` if it moves no wheel of the base."""
+        joint = self._joints.get(actuator.joint)
+        return None if joint is None else _BaseMotor(self, *joint)
 
     def states(self, now: float) -> JointStates:
         if self._states is None or now > self._read_at:
@@ -171,14 +171,14 @@ class _BaseMotor(MotorModel):
         self._motors = motors
         self._wheel = wheel
         self._steering = steering
-        self._asked: float | None = None
+        self._commanded: float | None = None
         self._turning: tuple[float, float] | None = None
 
     def read(self, now: float) -> MotorState:
         states, i = self._motors.states(now), self._wheel
         if self._steering:
             if self._turning is not None:
-                self._turn_on(now)
+                self._advance_steering(now)
             return MotorState(states.angles[i], states.angle_rates[i], 0.0)
         position = states.positions[i] if states.positions is not None else 0.0
         return MotorState(position, states.speeds[i], 0.0)
@@ -187,11 +187,11 @@ class _BaseMotor(MotorModel):
         if not self._steering:
             self._write(velocity, now)
             return
-        # The joint is controlled by position: the position asked for moves on.
+        # The base controls a steering by position: the commanded position moves with the speed.
         if self._turning is None:
-            self._asked = self.read(now).position
+            self._commanded = self.read(now).position
         else:
-            self._turn_on(now)
+            self._advance_steering(now)
         self._turning = (velocity, now)
 
     def hold(self, position: float, now: float) -> None:
@@ -208,26 +208,26 @@ class _BaseMotor(MotorModel):
         else:
             self._write(0.0, now)
 
-    def _turn_on(self, now: float) -> None:
-        if self._turning is not None and self._asked is not None:
+    def _advance_steering(self, now: float) -> None:
+        if self._turning is not None and self._commanded is not None:
             velocity, since = self._turning
             self._turning = (velocity, now)
             here = self._motors.states(now).angles[self._wheel]
-            asked = self._asked + velocity * (now - since)
-            self._write(min(max(asked, here - LEAD), here + LEAD), now)
+            position = self._commanded + velocity * (now - since)
+            self._write(min(max(position, here - LEAD), here + LEAD), now)
 
     def _write(self, value: float, now: float) -> None:
-        if self.blocked:  # as near as a base can come to it: it is asked to stay
+        if self.blocked:  # the closest that a base offers: a command to stay
             value = self._motors.states(now).angles[self._wheel] if self._steering else 0.0
-        if value != self._asked:
-            self._asked = value
+        if value != self._commanded:
+            self._commanded = value
             self._motors.write(self._wheel, self._steering, value, now)
 
 
 class Encoder:
-    """Counts of a motor's shaft, four for each pulse, from where it was switched on.
+    """An incremental encoder on the motor shaft, four counts per pulse, 0 at power-on.
 
-    ``frozen``: it stays at what it counted last.
+    ``frozen``: it keeps its last count.
     """
 
     def __init__(self, gear_ratio: float, pulses: int) -> None:
@@ -239,26 +239,26 @@ class Encoder:
 
     @property
     def counts_per_radian(self) -> float:
-        """Counts for one rad of the joint."""
+        """Counts per rad of the joint."""
         return 4.0 * self.pulses * self.gear_ratio / math.tau
 
     def set_zero(self, state: MotorState, counts: float = 0.0) -> None:
-        """From now on this position of the joint counts as ``counts``."""
+        """Sets the zero so that the joint position of ``state`` reads ``counts``."""
         self._zero = state.position - counts / self.counts_per_radian
 
     def joint_position(self, counted: float) -> float:
-        """Where the joint really is for a position as it is counted, rad."""
+        """Returns the true joint position (rad) for a counted one."""
         return counted + self._zero
 
     def measure(self, state: MotorState) -> tuple[float, float]:
-        """Position and speed of the joint as they are counted, rad and rad/s."""
+        """Returns the counted position (rad) and speed (rad/s) of the joint."""
         if not self.frozen:
             self._last = (state.position - self._zero, state.velocity)
         return self._last if not self.frozen else (self._last[0], 0.0)
 
 
 def ideal_motor(actuator: Actuator, joint: Joint) -> IdealMotor:
-    """The motor of an actuator; a joint with limits has stops half a turn to either side."""
+    """Returns an actuator's motor; a joint with limits has stops half a turn to either side."""
     return IdealMotor(
         actuator.max_velocity,
         actuator.max_acceleration,

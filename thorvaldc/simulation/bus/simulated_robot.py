@@ -1,4 +1,4 @@
-"""A robot's buses with a simulated device for each of their nodes."""
+"""A robot's buses, with a simulated device for each node."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.buses import require_bus
 from thorvaldc.runtime.base_interface import BaseHandle
-from thorvaldc.simulation.bus.device_builders import Build, build
+from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+from thorvaldc.simulation.bus.device_table import create_device
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import BaseMotors, MotorModel, ideal_motor
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -19,10 +20,10 @@ from thorvaldc.simulation.bus.wire import Wire
 
 
 class SimulatedRobot:
-    """One timeline; a wire for each bus; a device, and its motors, for each node.
+    """One timeline, a wire for each bus, a device with its motors for each node.
 
-    ``wires`` by the bus's name, ``devices`` by the node's, ``motors`` by the actuator's.
-    All is without power until ``power_on``.
+    ``wires`` by name of the bus, ``devices`` by name of the node, ``motors`` by name of
+    the actuator.  No device has power before ``power_on``.
     """
 
     def __init__(
@@ -34,10 +35,10 @@ class SimulatedRobot:
         delivered: bool = False,
         nonvolatile: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        """``base``: whose joints the motors move (a ``MujocoBase``, say); ideal ones without.
+        """``base``: the motors move its joints (a ``MujocoBase``, say); default: ideal motors.
 
-        ``delivered``: devices come as their makers send them.  ``nonvolatile`` says, by node, what
-        a device keeps without power, over what the robot says: ``{"fl_drive": {"node_id": 2}}``.
+        ``delivered``: devices are in their factory state.  ``nonvolatile``: contents of the
+        non-volatile memory by node, before those from the robot: ``{"fl_drive": {"node_id": 2}}``.
 
         Raises ``DiagnosticError`` (``bus-missing``) for a robot without a bus.
         """
@@ -56,7 +57,7 @@ class SimulatedRobot:
                 self._add(bus, node, node.name, (nonvolatile or {}).get(node.name, {}))
 
     def power_on(self) -> None:
-        """All of them at once."""
+        """Switches the power of all devices on."""
         for device in self.devices.values():
             device.power_on()
 
@@ -67,27 +68,27 @@ class SimulatedRobot:
     def interface(
         self, bus: str | None = None, name: str = "master", **options: Any
     ) -> VirtualTimeInterface:
-        """A place on a bus, by default the first, for a program in virtual time."""
+        """Opens an interface to a bus, by default the first, in virtual time."""
         return VirtualTimeInterface(self.wire(bus), name, **options)
 
     def wire(self, bus: str | None = None) -> Wire:
-        """Of the bus of that name, by default of the first.  Raises ``KeyError``."""
+        """Returns the wire of a bus, by default of the first.  Raises ``KeyError``."""
         return self.wires[bus if bus is not None else self.robot.buses[0].name]
 
     def clone(self, node: str, name: str, **nonvolatile: Any) -> SimulatedDevice:
-        """One more device like that of ``node``, with ideal motors and without power.
+        """Adds a second device like that of ``node``, with ideal motors and without power.
 
-        It is the same product with the same id, but for what ``nonvolatile`` says, and has a
-        serial number of its own where it has one.  Raises ``KeyError``.
+        It has the same product code and id, unless ``nonvolatile`` contains another id, and a
+        different serial number.  Raises ``KeyError``.
         """
         for bus in self.robot.buses:
-            for found in bus.nodes:
-                if found.name == node:
-                    return self._add(bus, found, name, nonvolatile, own_motors=True)
+            for original in bus.nodes:
+                if original.name == node:
+                    return self._add(bus, original, name, nonvolatile, ideal_motors=True)
         raise KeyError(node)
 
     def run(self, seconds: float) -> None:
-        """Let time run with nobody's program on the bus."""
+        """Lets time run."""
         self.timeline.run_until(self.timeline.now + to_ns(seconds))
 
     def _add(
@@ -96,20 +97,20 @@ class SimulatedRobot:
         node: Node,
         name: str,
         nonvolatile: Mapping[str, Any],
-        own_motors: bool = False,
+        ideal_motors: bool = False,
     ) -> SimulatedDevice:
         def motor(actuator: Actuator) -> MotorModel:
-            found = None
-            if self._base_motors is not None and not own_motors:
-                found = self._base_motors.motor(actuator)
-            if found is None:
-                found = ideal_motor(actuator, self.robot.joint(actuator.joint))
-            if not own_motors:
-                self.motors[actuator.name] = found
-            return found
+            model = None
+            if self._base_motors is not None and not ideal_motors:
+                model = self._base_motors.motor(actuator)
+            if model is None:
+                model = ideal_motor(actuator, self.robot.joint(actuator.joint))
+            if not ideal_motors:
+                self.motors[actuator.name] = model
+            return model
 
-        device = build(
-            Build(
+        device = create_device(
+            DeviceSpecification(
                 self.robot,
                 bus,
                 node,
