@@ -526,7 +526,7 @@ ENDS = '<parent link="frame_body"/><child link="a"/>'
             4,
             "0 m",
         ),
-        (link_with(inertia("-1")), "extra-inertia", 4, "-1 kg"),
+        (link_with(inertia("-1")), "extra-inertia", 4, '"-1">: value must be at least 0 kg'),
         (link_with(inertia("1", izz="2.1")), "extra-inertia", 5, "2.1"),
         (link_with(inertia("1", ixy="1.5")), "extra-inertia", 5, "negative"),
         (link_with(inertia("0")), "extra-inertia", 4, "no mass"),
