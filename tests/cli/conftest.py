@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import pytest
 
-from thorvaldc.cli.exits import protect
-from thorvaldc.cli.main import _call
+from thorvaldc.cli.main import run_command
 
 GOOD = """\
 thorvaldc: 1
@@ -51,7 +50,7 @@ def thorvaldc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Command:
         monkeypatch.setattr("sys.argv", ["thorvaldc", *arguments])
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            status = protect(_call)
+            status = run_command()
         return Result(status, out.getvalue(), err.getvalue())
 
     return run

@@ -14,10 +14,10 @@ import pytest
 # The command with `targets` doing something else.
 SCRIPT = """
 import sys, os, time
-import thorvaldc.cli.listing as listing
-def work(json):
+import thorvaldc.cli.commands.targets as command
+def targets(json: bool = False) -> int:
 {body}
-listing.list_targets = work
+command.targets = targets
 sys.argv = ["thorvaldc", "targets"]
 from thorvaldc.cli.main import run
 run()
@@ -105,7 +105,7 @@ def test_the_traceback_can_be_had() -> None:
     status, _, err = finish("raise KeyError('wheel')", env=environment)
     assert status == 70
     assert "Traceback (most recent call last)" in err
-    assert "in work" in err
+    assert "in targets" in err
 
 
 def test_a_recursion_without_end_is_a_fault_of_ours() -> None:

@@ -95,9 +95,9 @@ def test_a_bus_of_several_is_set_up_by_itself(thorvaldc: Command, robot: Path) -
     assert verified.status == 0, verified.out
     wrong = thorvaldc("can", "verify", "robot.yaml", "--bus", "lft=virtual")
     assert wrong.status == 2
-    assert "no bus lft, but left, right; say which: left=virtual" in wrong.err
+    assert "no bus lft, but left, right; select one: left=virtual" in wrong.err
     none = thorvaldc("can", "verify", "robot.yaml", "--bus", "sim:x")
-    assert "has the buses left, right; say which: left=sim:x" in none.err
+    assert "has the buses left, right; select one: left=sim:x" in none.err
 
 
 def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
@@ -166,7 +166,7 @@ def test_on_the_bus_of_another_process(
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
         assert (process.returncode, out) == (130, ""), err
-        assert "go on with --resume" in err.lower()
+        assert "continue with --resume" in err.lower()
         assert '"interrupted"' in journal.read_text().splitlines()[-1]
         refused = thorvaldc("can", "flash", *there, "--apply", "--yes")
         assert (refused.status, "TV866" in refused.err) == (1, True)

@@ -262,10 +262,10 @@ def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
 def test_the_note_on_hardware_comes_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from thorvaldc.cli.running import say_untried
+    from thorvaldc.cli.hardware_warning import warn_once
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    say_untried()
+    warn_once()
     assert "never tried on physical hardware" in capsys.readouterr().err
-    say_untried()
+    warn_once()
     assert capsys.readouterr().err == ""

@@ -14,13 +14,13 @@ from tests.commissioning.situations import stop_halfway
 from tests.examples import example_robot
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.cli.operator import VirtualOperator
 from thorvaldc.commissioning.bus_configuration import from_json, to_json
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
 from thorvaldc.commissioning.plan import AddressStep, AttachStep, make_plan
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
 
 
 def fault_of(work: Callable[[], object]) -> str:

@@ -135,15 +135,13 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         except DiagnosticError as error:
             compilation.report.put(error.diagnostic)
     if command == "replay" and isinstance(compilation.model, Robot):
-        from thorvaldc.cli.picturing import RunPictures
-        from thorvaldc.cli.replaying import read_enough
+        from thorvaldc.tools.replay_record import read_replay_record
 
-        pictures = RunPictures(*case.get("options", [""]))
-        read_enough(
-            "record.csv",
+        read_replay_record(
+            Path("record.csv"),
             [(compilation.model.name, compilation.model)],
-            pictures,
             compilation.report,
+            for_plot="options" in case,
         )
     if command in ("log", "calibrate") and isinstance(compilation.model, Robot):
         calibrate(compilation.model, case, compilation.report)
@@ -170,10 +168,10 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
 
 def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
     """Runs the base driver for a second on simulated devices of ``robot`` or of ``devices``."""
-    from thorvaldc.cli.running import Session
     from thorvaldc.compiler.injected_fault_file import read_faults
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -187,11 +185,11 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
     simulated.power_on()
     interfaces = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
     try:
-        session = Session(robot, interfaces, simulated, "", None, 5.0, fast=True)
+        session = RunSession(robot, interfaces, duration=5.0, threaded=False)
     except DiagnosticError as error:
         report.put(error.diagnostic)
         return
-    diagnostic = session.play(False)
+    diagnostic = session.run()
     if diagnostic is not None:
         report.put(diagnostic)
 

@@ -1,21 +1,47 @@
-"""What every command shares: the border for faults, and parsing without pydantic."""
+"""Commands that are loaded when they are called, with parameters that are plain text."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, ParamSpec
+from importlib import import_module
+from typing import Any, ClassVar, NamedTuple, ParamSpec
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
 from thorvaldc.cli.exits import protect
+from thorvaldc.cli.installation import is_runtime_only, require_full_installation
 
 P = ParamSpec("P")
 
 
+class CommandEntry(NamedTuple):
+    """A row of the command table.
+
+    ``target`` is ``module:function``.  ``help`` is one line for the list of commands and for the
+    command's own help.  ``hidden_options`` are accepted but not shown in the help.
+    """
+
+    name: str
+    target: str
+    help: str
+    hidden: bool = False
+    hidden_options: tuple[str, ...] = ()
+
+
+class GroupEntry(NamedTuple):
+    """A row of the command table for a group of commands such as ``thorvaldc can``."""
+
+    name: str
+    commands: tuple[CommandEntry, ...]
+    help: str
+    hidden: bool = False
+
+
 class _PlainText:
-    """Takes text, or a list of texts, as it stands on the command line."""
+    """Returns text, lists of text and flags without conversion."""
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
         if value is None or isinstance(value, str | bool):
@@ -23,7 +49,7 @@ class _PlainText:
         return list(value)
 
 
-def _lightened(parameters: list[Any]) -> list[Any]:
+def _without_conversion(parameters: list[Any]) -> list[Any]:
     for parameter in parameters:
         parameter._runtime_param = _PlainText()
     return parameters
@@ -32,24 +58,74 @@ def _lightened(parameters: list[Any]) -> list[Any]:
 class LightCommand(TyperCommand):
     """A command whose parameters are text, lists of text and flags.
 
-    Typer converts by pydantic, whose import takes longer than to compile a robot;
-    text needs no conversion.  A typer that works otherwise does not look at
-    the attribute set here.
+    Typer converts parameters with pydantic.  The import of pydantic takes longer than the
+    compilation of a robot, and text needs no conversion (``--help``: 172 ms, with pydantic
+    333 ms).  A typer version that does not use ``_runtime_param`` ignores it.
     """
 
     def get_params(self, ctx: Any) -> list[Any]:
-        return _lightened(super().get_params(ctx))
+        return _without_conversion(super().get_params(ctx))
 
 
-class LightGroup(TyperGroup):
-    """A group of commands, for the same reason."""
+class LazyGroup(TyperGroup):
+    """A group that imports the module of a command only when this command is called.
+
+    The help of the group needs only the table ``entries``.
+    """
+
+    entries: ClassVar[tuple[CommandEntry | GroupEntry, ...]] = ()
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self._entries = {entry.name: entry for entry in self.entries}
+        # TyperGroup suggests names from here for a command that does not exist.
+        self.commands: Any = dict.fromkeys(self._entries)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        return _lightened(super().get_params(ctx))
+        return _without_conversion(super().get_params(ctx))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        entry = self._entries.get(cmd_name)
+        if entry is None:
+            return None
+        if isinstance(entry, GroupEntry):
+            return lazy_group(entry.commands)(
+                name=entry.name, help=entry.help, no_args_is_help=True, rich_markup_mode=None
+            )
+        try:
+            return load_command(entry)
+        except ImportError:
+            if not is_runtime_only():
+                raise
+            if ctx.resilient_parsing:  # shell completion
+                return None
+            require_full_installation(f"`{ctx.command_path} {entry.name}`")
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        rows = [(entry.name, entry.help) for entry in self.entries if not entry.hidden]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def lazy_group(table: tuple[CommandEntry | GroupEntry, ...]) -> type[LazyGroup]:
+    """Returns the class of a group with these commands."""
+    return type("CommandGroup", (LazyGroup,), {"entries": table})
+
+
+def load_command(entry: CommandEntry) -> Any:
+    """Imports the command's module and builds the command from the function's signature."""
+    module, function = entry.target.split(":")
+    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    declare = app.command(entry.name, cls=LightCommand, help=entry.help, hidden=entry.hidden)
+    declare(guarded(getattr(import_module(module), function)))
+    command: Any = get_command(app)
+    for parameter in command.params:
+        parameter.hidden = parameter.hidden or bool(set(parameter.opts) & set(entry.hidden_options))
+    return command
 
 
 def guarded(function: Callable[P, int]) -> Callable[P, None]:
-    """The function's result, or its way to fail, as the exit status."""
+    """Ends the process with the function's result, or with the exit status of its exception."""
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> None:

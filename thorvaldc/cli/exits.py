@@ -1,4 +1,4 @@
-"""Exit statuses, and the border that no expected fault crosses."""
+"""Exit statuses, and the conversion of expected exceptions to one line and a status."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-# Exit status.  1 and 2 are the user's to mend, 3 the world's, 70 ours.
+# 1: errors in the input.  2: usage.  3: a failure outside of thorvaldc, such as a disk, a display
+# or a bus.  70: an error in thorvaldc.
 DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
@@ -18,16 +20,16 @@ TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
 
 
 class OutsideError(Exception):
-    """The world failed (a disk, a display, a bus); the message is one line for the user."""
+    """A disk, a display, a bus or an installation failed; the message is one line."""
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end, and has something to close."""
+    """SIGTERM arrived while the process has files or devices to close."""
 
 
 @contextmanager
 def closing_when_terminated() -> Iterator[None]:
-    """Within the block a termination ends it as Ctrl-C does, so that what is open is closed."""
+    """Handles SIGTERM like Ctrl-C within the block, so that open files are closed."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise Terminated
@@ -35,15 +37,15 @@ def closing_when_terminated() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, end)
+    previous_handler = signal.signal(signal.SIGTERM, end)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, previous_handler)
 
 
 def protect(work: Callable[[], int]) -> int:
-    """Run it; every way it can fail becomes one line on stderr and an exit status."""
+    """Calls ``work``; converts each expected exception to one line on stderr and a status."""
     interrupts = _watch_interrupts()
     try:
         status = work()
@@ -55,45 +57,46 @@ def protect(work: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # Whoever read our output has left; say nothing, here and at the interpreter's end.
+        # The reader of our output is gone: print nothing, here and at the end of the interpreter.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BROKEN_PIPE
-    except OutsideError as fault:
-        return _fail(f"error: {fault}", OUTSIDE)
-    except OSError as fault:
-        return _fail(f"error: {_one_line(fault)}", OUTSIDE)
+    except OutsideError as error:
+        return _fail(f"error: {error}", OUTSIDE)
+    except OSError as error:
+        return _fail(f"error: {_one_line(error)}", OUTSIDE)
     except Exception:
-        # A package that is interrupted in its import may say that it is broken instead.
-        if interrupts.seen:
+        # A package that is interrupted during its import may raise another exception instead.
+        if interrupts.occurred:
             return _interrupted()
         raise
 
 
 class _Interrupts:
-    """Handles Ctrl-C as Python does, and remembers that there was one."""
+    """A handler of SIGINT that does what Python does and remembers the signal."""
 
     def __init__(self) -> None:
-        self.seen = False
+        self.occurred = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.seen = True
+        self.occurred = True
         signal.default_int_handler(number, frame)
 
 
 def _watch_interrupts() -> _Interrupts:
-    now = signal.getsignal(signal.SIGINT)
-    if isinstance(now, _Interrupts):
-        return now
+    present_handler = signal.getsignal(signal.SIGINT)
+    if isinstance(present_handler, _Interrupts):
+        return present_handler
     interrupts = _Interrupts()
-    if now is signal.default_int_handler:
+    if present_handler is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupts)
     return interrupts
 
 
 def _interrupted() -> int:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the second one would find us leaving
-    # CPython remembers one that went through code made from text (dataclasses are), and would
-    # end by the signal in place of our status; any other such code makes it forget.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C finds the process ending
+    # CPython remembers a KeyboardInterrupt that passed through code made from text, such as
+    # dataclasses, and ends the process by the signal instead of our status.  Any other code made
+    # from text clears this.
     exec("pass")
     return _fail("interrupted", INTERRUPTED)
 
@@ -105,13 +108,11 @@ def _fail(line: str, status: int) -> int:
 
 
 def show_traceback() -> None:
-    """Where it happened, for who asked by the environment variable."""
+    """Prints the traceback if the environment variable requests it."""
     if os.environ.get(TRACEBACK_VARIABLE):
-        import traceback
-
         traceback.print_exc()
 
 
-def _one_line(fault: OSError) -> str:
-    name = f"{fault.filename}: " if fault.filename is not None else ""
-    return f"{name}{fault.strerror or fault}"
+def _one_line(error: OSError) -> str:
+    name = f"{error.filename}: " if error.filename is not None else ""
+    return f"{name}{error.strerror or error}"

@@ -6,41 +6,49 @@ import gc
 import os
 import sys
 
+from thorvaldc import __version__
+from thorvaldc.cli.app import app
 from thorvaldc.cli.exits import DONE, INTERNAL, TRACEBACK_VARIABLE, protect, show_traceback
 
 
 def run() -> None:
-    """The ``thorvaldc`` command."""
-    # A command makes a few megabytes, keeps most of them and ends: to look for garbage
-    # would take a sixth of its time.  Commands that run for long switch it on again.
+    """Runs the command of ``sys.argv`` and ends the process with its status."""
+    # A short command allocates a few megabytes and keeps most of them: garbage collection would
+    # take a sixth of its time.  Commands that run for long enable it again.
     gc.disable()
     for stream in (sys.stdout, sys.stderr):
         # A name in another alphabet must not fail on a terminal that cannot show it.
         if stream is not None and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     try:
-        status = protect(_call)
-    except Exception as fault:
-        status = _internal(fault)
+        status = run_command()
+    except Exception as error:
+        status = _report_internal_error(error)
     try:
         sys.exit(status)
     finally:
-        # What is still in the buffer goes nowhere if the reader is gone or the disk full.
         if status != DONE:
-            _quiet_exit()
+            _flush_quietly()
 
 
-def _call() -> int:
-    from thorvaldc.cli.app import app
+def run_command() -> int:
+    """Runs the command of ``sys.argv`` in this process and returns its exit status.
 
+    Raises exceptions that are errors of thorvaldc itself.
+    """
+    return protect(_call_app)
+
+
+def _call_app() -> int:
     try:
         app(prog_name="thorvaldc")
-    except SystemExit as done:
-        return done.code if isinstance(done.code, int) else DONE
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else DONE
     return DONE
 
 
-def _quiet_exit() -> None:
+def _flush_quietly() -> None:
+    """Drops buffered output if the reader is gone or the disk is full."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -48,16 +56,14 @@ def _quiet_exit() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def _internal(fault: Exception) -> int:
-    from thorvaldc import __version__
-
+def _report_internal_error(error: Exception) -> int:
     show_traceback()
-    what = " ".join(f"{type(fault).__name__}: {fault}".split())[:300]
-    python = ".".join(str(n) for n in sys.version_info[:3])
+    description = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    python = ".".join(str(part) for part in sys.version_info[:3])
     print(
-        f"internal error: {what}\n"
-        f"This is a fault of thorvaldc {__version__} (Python {python}, {sys.platform}), not of your"
-        f" file; please report it.\n{TRACEBACK_VARIABLE}=1 shows where it happened.",
+        f"internal error: {description}\n"
+        f"This is an error in thorvaldc {__version__} (Python {python}, {sys.platform}), not in"
+        f" your file; please report it.\n{TRACEBACK_VARIABLE}=1 shows where it happened.",
         file=sys.stderr,
     )
     return INTERNAL

@@ -1,36 +1,169 @@
-"""Options that many commands have."""
+"""Options that several commands share, and the parsers of their text."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 import typer
 
-if TYPE_CHECKING:
-    from thorvaldc.model import Robot
-    from thorvaldc.model.bus import Bus
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Bus
+from thorvaldc.model.buses import require_bus
+
+T = TypeVar("T")
 
 LONGEST = 86400.0
-"""s: what lasts longer than a day is a slip."""
+"""s.  A longer duration is a typing error."""
 
-Format = Annotated[
-    str, typer.Option("--format", metavar="text|json|github|sarif", help="How faults are shown.")
+RobotFile = Annotated[
+    str, typer.Argument(metavar="FILE", help="A robot.yaml, or the model.json of a build.")
 ]
+ModelFile = Annotated[str, typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")]
+ModelFiles = Annotated[
+    list[str], typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")
+]
+ScenarioFile = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file.")]
+ScenarioRobot = Annotated[
+    str,
+    typer.Option("--robot", metavar="FILE", help="Use this robot instead of the scenario's."),
+]
+Format = Annotated[
+    str,
+    typer.Option(
+        "--format", metavar="text|json|github|sarif", help="Output format of the diagnostics."
+    ),
+]
+Strict = Annotated[bool, typer.Option("--strict", help="Treat warnings as errors.")]
 Library = Annotated[
     list[str],
-    typer.Option("--library", metavar="DIR", help="A folder of modules of yours; may be repeated."),
+    typer.Option("--library", metavar="DIR", help="A folder with your modules; may be repeated."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Parameters = Annotated[
+    str, typer.Option("--parameters", metavar="SET", help="A parameter set of the robot file.")
+]
+Physics = Annotated[
+    str,
+    typer.Option(
+        "--physics", metavar="ideal|mujoco", help="Model of the motors of the simulated robot."
+    ),
+]
+InjectedFaults = Annotated[
+    str,
+    typer.Option("--faults", metavar="FILE", help="Faults to inject into the simulated bus."),
+]
+Seed = Annotated[
+    str, typer.Option("--seed", metavar="N", help="Seed for all random numbers of the simulation.")
+]
+BusInterface = Annotated[
+    str,
+    typer.Option(
+        "--bus",
+        metavar="BUS",
+        help="socketcan:can0, slcan:PORT, sim:NAME, virtual (devices as in the file) or"
+        " virtual:delivered; for a robot with several buses NAME=BUS.",
+    ),
+]
+Store = Annotated[
+    str,
+    typer.Option(
+        "--store", metavar="FILE", help="Non-volatile memory of the simulated devices, kept here."
+    ),
+]
+Duration = Annotated[
+    str, typer.Option("--duration", metavar="TIME", help="Simulated time: 5, or '5 s'.")
+]
+Record = Annotated[
+    str,
+    typer.Option(
+        "--record",
+        metavar="OUT",
+        help="Record the run: OUT.mcap (Foxglove, PlotJuggler, ROS 2), or a folder of CSV files.",
+    ),
+]
+JointLog = Annotated[
+    str,
+    typer.Option(
+        "--log",
+        metavar="FILE",
+        help="Write the joint states as CSV, for `calibrate`; a folder for several robots.",
+    ),
+]
+Plot = Annotated[
+    str,
+    typer.Option(
+        "--plot", metavar="OUT.png", help="Draw paths and velocities (.png, .svg or .pdf)."
+    ),
+]
+Video = Annotated[
+    str, typer.Option("--video", metavar="OUT.mp4", help="VideoRecorder the run (.mp4 or .gif).")
+]
+JUnit = Annotated[
+    str, typer.Option("--junit", metavar="OUT.xml", help="Write the expectations as JUnit XML.")
+]
+Settings = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUES",
+        help="Replace values of the scenario: world.friction=0.3,0.6 makes a run with each value,"
+        " =0.3..0.9 draws values from the range.",
+        show_default=False,
+    ),
+]
+Variations = Annotated[
+    bool, typer.Option("--variations", help="Use the `variations` of the scenario as well.")
+]
+Draws = Annotated[
+    str, typer.Option("--draws", metavar="N", help="Number of draws from the ranges.")
+]
+DrawSeed = Annotated[
+    str, typer.Option("--seed", metavar="N", help="Seed for the draws from the ranges.")
+]
+Jobs = Annotated[
+    str,
+    typer.Option("--jobs", "-j", metavar="N", help="Number of processes (default: one per core)."),
+]
+BatchOutput = Annotated[
+    str,
+    typer.Option(
+        "--output", "-o", metavar="OUT.csv", help="Write the results of all runs (.csv or .json)."
+    ),
+]
+
+_TIME = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµ]*)", re.ASCII)
+_SECONDS = {
+    name: factor
+    for names, factor in (
+        (("", "s", "sec", "second", "seconds"), (1, 1)),
+        (("ms", "millisecond", "milliseconds"), (1, 1000)),
+        (("us", "microsecond", "microseconds"), (1, 1_000_000)),
+        (("min", "minute", "minutes"), (60, 1)),
+        (("h", "hr", "hour", "hours"), (3600, 1)),
+    )
+    for name in names
+}
 
 
-def seconds_of(text: str, option: str, least: float = 0.0) -> float:
-    """A time that is given on the command line, in s.  Raises ``typer.BadParameter``."""
-    from thorvaldc.compiler.source.units import UnitError, parse_quantity
+def parse_time(text: str) -> float:
+    """Returns the seconds of ``5``, ``5 s``, ``300 ms``, ``2 min``.  Raises ``ValueError``.
 
-    try:
-        seconds = parse_quantity(text, "time")
-    except UnitError as fault:
-        raise typer.BadParameter(f"{text!r}: {fault}", param_hint=f"'{option}'") from None
+    The compiler has a parser for all units; the runtime is installed without the compiler.
+    """
+    match = _TIME.fullmatch(text.strip())
+    if match is None or match[2] not in _SECONDS:
+        raise ValueError(f"{text!r} is not a time; write it as in `5 s`")
+    numerator, denominator = _SECONDS[match[2]]
+    return float(match[1]) * numerator / denominator
+
+
+def parse_duration(text: str, option: str, least: float = 0.0) -> float:
+    """Returns a duration in s, at most one day.  Raises ``typer.BadParameter``."""
+    seconds = parsed(text, parse_time, option)
     if not (seconds > 0.0 and least <= seconds <= LONGEST):
         raise typer.BadParameter(
             f"{text!r} is not between {least:g} and {LONGEST:g} s", param_hint=f"'{option}'"
@@ -38,24 +171,87 @@ def seconds_of(text: str, option: str, least: float = 0.0) -> float:
     return seconds
 
 
-def bus_of(robot: Robot, spec: str) -> tuple[Bus, str]:
-    """The bus that ``--bus`` means, and where it is: ``left=socketcan:can0`` of several.
+def parse_record_time(text: str) -> float:
+    """Returns a time in s from the start of a record; infinite for empty text.
 
-    Raises ``DiagnosticError`` for a robot without a bus, ``typer.BadParameter`` where it is
-    not said which.
+    Raises ``ValueError``.
     """
-    from thorvaldc.model.buses import require_bus
+    if not text:
+        return math.inf
+    seconds = parse_time(text)
+    if not seconds >= 0.0:
+        raise ValueError(f"{text!r} is before the start of the record")
+    return seconds
 
+
+def parse_seed(text: str) -> int | None:
+    """Returns the seed of ``--seed``; ``None`` for empty text.  Raises ``typer.BadParameter``."""
+    if not text:
+        return None
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is no whole number", param_hint="'--seed'") from None
+
+
+def parse_count(text: str, option: str, least: int) -> int | None:
+    """Returns a whole number; ``None`` for empty text.  Raises ``typer.BadParameter``."""
+    if not text:
+        return None
+    if not (text.isascii() and text.isdigit() and int(text) >= least):
+        raise typer.BadParameter(
+            f"{text!r} is not a whole number of at least {least}", param_hint=f"'{option}'"
+        )
+    return int(text)
+
+
+def parsed(text: str, parse: Callable[[str], T], option: str) -> T:
+    """Returns ``parse(text)``; raises ``typer.BadParameter`` for its ``ValueError``."""
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint=f"'{option}'") from None
+
+
+def refuse_options(options: Mapping[str, object], reason: str) -> None:
+    """Raises ``typer.BadParameter`` for the first option that is set."""
+    for option, value in options.items():
+        if value:
+            raise typer.BadParameter(reason, param_hint=f"'{option}'")
+
+
+def check_physics(physics: str) -> None:
+    """Raises ``typer.BadParameter``."""
+    if physics not in ("ideal", "mujoco"):
+        raise typer.BadParameter(
+            f"{physics!r} is neither ideal nor mujoco", param_hint="'--physics'"
+        )
+
+
+def library_folders(names: Sequence[str], option: str = "'--library'") -> list[Path]:
+    """Raises ``typer.BadParameter`` for a folder that does not exist."""
+    for name in names:
+        if not Path(name).is_dir():
+            raise typer.BadParameter(f"there is no folder {name!r}", param_hint=option)
+    return [Path(name) for name in names]
+
+
+def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
+    """Returns the bus that ``--bus`` selects and its interface: ``left=socketcan:can0``.
+
+    A robot with one bus needs no name.  Raises ``DiagnosticError`` for a robot without a bus,
+    ``typer.BadParameter`` if the selection is ambiguous.
+    """
     require_bus(robot)
-    names = {bus.name: bus for bus in robot.buses}
-    name, given, rest = spec.partition("=")
-    if given and name in names:
-        return names[name], rest
-    if len(names) == 1:
+    buses = {bus.name: bus for bus in robot.buses}
+    name, equals, interface = spec.partition("=")
+    if equals and name in buses:
+        return buses[name], interface
+    if len(buses) == 1:
         return robot.buses[0], spec
-    where = (rest if given else spec) or "socketcan:can0"
-    wrong = f"the robot has no bus {name}, but" if given else "the robot has the buses"
+    example = (interface if equals else spec) or "socketcan:can0"
+    problem = f"the robot has no bus {name}, but" if equals else "the robot has the buses"
     raise typer.BadParameter(
-        f"{wrong} {', '.join(names)}; say which: {robot.buses[0].name}={where}",
+        f"{problem} {', '.join(buses)}; select one: {robot.buses[0].name}={example}",
         param_hint="'--bus'",
     )

@@ -1,4 +1,4 @@
-"""A progress bar."""
+"""A progress bar on stderr."""
 
 from __future__ import annotations
 
@@ -6,41 +6,41 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from thorvaldc.cli.faults import width_of
+from thorvaldc.cli.diagnostic_output import width_of
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the runtime alone has no simulation
     from thorvaldc.simulation.control_loop import ControlLoop
 
-BAR = 30  # characters
+BAR_WIDTH = 30  # characters
 
 
 class Progress:
-    """A bar on a terminal; nothing elsewhere.  ``what`` is named before it."""
+    """A progress bar on a terminal; prints nothing elsewhere.  ``label`` stands before the bar."""
 
-    def __init__(self, total: float, unit: str = "s", what: str = "") -> None:
+    def __init__(self, total: float, unit: str = "s", label: str = "") -> None:
         self.total = total
         self.unit = unit
-        self.what = f"{what} " if what else ""
+        self.label = f"{label} " if label else ""
         self.active = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-        self._shown = -1
+        self._shown_percent = -1
 
-    def show(self, done: float) -> None:
-        """``done`` of the total."""
-        percent = int(100 * min(done / self.total, 1.0)) if self.active else self._shown
-        if percent != self._shown:
-            self._shown = percent
-            bar = f"[{'#' * (percent * BAR // 100):<{BAR}}]"
-            said = f"{done:.1f}" if self.unit == "s" else f"{done:.0f}"
-            line = f"{self.what}{bar} {percent:3d} %  {said} of {self.total:g} {self.unit}"
-            # A line that goes on in the next one could not be taken away.
+    def show(self, value: float) -> None:
+        """Shows ``value`` of the total."""
+        percent = int(100 * min(value / self.total, 1.0)) if self.active else self._shown_percent
+        if percent != self._shown_percent:
+            self._shown_percent = percent
+            bar = f"[{'#' * (percent * BAR_WIDTH // 100):<{BAR_WIDTH}}]"
+            number = f"{value:.1f}" if self.unit == "s" else f"{value:.0f}"
+            line = f"{self.label}{bar} {percent:3d} %  {number} of {self.total:g} {self.unit}"
+            # A line that wraps into the next one could not be erased.
             print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
 
     def watch(self, loop: ControlLoop) -> None:
-        """``show`` the time of a run."""
+        """Shows the simulated time of a run."""
         self.show(loop.driver.state.time)
 
     def clear(self) -> None:
-        """Take the bar away."""
-        if self._shown >= 0:
-            self._shown = -1
+        """Erases the bar."""
+        if self._shown_percent >= 0:
+            self._shown_percent = -1
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import ControlLoop
@@ -61,7 +59,7 @@ class ScenarioMetrics:
             for i, w in enumerate(wheels)
             if w.steered
         ]
-        self._motors = np.array(base.motors(), dtype=int)
+        self._motors = list(base.motors())
         has_treads = any(wheel.treads for wheel in loop.robot.wheels)
         self._radii = RollingRadii(loop.robot, base.scene) if has_treads else None
         self._time = 0.0

@@ -12,7 +12,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.runtime.can_base.base_state_machine import State
 from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.control.service_table import ServiceError
-from thorvaldc.tools.teleoperation.bus_vehicle import RunningVehicle
+from thorvaldc.tools.teleoperation.bus_vehicle import BusVehicle
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
 from thorvaldc.tools.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation.teleop_loop import operate
@@ -128,7 +128,7 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
     rig = Rig(example_robot("4wd4ws_wide"))
     control = RunnerControl(rig.runner)
     rig.runner.feed = control.feed
-    vehicle = RunningVehicle(rig.runner, control)
+    vehicle = BusVehicle(rig.runner, control)
     shown: list[list[str]] = []
 
     def typed() -> Iterator[list[str]]:

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 from tests.examples import example_fleet, example_robot
-from thorvaldc.cli.viewing import page_of
 from thorvaldc.model import Fleet, Robot, Sphere
 from thorvaldc.model.spatial import Pose
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.simulation.pictures.surfaces import surface
+from thorvaldc.simulation.pictures.view_page import view_page
 from thorvaldc.simulation.pictures.web_page import robot_page
 
 NAME = "4wd4ws_wide"
@@ -47,7 +47,7 @@ def data(made: str) -> dict[str, Any]:
 
 def test_it_holds_parts_joints_ids_and_surfaces() -> None:
     robot = example_robot(NAME)
-    (design,) = data(page_of(robot))["designs"]
+    (design,) = data(view_page(robot))["designs"]
     mass = sum(link["mass"] for link in design["links"])
     assert mass == pytest.approx(robot.inertial.mass, abs=1e-3)
     ids = [(n["bus"], n["name"], n["id"]) for n in design["nodes"]]
@@ -59,7 +59,7 @@ def test_it_holds_parts_joints_ids_and_surfaces() -> None:
         assert joint["parent"] in known
         known.add(joint["child"])
     assert known == {link.name for link in robot.links}
-    shapes = data(page_of(robot))["shapes"]
+    shapes = data(view_page(robot))["shapes"]
     visual = next(v for link in design["links"] for v in link["visuals"])
     points = np.frombuffer(base64.b64decode(shapes[visual["shape"]]["points"]), "<f4")
     faces = np.frombuffer(base64.b64decode(shapes[visual["shape"]]["faces"]), "<u4")
@@ -67,10 +67,10 @@ def test_it_holds_parts_joints_ids_and_surfaces() -> None:
 
 
 def test_it_loads_nothing_and_is_the_same_every_time() -> None:
-    made = page_of(example_robot(NAME))
+    made = view_page(example_robot(NAME))
     assert not re.findall(r"""(?:src|href)\s*=|url\(|import\s|fetch\(|https?://""", made)
     assert "default-src 'none'" in made
-    assert page_of(example_robot(NAME)) == made
+    assert view_page(example_robot(NAME)) == made
 
 
 def test_equal_robots_of_a_fleet_are_held_once() -> None:
@@ -79,14 +79,14 @@ def test_equal_robots_of_a_fleet_are_held_once() -> None:
     placements = tuple(
         replace(one, name=f"r{k}", pose=Pose((3.0 * k, 0.0, 0.0)), robot=robot) for k in range(5)
     )
-    value = data(page_of(Fleet("five", "", placements)))
+    value = data(view_page(Fleet("five", "", placements)))
     assert len(value["designs"]) == 1
     assert [r["pose"][0] for r in value["robots"]] == [0.0, 3.0, 6.0, 9.0, 12.0]
 
 
 def test_text_of_the_robot_stays_text() -> None:
     nasty = "</script><script>document.title = 'taken'</script><!--"
-    made = page_of(replace(example_robot(NAME), description=nasty))
+    made = view_page(replace(example_robot(NAME), description=nasty))
     assert made.count("</script>") == 2
     assert data(made)["description"] == nasty
 
@@ -123,7 +123,7 @@ def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
 
     def run(model: Robot | Fleet, shown: str = "") -> tuple[str, Path]:
         path = tmp_path / "view.html"
-        path.write_text(page_of(model), encoding="utf-8")
+        path.write_text(view_page(model), encoding="utf-8")
         done = subprocess.run(
             [
                 program,

@@ -14,7 +14,7 @@ import pytest
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.teleoperation import joystick as js
-from thorvaldc.tools.teleoperation.joystick import Joystick, Layout, Together
+from thorvaldc.tools.teleoperation.joystick import Joystick, Layout, OperatorPair
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
 from thorvaldc.tools.teleoperation.operator import Limits
 
@@ -245,7 +245,7 @@ def test_the_first_joystick_is_found_and_others_are_let_go(
 def test_the_keyboard_comes_first_beside_a_joystick(hand: Hand) -> None:
     typed: list[str] = []
     keyboard = Keyboard(LIMITS, lambda: [typed.pop(0)] if typed else [], 1.0)
-    both = Together(keyboard, hand.joystick)
+    both = OperatorPair(keyboard, hand.joystick)
     hand.pad.button(js.BTN_TL)
     hand.pad.axis(js.ABS_Y, -32768)
     both.poll(0.1)

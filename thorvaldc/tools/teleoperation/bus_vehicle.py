@@ -9,7 +9,7 @@ from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.runner import BaseRunner
 
 
-class RunningVehicle:
+class BusVehicle:
     """A runner with its control, whose cycles are done one by one."""
 
     def __init__(self, runner: BaseRunner, control: RunnerControl) -> None:

@@ -229,7 +229,7 @@ class Joystick:
         self.message = "the joystick is unplugged"
 
 
-class Together:
+class OperatorPair:
     """Two operators at once: where the first asks for nothing, the second drives."""
 
     def __init__(self, first: Operator, second: Operator) -> None:

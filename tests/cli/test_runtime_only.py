@@ -1,0 +1,116 @@
+"""The rooms of the runtime wheel alone: commands that work, and one line from those that do not."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import GOOD
+from tests.cli.test_bus import running
+from thorvaldc.compiler.pipeline import compile_file, emit
+
+PACKAGE = Path(__file__).resolve().parents[2] / "thorvaldc"
+ROOMS = ("runtime", "can", "commissioning", "model", "diagnostics", "cli")
+TOOLS = ("monitor", "teleoperation")
+MISSING = ("numpy", "mujoco", "yaml", "jsonschema")
+# Runs the command where the packages of MISSING cannot be imported.
+SCRIPT = f"""
+import sys
+for name in {MISSING!r}:
+    sys.modules[name] = None
+from thorvaldc.cli.main import run
+sys.argv[0] = "thorvaldc"
+run()
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package ``thorvaldc`` of the runtime, good.yaml and its model.json."""
+    folder = tmp_path_factory.mktemp("runtime")
+    package = folder / "package/thorvaldc"
+    ignore = shutil.ignore_patterns("__pycache__")
+    for room in ROOMS:
+        shutil.copytree(PACKAGE / room, package / room, ignore=ignore)
+    for tool in TOOLS:
+        shutil.copytree(PACKAGE / "tools" / tool, package / "tools" / tool, ignore=ignore)
+    for file in ("__init__.py", "__main__.py", "tools/__init__.py"):
+        shutil.copy(PACKAGE / file, package / file)
+    (folder / "good.yaml").write_text(GOOD, encoding="utf-8")
+    model = compile_file(folder / "good.yaml").model
+    assert model is not None
+    (folder / "model.json").write_bytes(emit(model, [])["model.json"])
+    return folder
+
+
+def call(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    sockets = str(folder)
+    environment = {**os.environ, "PYTHONPATH": str(folder / "package"), "XDG_RUNTIME_DIR": sockets}
+    return subprocess.run(
+        [sys.executable, "-P", "-c", SCRIPT, *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "feature"),
+    [
+        (["check", "good.yaml"], "`thorvaldc check`"),
+        (["build", "good.yaml"], "`thorvaldc build`"),
+        (["sim", "good.yaml"], "`thorvaldc sim`"),
+        (["bus", "model.json"], "`thorvaldc bus`"),
+        (["modules", "list"], "`thorvaldc modules list`"),
+        (["run", "model.json", "--bus", "virtual"], "`--bus virtual`"),
+        (["can", "plan", "model.json", "--bus", "virtual"], "`--bus virtual`"),
+    ],
+)
+def test_a_missing_command_is_3_and_one_line(
+    folder: Path, arguments: list[str], feature: str
+) -> None:
+    result = call(folder, *arguments)
+    assert (result.returncode, result.stdout) == (3, "")
+    assert result.stderr == (
+        f"error: {feature} is not available: this installation is the runtime alone; "
+        "`pip install thorvaldc` installs the rest\n"
+    )
+
+
+def test_a_robot_file_needs_the_compiler(folder: Path) -> None:
+    result = call(folder, "run", "good.yaml", "--bus", "udp")
+    assert result.returncode == 3
+    assert result.stderr.startswith("error: good.yaml needs the compiler")
+    assert "give the model.json of a build" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_help_shows_every_command(folder: Path) -> None:
+    result = call(folder, "--help")
+    assert result.returncode == 0
+    assert "  check " in result.stdout
+    assert "  run " in result.stdout
+
+
+def test_a_robot_on_a_simulated_bus_of_another_process(folder: Path) -> None:
+    with running(folder, "good.yaml") as (_, listing):
+        bus = ("model.json", "--bus", f"sim:{listing['channel']}")
+        scan = call(folder, "can", "scan", *bus, "--active", "--json")
+        assert scan.returncode == 0, scan.stderr
+        assert {node["verdict"] for node in json.loads(scan.stdout)["nodes"]} == {"ok"}
+        plan = call(folder, "can", "plan", *bus)
+        assert plan.returncode == 0, plan.stderr
+        monitor = call(folder, "can", "monitor", *bus, "--duration", "300 ms")
+        assert monitor.returncode == 0, monitor.stderr
+        assert monitor.stdout.startswith("good main")
+        drive = call(folder, "run", *bus, "--twist", "0.4,0,0", "--duration", "1 s", "--json")
+        assert json.loads(drive.stdout)["was_ready"], drive.stderr

@@ -1,0 +1,148 @@
+"""Access to one bus of a robot for the commands ``can scan``, ``plan``, ``flash``, ``verify``."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+from thorvaldc.can.open_interface import open_interface
+from thorvaldc.cli.console_operator import ConsoleOperator
+from thorvaldc.cli.diagnostic_output import message, report_of
+from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.hardware_warning import is_hardware
+from thorvaldc.cli.installation import check_full_installation
+from thorvaldc.cli.options import refuse_options, select_bus
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
+from thorvaldc.commissioning.bus_lock import BusLock
+from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
+from thorvaldc.commissioning.plan import Plan, PlanStep, make_plan
+from thorvaldc.commissioning.scanner import Scanner
+from thorvaldc.commissioning.step_executor import Operator
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Bus
+
+UNTESTED = (
+    "note: this was never tried on physical hardware, only on simulated buses. Lift the wheels "
+    "off the ground and keep the emergency stop in reach."
+)
+
+
+@dataclass
+class BusAccess:
+    """A robot, one of its buses, and the only CANopen master on this bus.
+
+    ``virtual_operator`` carries out manual steps on simulated devices.
+    """
+
+    robot: Robot
+    bus: Bus
+    configuration: BusConfiguration
+    master: BusMaster
+    bar: Progress
+    virtual_operator: Operator | None = None
+
+    def scanner(self) -> Scanner:
+        return Scanner(self.master, self.configuration, self.show_progress)
+
+    def make_plan(self) -> Plan:
+        """Raises ``DiagnosticError`` if another master is on the bus."""
+        scan = self.scanner().active(texts=False)
+        self.bar.clear()
+        if scan.masters:
+            raise other_master_error(list(scan.masters))
+        return make_plan(self.configuration, scan)
+
+    def operator(self, unattended: bool) -> Operator | None:
+        if self.virtual_operator is not None:
+            return self.virtual_operator
+        return None if unattended else ConsoleOperator()
+
+    def show_progress(self, activity: str, number: int, total: int) -> None:
+        self.bar.label, self.bar.total = f"{activity} ", float(max(total, 1))
+        self.bar.show(float(number))
+
+    def show_step(self, number: int, total: int, step: PlanStep, is_verified: bool) -> None:
+        self.bar.clear()
+        description = f"{number + 1}/{total} {step.description}"
+        if is_verified:
+            message(f"{description}: verified")
+        elif self.bar.active:
+            self.show_progress(description, number, total)
+
+
+def with_bus(
+    file: str, spec: str, store: str, library: Sequence[str], work: Callable[[BusAccess], int]
+) -> int:
+    """Loads the robot, opens the bus and calls ``work``; prints its ``DiagnosticError``."""
+    loaded = load_robot(file, library)
+    if loaded is None:
+        return INPUT
+    gc.enable()
+    try:
+        with _open_bus(loaded.robot, spec, store) as access:
+            try:
+                return work(access)
+            finally:
+                access.bar.clear()
+    except DiagnosticError as error:
+        return loaded.show(report_of(error))
+
+
+@contextlib.contextmanager
+def _open_bus(robot: Robot, spec: str, store: str) -> Iterator[BusAccess]:
+    bus, interface_name = select_bus(robot, spec)
+    if interface_name.partition(":")[0] == "virtual":
+        with _open_virtual_bus(robot, bus, interface_name, store) as access:
+            yield access
+        return
+    refuse_options({"--store": store}, "is for a simulated robot, --bus virtual")
+    if is_hardware(interface_name):
+        message(UNTESTED)
+    with BusLock(interface_name):
+        interface = open_interface(interface_name, bus)
+        try:
+            master = BusMaster(interface, bus)
+            yield BusAccess(robot, bus, configuration_of(robot, bus), master, Progress(1.0, ""))
+        finally:
+            interface.close()
+
+
+@contextlib.contextmanager
+def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator[BusAccess]:
+    variant = name.partition(":")[2]
+    if variant not in ("", "delivered"):
+        raise typer.BadParameter(
+            f"{name!r} is neither virtual nor virtual:delivered", param_hint="'--bus'"
+        )
+    check_full_installation("`--bus virtual`")
+    # The runtime alone has no simulation.
+    from thorvaldc.cli.virtual_robot import read_store
+    from thorvaldc.simulation.bus.device_memory import write_memory
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
+
+    memory = read_store(store)
+    simulated = SimulatedRobot(robot, delivered=variant == "delivered", nonvolatile=memory)
+    simulated.power_on()
+    simulated.run(0.2)
+    interface = simulated.interface(bus.name, receive_limit=100_000)
+    try:
+        yield BusAccess(
+            robot,
+            bus,
+            configuration_of(robot, bus),
+            BusMaster(interface, bus),
+            Progress(1.0, ""),
+            VirtualOperator(simulated),
+        )
+    finally:
+        if store:
+            write_memory(Path(store), simulated)

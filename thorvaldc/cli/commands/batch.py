@@ -1,0 +1,36 @@
+"""``thorvaldc batch``: many variations of a scenario."""
+
+from __future__ import annotations
+
+from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.options import (
+    BatchOutput,
+    Draws,
+    DrawSeed,
+    Jobs,
+    Json,
+    Library,
+    ScenarioFile,
+    ScenarioRobot,
+    Settings,
+    Variations,
+)
+from thorvaldc.cli.scenario_runs import plan_runs, run_batch
+
+
+def batch(
+    file: ScenarioFile,
+    robot: ScenarioRobot = "",
+    settings: Settings = [],  # noqa: B006
+    variations: Variations = False,
+    draws: Draws = "",
+    seed: DrawSeed = "",
+    jobs: Jobs = "",
+    output: BatchOutput = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    planned = plan_runs(file, settings, draws, seed, own=variations or not settings)
+    if planned is None:
+        return INPUT
+    return run_batch(file, planned, robot or None, library, jobs=jobs, output=output, json=json)

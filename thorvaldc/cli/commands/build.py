@@ -1,0 +1,128 @@
+"""``thorvaldc build``: compiles files and writes the targets."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from thorvaldc import __version__, backends
+from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
+from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.options import Format, Library, ModelFiles, library_folders
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.writer import WriteError, write_build, write_locks
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Fleet, Robot
+
+
+def build(
+    files: ModelFiles,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target",
+            "-t",
+            metavar="NAMES",
+            help="Targets, separated by commas.",
+            show_default="see `thorvaldc targets`",
+        ),
+    ] = None,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            show_default="build/<name>",
+            help="Folder to write; for several FILEs, the parent of a folder for each.",
+        ),
+    ] = "",
+    format: Format = "text",
+    library: Library = [],  # noqa: B006
+) -> int:
+    check_format(format)
+    targets = _parse_targets(target)
+    folders = library_folders(library)
+    shown = DiagnosticOutput(format, sys.stderr)
+    builds: list[dict[str, Any]] = []
+    file_by_folder: dict[str, str] = {}
+    for file in files:
+        compilation = compile_file(file, library=folders)
+        contents = _emit(compilation, targets)
+        pinned_locks = []
+        if compilation.locks and not compilation.report.has_errors:
+            pinned_locks = write_locks(compilation.locks, compilation.report)
+        shown.add(compilation.report, compilation.sources)
+        model = compilation.model
+        if model is None or compilation.report.has_errors:
+            continue
+        folder = _folder(output, model.name, len(files))
+        if str(folder) in file_by_folder:
+            raise typer.BadParameter(
+                f"{file_by_folder[str(folder)]} and {file} both go to {folder}; build them one by"
+                " one with -o",
+                param_hint="FILE",
+            )
+        file_by_folder[str(folder)] = file
+        try:
+            _write(compilation, model, contents, folder)
+        except WriteError as error:
+            shown.finish(builds=builds)
+            raise OutsideError(str(error)) from error
+        for path in pinned_locks:
+            shown.result(f"{os.path.normpath(path)}: automatic ids are pinned")
+        shown.result(f"{folder}: {count(len(contents), 'file')} ({', '.join(targets)})")
+        builds.append({"file": file, "folder": str(folder), "files": sorted(contents)})
+    return shown.finish(builds=builds)
+
+
+def _parse_targets(text: str | None) -> list[str]:
+    """Returns the names of ``urdf,mjcf``; the default targets for ``None``.
+
+    Raises ``typer.BadParameter`` for an unknown target and for a backend that cannot be loaded.
+    """
+    if text is None:
+        return list(backends.DEFAULT_TARGETS)
+    targets = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not targets:
+        raise typer.BadParameter("names no target", param_hint="'--target'")
+    for name in targets:
+        try:
+            backends.load(name)
+        except backends.TargetError as error:
+            raise typer.BadParameter(str(error), param_hint="'--target'") from None
+    return targets
+
+
+def _emit(compilation: Compilation, targets: list[str]) -> dict[str, bytes]:
+    """Returns the contents by path; adds the diagnostics of the backends to the report."""
+    if compilation.model is None:
+        return {}
+    report = Report()
+    contents = emit(compilation.model, targets, report)
+    compilation.report.extend(compilation.located(report))
+    return contents
+
+
+def _write(
+    compilation: Compilation, model: Robot | Fleet, contents: Mapping[str, bytes], folder: Path
+) -> None:
+    write_build(
+        contents,
+        folder,
+        name=model.name,
+        source_sha256=compilation.source_sha256,
+        version=__version__,
+    )
+
+
+def _folder(output: str, name: str, file_count: int) -> Path:
+    if not output:
+        return Path("build") / name
+    return Path(output) if file_count == 1 else Path(output) / name

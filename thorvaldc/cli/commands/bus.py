@@ -1,0 +1,177 @@
+"""``thorvaldc bus``: a simulated bus in its own process, for other programs."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
+from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import (
+    InjectedFaults,
+    Json,
+    Library,
+    Physics,
+    RobotFile,
+    Seed,
+    Store,
+    check_physics,
+    parse_seed,
+)
+from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.cli.virtual_robot import describe_injected_fault, make_mujoco_base, read_store
+from thorvaldc.compiler.injected_fault_file import read_faults
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import BusFault
+from thorvaldc.simulation.bus.bus_server import BusServer
+from thorvaldc.simulation.bus.device_memory import write_memory
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+REPORTED_DELAY = 50_000_000
+"""ns that the simulation may fall behind the clock before the command reports it."""
+
+
+def bus(
+    file: RobotFile,
+    channel: Annotated[
+        str,
+        typer.Option(
+            "--channel",
+            metavar="NAME",
+            help="Name of the bus for other programs, or the path of its socket.",
+            show_default="the robot's name",
+        ),
+    ] = "",
+    physics: Physics = "ideal",
+    faults: InjectedFaults = "",
+    seed: Seed = "",
+    store: Store = "",
+    delivered: Annotated[
+        bool,
+        typer.Option(
+            "--delivered", help="Devices as delivered by the manufacturer: no ids, no parameters."
+        ),
+    ] = False,
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep", help="Advance time only while all programs in lockstep wait for it."
+        ),
+    ] = False,
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    check_physics(physics)
+    number = parse_seed(seed)
+    loaded = load_robot(file, library)
+    if loaded is None:
+        return INPUT
+    robot = loaded.robot
+    gc.enable()
+    memory = read_store(store)
+    report = Report()
+    try:
+        script = read_faults(faults, robot, report) if faults else None
+        if faults and script is None:
+            return show_report(report, {**loaded.sources, faults: Path(faults)})
+        base = make_mujoco_base(robot, file, report) if physics == "mujoco" else None
+        if number is None:
+            number = script.seed if script is not None else 0
+        simulated = SimulatedRobot(
+            robot, seed=number, base=base, delivered=delivered, nonvolatile=memory
+        )
+    except DiagnosticError as error:
+        return loaded.show(report_of(error))
+    show_report(report, loaded.sources)
+    if script is not None:
+        FaultInjector(simulated, script, _show_injected_fault)
+    _serve(simulated, _channels(robot, channel), store, lockstep, json)
+    return DONE
+
+
+def _channels(robot: Robot, channel: str) -> dict[str, str]:
+    """Returns the channel of each bus; the bus's name is appended if there are several buses."""
+    name = channel or robot.name
+    if len(robot.buses) == 1:
+        return {robot.buses[0].name: name}
+    return {bus.name: f"{name}.{bus.name}" for bus in robot.buses}
+
+
+def _serve(
+    simulated: SimulatedRobot, channels: Mapping[str, str], store: str, lockstep: bool, json: bool
+) -> None:
+    """Runs the bus until SIGINT or SIGTERM; then writes the memory of the devices."""
+    server = BusServer(
+        simulated.timeline,
+        {name: simulated.wires[bus] for bus, name in channels.items()},
+        lockstep=lockstep,
+    )
+    previous_handlers = {
+        number: signal.signal(number, lambda *_: server.stop())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        simulated.power_on()
+        _show_start(simulated.robot, channels, json)
+        server.run()
+    finally:
+        for number, handler in previous_handlers.items():
+            signal.signal(number, handler)
+        if store:
+            write_memory(Path(store), simulated)
+    _show_end(simulated, server.behind)
+
+
+def _show_start(robot: Robot, channels: Mapping[str, str], json: bool) -> None:
+    buses = {bus.name: bus for bus in robot.buses}
+    if json:
+        values = [
+            {
+                "bus": name,
+                "channel": channel,
+                "interface": "thorvaldc_sim",
+                "bitrate": buses[name].bitrate,
+                "devices": [node.name for node in buses[name].nodes],
+            }
+            for name, channel in channels.items()
+        ]
+        print_json(values, one_line=True)
+        return
+    for name, channel in channels.items():
+        bus = buses[name]
+        print(
+            f"{name}: {len(bus.nodes)} devices at {bus.bitrate // 1000} kbit/s; "
+            f'can.Bus(interface="thorvaldc_sim", channel="{channel}")',
+            flush=True,
+        )
+    if sys.stderr.isatty():
+        message("Ctrl-C ends it.")
+
+
+def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
+    description = describe_injected_fault(fault, begins)
+    print(f"{time:.3f} s: {description}", file=sys.stderr, flush=True)
+
+
+def _show_end(simulated: SimulatedRobot, behind: int) -> None:
+    seconds = simulated.timeline.seconds
+    for name, wire in simulated.wires.items():
+        load = wire.busy / max(simulated.timeline.now, 1)
+        message(
+            f"{name}: {wire.frames} frames in {seconds:.1f} s, load {100 * load:.1f} %, "
+            f"{wire.errors} error frames"
+        )
+    if behind > REPORTED_DELAY:
+        message(
+            f"the simulation fell behind the clock by up to {behind / 1e9:.2f} s: "
+            "times on the bus were longer than on a real bus"
+        )

@@ -1,0 +1,90 @@
+"""``thorvaldc call``: the services of a running driver."""
+
+from __future__ import annotations
+
+import json as json_format
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import message, print_json
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import Json
+from thorvaldc.runtime.control.control_client import ControlClient
+from thorvaldc.runtime.control.service_table import ServiceError
+
+
+def call(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the running driver.")],
+    service: Annotated[
+        str, typer.Argument(metavar="SERVICE", help="Without a service, all are listed.")
+    ] = "",
+    arguments: Annotated[
+        list[str], typer.Argument(metavar="ARGUMENT=VALUE", help="Values as JSON, or text.")
+    ] = [],  # noqa: B006
+    json: Json = False,
+) -> int:
+    values = dict(_parse_argument(text) for text in arguments)
+    client = ControlClient(name)
+    try:
+        result = client.call(service or "services", **values)
+    except ServiceError as error:
+        message(f"error: {error}")
+        return INPUT
+    except ConnectionError as error:
+        raise OutsideError(str(error)) from None
+    finally:
+        client.close()
+    if json:
+        print_json(result)
+    elif service:
+        _print_result(result)
+    else:
+        _print_services(result)
+    return DONE
+
+
+def _parse_argument(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise typer.BadParameter(f"{text!r} is not NAME=VALUE", param_hint="ARGUMENTS")
+    try:
+        return name, json_format.loads(value)
+    except ValueError:
+        return name, value
+
+
+def _print_result(result: Any, indent: str = "") -> None:
+    """Prints nested mappings as indented lines, flat ones on one line."""
+    if not isinstance(result, dict):
+        if result is not None:
+            print(f"{indent}{_text(result)}")
+        return
+    for key, value in result.items():
+        if isinstance(value, dict) and any(isinstance(entry, dict) for entry in value.values()):
+            print(f"{indent}{key}:")
+            _print_result(value, indent + "  ")
+        elif isinstance(value, dict) and value:
+            entries = "  ".join(f"{name} {_text(entry)}" for name, entry in value.items())
+            print(f"{indent}{key}: {entries}")
+        else:
+            print(f"{indent}{key}: {_text(value)}")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value + 0.0:.4g}"  # the sum turns -0.0 into 0.0
+    if isinstance(value, list):
+        return ", ".join(_text(entry) for entry in value) or "-"
+    return str(value) if value not in ("", None, {}) else "-"
+
+
+def _print_services(services: Sequence[Mapping[str, Any]]) -> None:
+    for service in services:
+        arguments = " ".join(
+            f"{argument['name']}=..." if argument["required"] else f"[{argument['name']}=...]"
+            for argument in service["arguments"]
+        )
+        print(f"{service['name']} {arguments}".rstrip())
+        print(f"    {service['summary']}")

@@ -1,0 +1,142 @@
+"""``thorvaldc can flash``: writes addresses and values to the nodes of a bus."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.bus_access import BusAccess, with_bus
+from thorvaldc.cli.console_operator import agrees
+from thorvaldc.cli.diagnostic_output import count, message, print_json
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+from thorvaldc.commissioning.flash import Flash
+from thorvaldc.commissioning.journal import Journal, JournalFile
+from thorvaldc.commissioning.plan import Plan
+
+
+def flash(
+    file: RobotFile,
+    bus: BusInterface,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Write; the default is a dry run.")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue a flash that was interrupted.")
+    ] = False,
+    rollback: Annotated[
+        bool, typer.Option("--rollback", help="Undo the last flash of the journal.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    plan: Annotated[
+        str,
+        typer.Option("--plan", metavar="HASH", help="Write only if the plan still has this hash."),
+    ] = "",
+    journal: Annotated[
+        str,
+        typer.Option(
+            "--journal",
+            metavar="FILE",
+            help="Record of the steps.",
+            show_default="<robot>.flash.jsonl",
+        ),
+    ] = "",
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    modes = {"--apply": apply, "--resume": resume, "--rollback": rollback}
+    selected = [option for option, is_set in modes.items() if is_set]
+    if len(selected) > 1:
+        raise typer.BadParameter("one of them at a time", param_hint="'--apply', '--resume', ...")
+    if selected and not yes and not sys.stdin.isatty():
+        raise typer.BadParameter(
+            "needs a terminal to ask at, or --yes", param_hint=f"'{selected[0]}'"
+        )
+
+    def work(access: BusAccess) -> int:
+        if not selected:
+            return _dry_run(access, json)
+        path = Path(journal or _default_journal(file, access))
+        return _write(access, selected[0], path, plan, yes, json)
+
+    return with_bus(file, bus, store, library, work)
+
+
+def _dry_run(access: BusAccess, json: bool) -> int:
+    plan = access.make_plan()
+    if json:
+        print_json({**plan_as_json(plan), "applied": False})
+    else:
+        print(plan_table(plan))
+        message("dry run: nothing was written; --apply writes")
+    return INPUT if plan.problems or plan.strangers else DONE
+
+
+def _default_journal(file: str, access: BusAccess) -> str:
+    """Beside the robot file, one for each bus; never in a build, which the next build replaces."""
+    path = Path(file)
+    bus = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""
+    if path.suffix == ".json":
+        return f"{access.robot.name}{bus}.flash.jsonl"
+    return str(path.with_name(f"{path.stem}{bus}.flash.jsonl"))
+
+
+def _write(
+    access: BusAccess, mode: str, path: Path, expected_hash: str, yes: bool, json: bool
+) -> int:
+    if mode != "--apply" and not path.exists():
+        raise typer.BadParameter(f"there is no journal {path}", param_hint="'--journal'")
+    plan = access.make_plan() if mode == "--apply" else None
+    if plan is not None:
+        message(plan_table(plan))
+        if not plan.steps and not plan.problems and not plan.strangers:
+            return _show_result(json, plan, "nothing to do")
+    question = {
+        "--apply": "Write this?",
+        "--resume": f"Continue the flash of {path}?",
+        "--rollback": f"Undo the flash of {path}?",
+    }[mode]
+    if not yes and not agrees(question):
+        message("nothing was written")
+        return INPUT
+    try:
+        journal_file = JournalFile(path)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    try:
+        flash = Flash(
+            access.master,
+            access.configuration,
+            Journal(journal_file),
+            operator=access.operator(yes),
+            progress=access.show_step,
+            scanning=access.show_progress,
+        )
+        if plan is not None:
+            result = flash.apply(expected_hash or plan.hash)
+        else:
+            result = flash.resume() if mode == "--resume" else flash.rollback()
+    except KeyboardInterrupt:
+        access.bar.clear()
+        message(
+            f"the flash was interrupted; {path} records its progress. Continue with --resume, or "
+            "undo it with --rollback"
+        )
+        raise
+    finally:
+        access.bar.clear()
+        journal_file.close()
+    return _show_result(json, result, "undone" if mode == "--rollback" else "done")
+
+
+def _show_result(json: bool, plan: Plan, result: str) -> int:
+    if json:
+        print_json({**plan_as_json(plan), "applied": True, "result": result})
+    else:
+        print(f"{plan.configuration.robot}: {result}, {count(len(plan.steps), 'step')}")
+    return DONE

@@ -1,0 +1,27 @@
+"""``thorvaldc can plan``: the steps that would set up the bus."""
+
+from __future__ import annotations
+
+from thorvaldc.cli.bus_access import BusAccess, with_bus
+from thorvaldc.cli.diagnostic_output import print_json
+from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+
+
+def plan(
+    file: RobotFile,
+    bus: BusInterface,
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    def work(access: BusAccess) -> int:
+        plan = access.make_plan()
+        if json:
+            print_json(plan_as_json(plan))
+        else:
+            print(plan_table(plan))
+        return INPUT if plan.problems or plan.strangers else DONE
+
+    return with_bus(file, bus, store, library, work)

@@ -1,0 +1,39 @@
+"""``thorvaldc can scan``: the nodes on a bus, compared with the robot."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.bus_access import BusAccess, with_bus
+from thorvaldc.cli.diagnostic_output import message, print_json
+from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.commissioning.commissioning_text import scan_notes, scan_table
+
+
+def scan(
+    file: RobotFile,
+    bus: BusInterface,
+    active: Annotated[
+        bool, typer.Option("--active", help="Listen, then send a request to every node.")
+    ] = False,
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    def work(access: BusAccess) -> int:
+        scanner = access.scanner()
+        scan = scanner.active(values=False) if active else scanner.passive()
+        access.bar.clear()
+        if json:
+            print_json(scan.as_json())
+        else:
+            print(scan_table(scan))
+            for note in scan_notes(scan):
+                message(note)
+        differs = any(entry.verdict != "ok" for entry in scan.entries)
+        return INPUT if differs or scan.duplicates else DONE
+
+    return with_bus(file, bus, store, library, work)

@@ -1,0 +1,36 @@
+"""``thorvaldc can verify``: identities, values, periods and load of a bus."""
+
+from __future__ import annotations
+
+from thorvaldc.cli.bus_access import BusAccess, with_bus
+from thorvaldc.cli.diagnostic_output import count, message, print_json
+from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.commissioning.commissioning_text import verification_table
+from thorvaldc.commissioning.verify import verify as verify_bus
+
+
+def verify(
+    file: RobotFile,
+    bus: BusInterface,
+    store: Store = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    def work(access: BusAccess) -> int:
+        verification = verify_bus(
+            access.master, access.configuration, access.bus, access.show_progress
+        )
+        access.bar.clear()
+        if json:
+            print_json(verification.as_json())
+        else:
+            print(verification_table(verification))
+            if verification.not_seen:
+                names = ", ".join(verification.not_seen)
+                message(f"not seen: {names}; drives send them only after their start")
+            differences = sum(not check.passed for check in verification.checks)
+            print(f"{access.configuration.robot}: {count(differences, 'difference')}")
+        return DONE if verification.passed else INPUT
+
+    return with_bus(file, bus, store, library, work)

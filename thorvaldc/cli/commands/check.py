@@ -1,0 +1,37 @@
+"""``thorvaldc check``: every error in robot and fleet files."""
+
+from __future__ import annotations
+
+import sys
+
+from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
+from thorvaldc.cli.options import Format, Library, ModelFiles, Strict, library_folders
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Fleet, Robot
+
+
+def check(
+    files: ModelFiles,
+    format: Format = "text",
+    strict: Strict = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    check_format(format)
+    folders = library_folders(library)
+    output = DiagnosticOutput(format, sys.stdout)
+    for file in files:
+        compilation = compile_file(file, library=folders)
+        output.add(compilation.report, compilation.sources)
+        if compilation.model is not None:
+            output.result(f"{file}: {compilation.model.name}, {_summary(compilation.model)}")
+    return output.finish(strict)
+
+
+def _summary(model: Robot | Fleet) -> str:
+    """Returns ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
+    if isinstance(model, Fleet):
+        return count(len(model.placements), "robot")
+    driven = sum(wheel.driven for wheel in model.wheels)
+    steered = sum(wheel.steered for wheel in model.wheels)
+    wheels = count(len(model.wheels), "wheel")
+    return f"{wheels} ({driven} driven, {steered} steered), {model.inertial.mass:.1f} kg"

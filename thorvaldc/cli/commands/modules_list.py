@@ -1,0 +1,27 @@
+"""``thorvaldc modules list``: the module types of the library."""
+
+from __future__ import annotations
+
+from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
+from thorvaldc.cli.options import Json, Library, library_folders
+from thorvaldc.compiler.library import Library as ModuleLibrary
+from thorvaldc.compiler.module_text import first_sentence, module_summary
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report, Span
+
+
+def list_modules(json: Json = False, library: Library = []) -> int:  # noqa: B006
+    folders = library_folders(library)
+    module_library = ModuleLibrary([(folder, str(folder)) for folder in folders])
+    report = Report()
+    loaded = [
+        module_library.load(name, Node(name, Span("command line")), report)
+        for name in module_library.names()
+    ]
+    modules = [module for module in loaded if module is not None]
+    status = show_report(report, module_library.files)
+    if json:
+        print_json([module_summary(module) for module in modules])
+    else:
+        print_table((module.name, first_sentence(module)) for module in modules)
+    return status

@@ -1,0 +1,44 @@
+"""``thorvaldc modules show``: one module type."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
+from thorvaldc.cli.options import Json, Library, library_folders
+from thorvaldc.compiler.library import Library as ModuleLibrary
+from thorvaldc.compiler.module_text import module_facts, parameter_rows
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.suggest import nearest
+
+
+def show_module(
+    type: Annotated[str, typer.Argument(metavar="TYPE", help="For instance drive/standard.")],
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    folders = library_folders(library)
+    module_library = ModuleLibrary([(folder, str(folder)) for folder in folders])
+    names = module_library.names()
+    if type not in names:
+        near = nearest(type, names)
+        hint = f"; did you mean {near!r}?" if near else ""
+        raise typer.BadParameter(f"there is no module type {type!r}{hint}", param_hint="TYPE")
+    report = Report()
+    module = module_library.load(type, Node(type, Span("command line")), report)
+    status = show_report(report, module_library.files)
+    if module is None:
+        return status
+    if json:
+        print_json({"type": type} | module.document.plain())
+        return status
+    print(type)
+    print_table(module_facts(module))
+    rows = [(f"  {name}", text) for name, text in parameter_rows(module)]
+    if rows:
+        print("\nparams:")
+        print_table(rows)
+    return status

@@ -1,0 +1,37 @@
+"""``thorvaldc new``: a folder with a robot.yaml to start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.exits import DONE
+from thorvaldc.compiler.new_robot import is_robot_name, presets, robot_text
+
+
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the robot and its folder.")],
+    preset: Annotated[
+        str, typer.Option("--preset", metavar="PRESET", help="4wd4ws, 2wd0ws or 1wd1ws.")
+    ] = "4wd4ws",
+) -> int:
+    if not is_robot_name(name):
+        raise typer.BadParameter(
+            f"{name!r} is no name for a robot: small letters, digits and _, a letter first",
+            param_hint="NAME",
+        )
+    if preset not in presets():
+        raise typer.BadParameter(
+            f"there is no preset {preset!r}; there are {', '.join(presets())}",
+            param_hint="'--preset'",
+        )
+    file = Path(name) / "robot.yaml"
+    if file.exists():
+        raise typer.BadParameter(f"{file} exists already", param_hint="NAME")
+    file.parent.mkdir(exist_ok=True)
+    with file.open("x", encoding="utf-8") as stream:
+        stream.write(robot_text(name, preset))
+    print(f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}")
+    return DONE

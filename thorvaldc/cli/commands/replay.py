@@ -1,0 +1,37 @@
+"""``thorvaldc replay``: a recorded run as table, plot or film, or as another record."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.compiling import compile_and_show
+from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.options import Json, Library, Plot, ScenarioRobot, Video
+from thorvaldc.cli.replays import replay_run
+from thorvaldc.cli.run_pictures import RunPictures
+
+
+def replay(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="The robot.yaml, fleet.yaml or scenario that ran.")
+    ],
+    source: Annotated[
+        str, typer.Argument(metavar="RECORD", help="A record of `sim --record` or `scenario`.")
+    ],
+    robot: ScenarioRobot = "",
+    record: Annotated[
+        str,
+        typer.Option("--record", metavar="OUT", help="Convert the record: OUT.mcap, or CSV files."),
+    ] = "",
+    plot: Plot = "",
+    video: Video = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    pictures = RunPictures(plot, video)
+    compilation = compile_and_show(file, library, robot or None)
+    if compilation.model is None:
+        return INPUT
+    return replay_run(compilation, compilation.model, source, pictures, record, json)

@@ -1,0 +1,194 @@
+"""``thorvaldc run``: the base driver on a robot's buses."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Annotated
+
+import typer
+
+from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.open_interface import open_interfaces
+from thorvaldc.cli.diagnostic_output import message, print_json
+from thorvaldc.cli.exits import INPUT, OutsideError
+from thorvaldc.cli.hardware_warning import is_hardware, warn_once
+from thorvaldc.cli.installation import check_full_installation
+from thorvaldc.cli.options import (
+    InjectedFaults,
+    Json,
+    Library,
+    Parameters,
+    Physics,
+    RobotFile,
+    Seed,
+    check_physics,
+    parse_duration,
+    parse_seed,
+    refuse_options,
+)
+from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.runtime.driver import DriverState
+from thorvaldc.runtime.run_session import RunSession
+from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.twist_text import parse_twist
+
+STATUS_PERIOD = 0.2  # s
+
+
+def run(
+    file: RobotFile,
+    bus: Annotated[
+        str,
+        typer.Option(
+            "--bus",
+            metavar="BUS",
+            help="virtual, sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of"
+            " python-can.",
+        ),
+    ],
+    duration: Annotated[
+        str,
+        typer.Option(
+            "--duration", metavar="TIME", help="Duration of the run once the robot is ready: 20 s."
+        ),
+    ] = "",
+    twist: Annotated[
+        str,
+        typer.Option("--twist", metavar="VX,VY,WZ", help="Twist to drive, in m/s, m/s and rad/s."),
+    ] = "",
+    parameters: Parameters = "",
+    physics: Physics = "ideal",
+    faults: InjectedFaults = "",
+    seed: Seed = "",
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Simulate a virtual robot faster than real time.")
+    ] = False,
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name",
+            metavar="NAME",
+            help="Name of the control channel, for `teleop --to` and `call`.",
+            show_default="the robot's; none with --twist or --duration",
+        ),
+    ] = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    seconds = parse_duration(duration, "--duration") if duration else math.inf
+    check_physics(physics)
+    virtual = bus == "virtual"
+    if not virtual:
+        options = {"--faults": faults, "--seed": seed, "--fast": fast}
+        options["--physics"] = physics != "ideal"
+        refuse_options(options, "is for a simulated robot, --bus virtual")
+    if fast and not duration:
+        raise typer.BadParameter("needs a --duration", param_hint="'--fast'")
+    if fast:
+        refuse_options({"--name": name}, "a run with --fast has no control channel")
+    loaded = load_robot(file, library)
+    if loaded is None:
+        return INPUT
+    report = Report()
+    try:
+        commanded_twist = parse_twist(twist) if twist else None
+        interfaces = (
+            _virtual_interfaces(loaded.robot, file, physics, faults, parse_seed(seed), report)
+            if virtual
+            else open_interfaces(bus, loaded.robot)
+        )
+        session = RunSession(
+            loaded.robot,
+            interfaces,
+            parameters=parameters or None,
+            twist=commanded_twist,
+            duration=seconds,
+            # A run without a twist is for others to drive.
+            channel=name or ("" if twist or duration else loaded.robot.name),
+            threaded=not virtual,
+            paced=virtual and not fast,
+        )
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
+        return loaded.show(report)
+    except OSError as error:  # the control channel is in use
+        raise OutsideError(f"{error}; --name selects another name") from None
+    if report.has_errors:
+        return loaded.show(report)
+    if is_hardware(bus):
+        warn_once()
+    loaded.show(report)
+    with _StatusView(session) as view:
+        diagnostic = session.run(None if json else view.watch)
+    if json:
+        print_json(session.summary())
+    else:
+        print(session.status_line())
+    final_report = Report()
+    if diagnostic is not None:
+        final_report.put(diagnostic)
+    return loaded.show(final_report)
+
+
+def _virtual_interfaces(
+    robot: Robot, file: str, physics: str, faults: str, seed: int | None, report: Report
+) -> Mapping[str, CanInterface]:
+    check_full_installation("`--bus virtual`")
+    from thorvaldc.cli.virtual_robot import start_virtual_robot
+
+    simulated = start_virtual_robot(robot, file, physics, faults, seed, report)
+    return {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}
+
+
+class _StatusView:
+    """Prints changes of state, and on a terminal a status line that is overwritten."""
+
+    def __init__(self, session: RunSession) -> None:
+        self._session = session
+        self._last_time = -math.inf
+        self._line_shown = False
+
+    def __enter__(self) -> _StatusView:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._erase_line()
+
+    def watch(self, runner: BaseRunner, state: DriverState) -> None:
+        session = self._session
+        if runner.changes:
+            self._erase_line()
+            for change in runner.changes:
+                reason = f": {change.reason}" if change.reason else ""
+                elapsed = change.time - session.start_time
+                message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
+            runner.changes.clear()
+        now = time.monotonic()
+        if sys.stderr.isatty() and now - self._last_time >= STATUS_PERIOD:
+            self._last_time = now
+            self._show_line(f"{session.elapsed:8.1f} s  {session.status_line()}")
+
+    def _show_line(self, text: str) -> None:
+        width = max(os.get_terminal_size(sys.stderr.fileno()).columns - 1, 20)
+        sys.stderr.write("\r" + text[:width] + "\x1b[K")
+        sys.stderr.flush()
+        self._line_shown = True
+
+    def _erase_line(self) -> None:
+        if self._line_shown:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+            self._line_shown = False

@@ -1,0 +1,77 @@
+"""``thorvaldc scenario``: runs a scenario and checks its expectations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.compiling import compile_and_show
+from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.options import (
+    JointLog,
+    Json,
+    JUnit,
+    Library,
+    Parameters,
+    Plot,
+    Record,
+    ScenarioFile,
+    ScenarioRobot,
+    Video,
+)
+from thorvaldc.cli.run_pictures import RunPictures
+from thorvaldc.cli.scenario_runs import plan_runs, run_scenario, single_run
+from thorvaldc.compiler.scenario.variations import Change
+
+
+def scenario(
+    file: ScenarioFile,
+    robot: ScenarioRobot = "",
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUE",
+            help="Replace a value of the scenario: world.friction=0.3; may be repeated.",
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    parameters: Parameters = "",
+    junit: JUnit = "",
+    record: Record = "",
+    log: JointLog = "",
+    plot: Plot = "",
+    video: Video = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    changes: Sequence[Change] = ()
+    if settings:
+        variations = plan_runs(file, settings, "", "", own=False)
+        if variations is None:
+            return INPUT
+        only_changes = single_run(variations)
+        if only_changes is None:
+            raise typer.BadParameter(
+                f"these are {variations.size} runs; `thorvaldc batch` runs them",
+                param_hint="'--set'",
+            )
+        changes = only_changes
+    pictures = RunPictures(plot, video)
+    compilation = compile_and_show(file, library, robot or None, changes)
+    if compilation.model is None:
+        return INPUT
+    if compilation.scenario is None:
+        raise typer.BadParameter(f"{file} is no scenario", param_hint="SCENARIO")
+    return run_scenario(
+        compilation,
+        compilation.scenario,
+        pictures,
+        parameters=parameters,
+        record=record,
+        junit=junit,
+        log=log,
+        json=json,
+    )

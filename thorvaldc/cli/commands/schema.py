@@ -1,0 +1,26 @@
+"""``thorvaldc schema``: the JSON Schemas of the documents."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.exits import DONE
+from thorvaldc.model.json_schema import model_schema_text
+from thorvaldc.schema.documents import KINDS, schema_text
+
+MODEL = "model"
+
+
+def schema(
+    kind: Annotated[
+        str,
+        typer.Argument(metavar="KIND", help=f"{', '.join(KINDS)}; model: model.json."),
+    ],
+) -> int:
+    if kind not in (*KINDS, MODEL):
+        kinds = ", ".join((*KINDS, MODEL))
+        raise typer.BadParameter(f"{kind!r} is none of {kinds}", param_hint="KIND")
+    print(model_schema_text() if kind == MODEL else schema_text(kind), end="")
+    return DONE

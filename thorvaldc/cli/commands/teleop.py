@@ -1,0 +1,249 @@
+"""``thorvaldc teleop``: a person drives a robot."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
+
+import typer
+
+from thorvaldc.can.open_interface import open_interfaces
+from thorvaldc.cli.diagnostic_output import report_of
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.hardware_warning import is_hardware, warn_once
+from thorvaldc.cli.installation import check_full_installation
+from thorvaldc.cli.options import Library
+from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.runtime.control.control_client import ControlClient
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.run_session import RunSession
+from thorvaldc.tools.teleoperation.bus_vehicle import BusVehicle
+from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
+from thorvaldc.tools.teleoperation.joystick import Joystick, OperatorPair, Search, evdev_search
+from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
+from thorvaldc.tools.teleoperation.keyboard import Keyboard
+from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE, Limits, Operator
+from thorvaldc.tools.teleoperation.teleop_loop import operate
+from thorvaldc.tools.teleoperation.terminal import Terminal
+from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle, SimulatedVehicle, Vehicle
+
+
+def teleop(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE", help="A robot.yaml, or the model.json of a build.", show_default=False
+        ),
+    ] = "",
+    on: Annotated[
+        str,
+        typer.Option(
+            "--on",
+            metavar="BASE",
+            help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as for"
+            " `run --bus`.",
+        ),
+    ] = "sim",
+    to: Annotated[
+        str,
+        typer.Option("--to", metavar="NAME", help="Drive the running driver of this name."),
+    ] = "",
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name",
+            metavar="NAME",
+            help="Name of this driver's control channel.",
+            show_default="the robot's",
+        ),
+    ] = "",
+    source: Annotated[
+        str,
+        typer.Option("--source", metavar="SOURCE", help="Twist source of this operator."),
+    ] = "teleop_joy",
+    speed: Annotated[
+        str,
+        typer.Option("--speed", metavar="PERCENT", help="Initial share of the top speed."),
+    ] = "50%",
+    joystick: Annotated[
+        str,
+        typer.Option(
+            "--joystick", metavar="DEVICE", help="auto, or a path such as /dev/input/event5."
+        ),
+    ] = "",
+    map: Annotated[
+        str,
+        typer.Option(
+            "--map", metavar="ENTRIES", help="Axes and buttons of the joystick: enable=BTN_TL,..."
+        ),
+    ] = "",
+    library: Library = [],  # noqa: B006
+) -> int:
+    if bool(file) == bool(to):
+        raise typer.BadParameter("name a robot's FILE, or a running driver with --to NAME")
+    share = _parse_share(speed)
+    if map and not joystick:
+        raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
+    search = _joystick_search(joystick, map) if joystick else None
+    if search is None and not sys.stdin.isatty():
+        raise OutsideError("the keyboard needs a terminal, and standard input is none")
+    gc.enable()
+    with _end_signals() as end_requested:
+        vehicle = _connect(to) if to else _start_driver(file, on, name, library)
+        if vehicle is None:
+            return INPUT
+        try:
+            _check_source(source, vehicle.description)
+            _drive(vehicle, source, share, search, end_requested)
+        except ConnectionError as error:
+            raise OutsideError(str(error)) from None
+        finally:
+            vehicle.close()
+    return DONE
+
+
+def _connect(name: str) -> Vehicle:
+    return RemoteVehicle(ControlClient(name))
+
+
+def _start_driver(file: str, on: str, name: str, library: list[str]) -> Vehicle | None:
+    """Starts a driver in this process; ``None`` after errors of the file were printed."""
+    loaded = load_robot(file, library)
+    if loaded is None:
+        return None
+    robot = loaded.robot
+    channel = name or robot.name
+    try:
+        if on in ("sim", "ideal"):
+            return _simulated_vehicle(robot, file, on, channel)
+        return _bus_vehicle(robot, file, on, channel)
+    except DiagnosticError as error:
+        raise typer.Exit(loaded.show(report_of(error))) from None
+    except OSError as error:  # the control channel is in use
+        raise OutsideError(f"{error}; --name selects another name") from None
+
+
+def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
+    check_full_installation(f"`--on {on}`")
+    from thorvaldc.cli.virtual_robot import make_mujoco_base
+    from thorvaldc.simulation.physics.sim_base import SimBase
+
+    base = make_mujoco_base(robot, file, Report()) if on == "sim" else SimBase(robot)
+    return SimulatedVehicle(BaseDriver(robot, base), channel)
+
+
+def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
+    if on not in ("virtual", "udp") and ":" not in on:
+        raise typer.BadParameter(
+            f"{on!r} is none of sim, ideal, virtual, sim:NAME, slcan:PORT, socketcan:can0, udp",
+            param_hint="'--on'",
+        )
+    if on == "virtual":
+        check_full_installation("`--on virtual`")
+        from thorvaldc.cli.virtual_robot import start_virtual_robot
+
+        simulated = start_virtual_robot(robot, file, "ideal", "", None, Report())
+        interfaces = {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}
+        session = RunSession(robot, interfaces, channel=channel, threaded=False, paced=True)
+    else:
+        session = RunSession(robot, open_interfaces(on, robot), channel=channel)
+    if is_hardware(on):
+        warn_once()
+    return BusVehicle(session.runner, session.control)
+
+
+def _drive(
+    vehicle: Vehicle,
+    source: str,
+    share: float,
+    search: Search | None,
+    end_requested: Callable[[], bool],
+) -> None:
+    description = vehicle.description
+    limits = Limits.of(description)
+    keys = sys.stdin if sys.stdin.isatty() else None
+    print(f"{description['robot']}, as {source}")
+    help_texts = [KEYBOARD_HELP] * (keys is not None) + [JOYSTICK_HELP] * (search is not None)
+    print(*help_texts, "", sep="\n", flush=True)
+    # A pause of the garbage collector is a pause of the robot: the collector does not look at the
+    # objects that exist now.
+    gc.collect()
+    gc.freeze()
+    with Terminal(keys, sys.stdout) as terminal:
+        operator: Operator = Keyboard(limits, terminal.read, share, description["parameter_sets"])
+        if search is not None:
+            operator = OperatorPair(operator, Joystick(limits, search, share))
+        try:
+            operate(vehicle, operator, source, terminal.show, end_requested)
+        finally:
+            operator.close()
+
+
+def _joystick_search(joystick: str, mapping: str) -> Search:
+    """Returns the search for the joystick, after it was found once."""
+    try:
+        search = evdev_search("" if joystick == "auto" else joystick, mapping)
+    except ImportError:
+        raise OutsideError(
+            "a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'"
+        ) from None
+    except ParameterError as error:
+        raise typer.BadParameter(str(error), param_hint="'--map'") from None
+    device_and_layout = search()
+    if device_and_layout is None:
+        where = "under /dev/input" if joystick == "auto" else f"at {joystick}"
+        raise OutsideError(
+            f"no joystick is found {where}; is it plugged in, and may you read it (group `input`)?"
+        )
+    device_and_layout[0].close()
+    return search
+
+
+def _check_source(source: str, description: dict[str, Any]) -> None:
+    sources = description["sources"]
+    if source not in sources:
+        raise typer.BadParameter(
+            f"the robot has no source {source!r}; it has {', '.join(sources)}",
+            param_hint="'--source'",
+        )
+
+
+def _parse_share(text: str) -> float:
+    try:
+        share = float(text.rstrip("% ")) / 100
+    except ValueError:
+        share = 0.0
+    if not SMALLEST_SHARE <= share <= 1.0:
+        raise typer.BadParameter(
+            f"{text!r} is not between {SMALLEST_SHARE * 100:.0f} and 100 % of the top speed",
+            param_hint="'--speed'",
+        )
+    return share
+
+
+@contextlib.contextmanager
+def _end_signals() -> Iterator[Callable[[], bool]]:
+    """Yields a function that reports a received signal; a second Ctrl-C interrupts at once."""
+    received: list[int] = []
+    previous_handlers = {}
+
+    def handle(number: int, frame: object) -> None:
+        if received and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        received.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        previous_handlers[number] = signal.signal(number, handle)
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in previous_handlers.items():
+            signal.signal(number, handler)

@@ -1,0 +1,72 @@
+"""``thorvaldc view``: a robot in MuJoCo's viewer, or as a web page."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.compiling import compile_and_show
+from thorvaldc.cli.diagnostic_output import show_report
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import Library, ModelFile
+from thorvaldc.cli.run_pictures import check_output
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+
+
+def view(
+    file: ModelFile,
+    html: Annotated[
+        bool, typer.Option("--html", help="Write a web page even if there is a display.")
+    ] = False,
+    output: Annotated[
+        str,
+        typer.Option("--output", "-o", metavar="OUT.html", show_default="<name>.html"),
+    ] = "",
+    library: Library = [],  # noqa: B006
+) -> int:
+    if output:
+        check_output(output, ["html", "htm"], "--output")
+    compilation = compile_and_show(file, library)
+    model = compilation.model
+    if model is None:
+        return INPUT
+    if html or output or not has_display():
+        # numpy is loaded only for the page.
+        from thorvaldc.simulation.pictures.view_page import view_page
+
+        path = output or f"{model.name}.html"
+        check_output(path, ["html", "htm"], "--output")
+        Path(path).write_text(view_page(model), encoding="utf-8", newline="\n")
+        print(path)
+        return DONE
+    report = Report()
+    try:
+        _open_viewer(emit(model, ["mjcf"], report))
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
+    return show_report(compilation.located(report), compilation.sources)
+
+
+def has_display() -> bool:
+    """Whether this process can probably open a window."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _open_viewer(files: dict[str, bytes]) -> None:
+    scene = MujocoScene(files, visuals=True)
+    import mujoco.viewer
+
+    try:
+        mujoco.viewer.launch(scene.model, scene.data)  # returns when the window is closed
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        raise OutsideError(f"MuJoCo's viewer does not open: {reason}; try --html") from None

@@ -1,0 +1,135 @@
+"""Prints diagnostics and results: coloured on a terminal, plain elsewhere, or machine-readable."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+import typer
+
+from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.render import render, render_text
+from thorvaldc.model.finite_json import finite
+
+FORMATS = ("text", "json", "github", "sarif")
+
+
+def check_format(name: str) -> None:
+    """Raises ``typer.BadParameter`` for an unknown format."""
+    if name not in FORMATS:
+        raise typer.BadParameter(
+            f"{name!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
+        )
+
+
+class DiagnosticOutput:
+    """Collects the reports of a command's files and prints them in the requested format.
+
+    As text, each report goes to ``stream`` immediately, and result lines go to stdout.  In the
+    machine formats, all diagnostics go to stdout as one document at the end.
+    """
+
+    def __init__(self, format: str, stream: TextIO) -> None:
+        self.format = format
+        self.stream = stream
+        self._all = Report()
+        self._sources: dict[str, Path] = {}
+        self._file_count = 0
+
+    def add(self, report: Report, sources: Mapping[str, Path]) -> None:
+        self._file_count += 1
+        self._all.extend(report)
+        self._sources.update(sources)
+        if self.format == "text" and len(report) > 0:
+            text = render_text(
+                report, sources, color=has_color(self.stream), width=width_of(self.stream)
+            )
+            # render_text ends with a blank line for the count, which `finish` does not print
+            # for diagnostics from outside.
+            outside = all(diagnostic.code.outside for diagnostic in report)
+            print(text.rstrip("\n") if outside else text, file=self.stream)
+
+    def result(self, line: str) -> None:
+        """Prints a result line; machine formats leave it out."""
+        if self.format == "text":
+            print(line)
+
+    def finish(self, strict: bool = False, builds: list[dict[str, Any]] | None = None) -> int:
+        """Prints the counts or the machine-readable document; returns the exit status."""
+        errors, warnings = len(self._all.errors), len(self._all.warnings)
+        outside = [diagnostic for diagnostic in self._all.errors if diagnostic.code.outside]
+        if self.format == "text" and len(outside) < len(self._all):
+            counts = [count(errors, "error")] * (errors > 0)
+            counts += [count(warnings, "warning")] * (warnings > 0)
+            if counts:
+                files = count(self._file_count, "file")
+                print(f"{' and '.join(counts)} in {files}", file=self.stream)
+        elif self.format != "text":
+            text = render(self._all, self.format, self._sources, builds=builds)
+            if text:
+                print(text)
+        if errors and len(outside) == errors:
+            return OUTSIDE
+        return INPUT if errors or (strict and warnings) else DONE
+
+
+def show_report(report: Report, sources: Mapping[str, Path]) -> int:
+    """Prints a report on stderr; returns the exit status."""
+    output = DiagnosticOutput("text", sys.stderr)
+    output.add(report, sources)
+    return output.finish()
+
+
+def report_of(error: DiagnosticError) -> Report:
+    """Returns a report with the diagnostic of the exception."""
+    report = Report()
+    report.put(error.diagnostic)
+    return report
+
+
+def has_color(stream: TextIO) -> bool:
+    """Whether the terminal shows colours and the user permits them (no-color.org)."""
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()
+
+
+def width_of(stream: TextIO) -> int:
+    """Columns of the terminal; 100 for other streams."""
+    return shutil.get_terminal_size((100, 24)).columns if stream.isatty() else 100
+
+
+def message(text: str) -> None:
+    """Prints a line for the user on stderr; results go to stdout."""
+    print(text, file=sys.stderr)
+
+
+def print_json(value: Any, *, one_line: bool = False) -> None:
+    """Prints a result as JSON."""
+    indent = None if one_line else 1
+    print(json.dumps(finite(value), indent=indent, ensure_ascii=False), flush=one_line)
+
+
+def print_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Prints names and texts; wraps the texts to the terminal, aligned in the second column."""
+    rows = list(rows)
+    indent = max((len(name) for name, _ in rows), default=0) + 2
+    width = max(width_of(sys.stdout), indent + 30)
+    for name, text in rows:
+        lines = textwrap.wrap(text, width - indent, break_on_hyphens=False) or [""]
+        print(f"{name:<{indent}}{lines[0]}".rstrip())
+        for line in lines[1:]:
+            print(" " * indent + line)
+
+
+def count(number: int, noun: str) -> str:
+    """Returns ``1 error``, ``2 errors``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,66 @@
+"""Loads the robot of a command from a robot.yaml, or from the model.json of a build."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import report_of, show_report
+from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.installation import is_runtime_only
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.model.model_file import load_model
+
+
+class LoadedRobot(NamedTuple):
+    """A robot, its source files by name, and ``locate``, which adds spans to a report."""
+
+    robot: Robot
+    sources: Mapping[str, Path]
+    locate: Callable[[Report], Report]
+
+    def show(self, report: Report) -> int:
+        """Prints a report about this robot; returns the exit status."""
+        return show_report(self.locate(report), self.sources)
+
+
+def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
+    """Returns the robot; ``None`` after its errors were printed.
+
+    Raises ``typer.BadParameter`` for another kind of file, ``OutsideError`` for a robot.yaml
+    where the compiler is not installed.
+    """
+    if file.endswith(".json"):
+        return _load_model_file(Path(file))
+    if is_runtime_only():
+        raise OutsideError(
+            f"{file} needs the compiler, and this installation is the runtime alone: give the"
+            " model.json of a build, or `pip install thorvaldc`"
+        )
+    # The runtime alone has no compiler.
+    from thorvaldc.cli.compiling import compile_and_show
+
+    compilation = compile_and_show(file, library)
+    if compilation.model is None:
+        return None
+    if not isinstance(compilation.model, Robot):
+        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
+    return LoadedRobot(compilation.model, compilation.sources, compilation.located)
+
+
+def _load_model_file(path: Path) -> LoadedRobot | None:
+    if path.name != "model.json":
+        raise typer.BadParameter(f"{path} is no build's model.json", param_hint="FILE")
+    try:
+        model = load_model(path.parent)
+    except DiagnosticError as error:
+        show_report(report_of(error), {})
+        return None
+    if not isinstance(model, Robot):
+        raise typer.BadParameter(f"{path} is no robot", param_hint="FILE")
+    return LoadedRobot(model, {}, lambda report: report)

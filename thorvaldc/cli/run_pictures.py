@@ -1,0 +1,121 @@
+"""The plot and the film of a run: checked before the run, drawn after it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.progress import Progress
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
+from thorvaldc.simulation.pictures import PictureError, check_pillow
+from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
+from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
+from thorvaldc.simulation.pictures.plot import check_plotting, plot
+from thorvaldc.simulation.pictures.video import FORMATS as VIDEO_FORMATS
+from thorvaldc.simulation.pictures.video import RATES, VideoRecorder, encoder
+from thorvaldc.tools.replay import Replay
+
+
+@contextmanager
+def picture_errors() -> Iterator[None]:
+    """Converts a missing package or display for pictures to ``OutsideError``."""
+    try:
+        yield
+    except PictureError as error:
+        raise OutsideError(str(error)) from None
+
+
+def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
+    """Checks before a long run that a file of one of these kinds can be written.
+
+    Raises ``typer.BadParameter`` for another suffix, ``OutsideError`` for a folder that does not
+    exist or cannot be written.
+    """
+    target = Path(path)
+    if target.suffix.lower().lstrip(".") not in suffixes:
+        known = " or ".join(f".{suffix}" for suffix in suffixes)
+        raise typer.BadParameter(f"{path!r} does not end in {known}", param_hint=f"'{option}'")
+    if target.is_dir():
+        raise OutsideError(f"cannot write {path}: it is a folder")
+    try:
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+class RunPictures:
+    """The plot and the film of a run; an empty path requests none.
+
+    Make it before the run and before MuJoCo is imported, which is then told how to draw.  Pass
+    ``watch`` to the run and call ``write`` after it.
+    """
+
+    def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:
+        self.plot = plot
+        self.video = video
+        self._samples: dict[str, list[Sample]] = {}
+        self._film: VideoRecorder | None = None
+        if plot:
+            check_output(plot, PLOT_FORMATS, "--plot")
+            with picture_errors():
+                check_plotting()
+        if video:
+            self._film = _prepare_film(video, ideal)
+
+    def watch(self, loop: ControlLoop) -> None:
+        """Keeps the present sample and scene."""
+        if self.plot:
+            self._samples.setdefault(loop.name, []).append(loop.sample())
+        if self._film is not None and loop.scene is not None:
+            self._film.on_tick(loop.scene)
+
+    def take_record(self, samples: Mapping[str, Sequence[Sample]], replay: Replay | None) -> None:
+        """Takes recorded samples instead of a run; ``replay`` moves the robots for the film."""
+        self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
+        if self._film is not None and replay is not None:
+            for _ in replay.times(self._film.rate):
+                self._film.store(replay.scene)
+
+    def write(
+        self,
+        model: Robot | Fleet,
+        robots: Sequence[tuple[str, Robot]],
+        files: Mapping[str, bytes] | None,
+    ) -> None:
+        """Draws the pictures.  ``files`` is the MJCF of the model."""
+        with picture_errors():
+            if self.plot:
+                plot(dict(robots), self._samples, self.plot, model.name)
+                message(self.plot)
+            if self._film is not None and files is not None:
+                progress = Progress(len(self._film), "pictures", self.video)
+                try:
+                    self._film.write(files, Path(self.video), progress=progress.show)
+                finally:
+                    progress.clear()
+                message(self.video)
+
+
+def _prepare_film(video: str, ideal: bool) -> VideoRecorder:
+    check_output(video, VIDEO_FORMATS, "--video")
+    if ideal:
+        raise typer.BadParameter(
+            "a run with ideal joints has no scene to film; leave out --ideal",
+            param_hint="'--video'",
+        )
+    suffix = Path(video).suffix.lower().lstrip(".")
+    with picture_errors():
+        if suffix == "gif":
+            check_pillow()
+        else:
+            encoder()
+        choose_opengl_backend()
+    return VideoRecorder(RATES[suffix])

@@ -1,0 +1,115 @@
+"""The files that a run writes while it runs: records and joint logs, opened before the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import typer
+
+from thorvaldc.cli.exits import OutsideError, closing_when_terminated
+from thorvaldc.compiler.source.ros_bag import MissingPackageError
+from thorvaldc.model import Robot
+from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
+from thorvaldc.simulation.records.csv_record import CsvRecorder
+from thorvaldc.simulation.records.joint_csv import JointLogWriter
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
+from thorvaldc.simulation.records.recorder import Recorder, errors_with_name
+
+Robots = Sequence[tuple[str, Robot]]
+_UNSUPPORTED_SUFFIXES = (".bag", ".db3", ".json", ".parquet", ".txt")
+
+
+def open_recorders(
+    record: str, robots: Robots, groups: Sequence[str], every: float, stack: ExitStack
+) -> Sequence[Recorder]:
+    """Opens the recorder for ``--record``; returns none for an empty path.
+
+    ``*.mcap`` is one file for all robots, ``*.csv`` the file of one robot, any other path a folder
+    of CSV files.  ``every`` (s) is the recording period.  ``stack`` closes the recorder.
+    """
+    if not record:
+        return ()
+    path = Path(record)
+    _check_path(path, record, len(robots))
+    with write_errors(record):
+        recorder: Recorder
+        if path.suffix.lower() == ".mcap":
+            recorder = McapRecorder(path, robots, groups, every)
+        else:
+            recorder = CsvRecorder(path, robots, groups, every)
+    stack.enter_context(closing_when_terminated())
+    stack.callback(recorder.close)
+    return (recorder,)
+
+
+def _check_path(path: Path, record: str, robot_count: int) -> None:
+    suffix = path.suffix.lower()
+    if suffix == ".csv" and robot_count > 1:
+        raise typer.BadParameter(
+            f"{robot_count} robots do not go into one CSV file; name a .mcap file, or a folder for"
+            " CSV files",
+            param_hint="'--record'",
+        )
+    if suffix in _UNSUPPORTED_SUFFIXES:
+        kinds = "a .mcap file" if robot_count > 1 else "a .mcap or .csv file"
+        raise typer.BadParameter(
+            f"no record is a {suffix} file; name {kinds}, or a folder for CSV files",
+            param_hint="'--record'",
+        )
+    if suffix not in (".mcap", ".csv") and path.is_file():
+        raise OutsideError(f"cannot write {record}: it is a file; name a folder, or a .mcap file")
+
+
+def record_summary(record: str, robots: Robots) -> str:
+    """Returns the names of the files of a record."""
+    if Path(record).suffix.lower() in (".mcap", ".csv"):
+        return record
+    return f"{record}: {', '.join(f'{name}.csv' for name, _ in robots)}"
+
+
+def open_joint_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
+    """Opens the joint logs: one robot writes the file ``log``, several write into a folder."""
+    folder = Path(log)
+    has_fleet = len(robots) > 1
+    writers, paths = {}, {}
+    with write_errors(log):
+        if has_fleet:
+            folder.mkdir(parents=True, exist_ok=True)
+        for name, robot in robots:
+            path = folder / f"{name}.csv" if has_fleet else folder
+            stream = path.open("w", encoding="utf-8", newline="\n")
+            stack.enter_context(
+                errors_with_name(path)
+            )  # for errors that appear when the file is closed
+            stack.enter_context(stream)
+            writers[name], paths[name] = JointLogWriter(robot, stream), path
+
+    def watch(loop: ControlLoop) -> None:
+        with errors_with_name(paths[loop.name]):
+            writers[loop.name].on_tick(loop)
+
+    return watch
+
+
+def call_all(watches: Sequence[TickCallback]) -> TickCallback:
+    """Returns a watch that calls each of ``watches``."""
+
+    def watch(loop: ControlLoop) -> None:
+        for call in watches:
+            call(loop)
+
+    return watch
+
+
+@contextmanager
+def write_errors(path: str) -> Iterator[None]:
+    """Converts a file that cannot be written and a missing package to ``OutsideError``."""
+    try:
+        yield
+    except MissingPackageError as error:
+        raise OutsideError(str(error)) from None
+    except OSError as error:
+        name = error.filename or path
+        raise OutsideError(f"cannot write {name}: {error.strerror or error}") from None

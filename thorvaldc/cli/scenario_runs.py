@@ -1,0 +1,183 @@
+"""Runs of scenarios for the commands ``scenario``, ``batch`` and ``sim``."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import library_folders, parse_count
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.run_pictures import RunPictures, check_output
+from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders, record_summary
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.compiler.scenario.variations import Change, Variations
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.scenario import Scenario
+from thorvaldc.simulation.control_loop import TickCallback
+from thorvaldc.simulation.scenario_report import junit_report, scenario_text
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.tools.batch_results import SUFFIXES, ResultFile, results_table, runs_as_json
+from thorvaldc.tools.scenario_batch import Batch, Run, plan_variations, processors
+
+SHOWN_FAILURES = 10
+"""Number of failed runs whose diagnostics a batch prints."""
+
+
+def run_scenario(
+    compilation: Compilation,
+    scenario: Scenario,
+    pictures: RunPictures,
+    *,
+    parameters: str,
+    record: str,
+    junit: str,
+    log: str,
+    json: bool,
+) -> int:
+    """Runs a scenario and prints its result; ``record``, ``junit`` and ``log`` may be empty."""
+    if junit:
+        check_output(junit, ("xml",), "--junit")
+    gc.enable()
+    report = Report()
+    progress = Progress(scenario.duration)
+    robots = [(placement.name, placement.robot) for placement in scenario.fleet.placements]
+    with ExitStack() as stack:
+        recorders = open_recorders(record, robots, scenario.record, scenario.every, stack)
+        watches: list[TickCallback] = [progress.watch, pictures.watch]
+        if log:
+            watches.append(open_joint_logs(log, robots, stack))
+        stack.callback(progress.clear)
+        try:
+            files = emit(scenario.fleet, ["mjcf"], report)
+            simulation = ScenarioSimulation(scenario, files, parameters or None)
+            result = simulation.play(report, recorders, call_all(watches))
+        except DiagnosticError as error:
+            report.put(error.diagnostic)
+            return show_report(compilation.located(report), compilation.sources)
+    if junit:
+        errors = [d.message for d in report.errors if d.code.name != "expectation-failed"]
+        Path(junit).write_bytes(junit_report(result, errors))
+    if json:
+        print_json(result.as_json())
+    else:
+        print(scenario_text(result))
+    status = show_report(compilation.located(report), compilation.sources)
+    if record:
+        message(record_summary(record, robots))
+    pictures.write(scenario.fleet, robots, files)
+    return status
+
+
+def plan_runs(
+    scenario: str, settings: Sequence[str], draws: str, seed: str, *, own: bool
+) -> Variations | None:
+    """Returns the variations of ``--set``; with ``own`` those of the scenario as well.
+
+    Returns ``None`` after errors were printed.  Raises ``typer.BadParameter``.
+    """
+    for text in settings:
+        path, equals, _ = text.partition("=")
+        if not equals or not path.strip():
+            raise typer.BadParameter(f"{text!r} is not PATH=VALUES", param_hint="'--set'")
+    report = Report()
+    variations = plan_variations(
+        scenario,
+        settings,
+        parse_count(draws, "--draws", 1),
+        parse_count(seed, "--seed", 0),
+        own=own,
+        report=report,
+    )
+    if variations is None:
+        raise typer.BadParameter(f"{scenario} is no scenario", param_hint="'FILE'")
+    if report.has_errors:
+        show_report(report, {scenario: Path(scenario)})
+        return None
+    if not variations.varied and not (own and variations.draws > 1):
+        raise typer.BadParameter(
+            f"{scenario} has no `variations`; name values with --set", param_hint="'--variations'"
+        )
+    return variations
+
+
+def single_run(variations: Variations) -> tuple[Change, ...] | None:
+    """Returns the changes of the only run; ``None`` for several runs."""
+    return next(variations.all()) if variations.size == 1 else None
+
+
+def run_batch(
+    scenario: str,
+    variations: Variations,
+    robot: str | None,
+    library: Sequence[str],
+    *,
+    jobs: str,
+    output: str,
+    json: bool,
+) -> int:
+    """Runs all variations and prints the results; ``output`` is a CSV or JSON file, or empty.
+
+    After Ctrl-C, the results of the finished runs are printed and written.
+    """
+    gc.enable()
+    process_count = parse_count(jobs, "--jobs", 1) or processors()
+    path = Path(output)
+    if output and path.suffix.lower() not in SUFFIXES:
+        raise typer.BadParameter(f"{output!r} does not end in .csv or .json", param_hint="'-o'")
+    batch = Batch(scenario, variations, robot=robot, library=library_folders(library))
+    failed_compilation = batch.check()
+    if failed_compilation is not None:
+        return show_report(failed_compilation.report, failed_compilation.sources)
+    runs = _collect_runs(batch, process_count, path if output else None, json)
+    failed_runs = [run for run in runs if run.faults]
+    for run in failed_runs[:SHOWN_FAILURES]:
+        for text in run.faults:
+            message(f"run {run.number}: {text}")
+    hidden = len(failed_runs) - SHOWN_FAILURES
+    if hidden > 0:
+        message(f"and {hidden} more {'run' if hidden == 1 else 'runs'}")
+    return DONE if all(run.passed for run in runs) else INPUT
+
+
+def _collect_runs(batch: Batch, process_count: int, output: Path | None, json: bool) -> list[Run]:
+    """Returns the runs in order; prints and writes the finished ones also after an exception."""
+    runs: list[Run] = []
+    bar = Progress(len(batch), "runs")
+    with ExitStack() as stack:
+        result_file = stack.enter_context(_open_results(output)) if output is not None else None
+        try:
+            bar.show(0)
+            for run in batch.runs(process_count):
+                runs.append(run)
+                bar.show(len(runs))
+                if result_file is not None:
+                    result_file.append(run)
+        except OSError:
+            raise
+        except RuntimeError as error:  # a process of the batch was killed
+            raise OutsideError(str(error)) from None
+        finally:
+            bar.clear()
+            runs.sort(key=lambda run: run.number)
+            if json:
+                print(runs_as_json(runs))
+            elif runs:
+                print(results_table(runs))
+            if len(runs) < len(batch):
+                message(f"{len(runs)} of {len(batch)} runs are done")
+    return runs
+
+
+def _open_results(path: Path) -> ResultFile:
+    try:
+        return ResultFile(path)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None

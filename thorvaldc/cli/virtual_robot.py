@@ -1,0 +1,62 @@
+"""Simulated robots on virtual buses and in MuJoCo, in the process of a command.
+
+This module needs the compiler and the simulation, which the runtime alone does not have.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.options import parsed
+from thorvaldc.compiler.injected_fault_file import read_faults
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import BusFault
+from thorvaldc.runtime.base_interface import BaseHandle
+from thorvaldc.simulation.bus.device_memory import Memory, read_memory
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+
+
+def start_virtual_robot(
+    robot: Robot, file: str, physics: str, faults: str, seed: int | None, report: Report
+) -> SimulatedRobot:
+    """Simulates the robot with a device for each node of its buses and switches it on.
+
+    ``faults`` is a file with faults to inject, or empty.  Raises ``DiagnosticError``.
+    """
+    script = read_faults(faults, robot, report) if faults else None
+    if seed is None:
+        seed = script.seed if script is not None else 0
+    base = make_mujoco_base(robot, file, report) if physics == "mujoco" else None
+    simulated = SimulatedRobot(robot, seed=seed, base=base)
+    if script is not None:
+        FaultInjector(simulated, script, _show_injected_fault)
+    simulated.power_on()
+    return simulated
+
+
+def make_mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
+    """Loads the robot in MuJoCo, from its robot.yaml or from the build of its model.json."""
+    # The meshes of a build are files beside model.json.
+    files = Path(file).parent if file.endswith(".json") else emit(robot, ["mjcf"], report)
+    return MujocoBase(robot, MujocoScene(files))
+
+
+def read_store(store: str) -> Memory:
+    """Returns the memory of the devices from ``--store``.  Raises ``typer.BadParameter``."""
+    return parsed(store, lambda path: read_memory(Path(path)), "--store") if store else {}
+
+
+def describe_injected_fault(fault: BusFault, begins: bool) -> str:
+    """Returns ``power cut of fl_controller``, with `` ends`` at its end."""
+    kind = fault.kind.replace("_", " ")
+    node = f" of {fault.node}" if fault.node is not None else ""
+    return f"{kind}{node}{'' if begins else ' ends'}"
+
+
+def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
+    message(f"{time:8.2f} s  simulated: {describe_injected_fault(fault, begins)}")

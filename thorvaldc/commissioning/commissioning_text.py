@@ -1,0 +1,103 @@
+"""Scan results, plans and verifications as text tables and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from thorvaldc.can.lss import UNCONFIGURED
+from thorvaldc.commissioning.plan import Plan, step_to_json
+from thorvaldc.commissioning.scan_result import ScanEntry, ScanResult, identity_text
+from thorvaldc.commissioning.verify import Verification
+
+
+def scan_table(scan: ScanResult) -> str:
+    """Returns a row for each node: verdict, name, id in the robot file, id on the bus, device."""
+    header = ("verdict", "node", "id", "found", "device")
+    return text_table([header, *(_scan_row(entry) for entry in scan.entries)])
+
+
+def _scan_row(entry: ScanEntry) -> tuple[str, ...]:
+    device = entry.found
+    found_id, description = "", ""
+    if device is not None:
+        if device.id is not None:
+            found_id = "none" if device.id == UNCONFIGURED else str(device.id)
+        if device.identity is not None:
+            description = identity_text(device.identity)
+        if any(device.texts):
+            description += f" ({', '.join(text for text in device.texts if text)})"
+    details = "; ".join(part for part in (description, entry.detail) if part)
+    wanted_id = "" if entry.wanted_id is None else str(entry.wanted_id)
+    return (entry.verdict, entry.node or "-", wanted_id, found_id, details)
+
+
+def scan_notes(scan: ScanResult) -> list[str]:
+    """Returns what the user should know beside the table."""
+    notes = [
+        f"two devices may have the id {node_id}: {evidence}"
+        for node_id, evidence in scan.duplicates
+    ]
+    if scan.masters:
+        notes.append(f"another master is on the bus: {', '.join(scan.masters)}")
+    notes += [f"{name} may move: {reason}" for name, reason in scan.enabled]
+    if not scan.active:
+        notes.append("the scan only listened; --active sends a request to every node")
+    return notes
+
+
+def plan_table(plan: Plan) -> str:
+    """Returns the steps, problems, notes and hash of a plan."""
+    lines = []
+    if plan.steps:
+        rows = [("step", "how", "what")]
+        rows += [
+            (str(number), step.back_end, step.description)
+            for number, step in enumerate(plan.steps, 1)
+        ]
+        lines.append(text_table(rows))
+    lines += [f"problem: {problem}" for problem in (*plan.strangers, *plan.problems)]
+    lines += [f"note: {note}" for note in plan.notes]
+    if not plan.steps and not plan.problems and not plan.strangers:
+        lines.append("the bus matches the robot file")
+    lines.append(f"plan {plan.hash}")
+    return "\n".join(lines)
+
+
+def plan_as_json(plan: Plan) -> dict[str, Any]:
+    """Returns the plan as plain values."""
+    return {
+        "hash": plan.hash,
+        "robot": plan.configuration.robot,
+        "bus": plan.configuration.bus,
+        "steps": [{**step_to_json(step), "words": step.description} for step in plan.steps],
+        "strangers": list(plan.strangers),
+        "problems": list(plan.problems),
+        "notes": list(plan.notes),
+    }
+
+
+def verification_table(verification: Verification) -> str:
+    """Returns a row for each check: result, node, quantity, expected and measured value."""
+    rows = [("", "node", "what", "wanted", "found")]
+    rows += [
+        (
+            "ok" if check.passed else "DIFFERS",
+            check.node or "bus",
+            check.what,
+            check.wanted,
+            check.found,
+        )
+        for check in verification.checks
+    ]
+    return text_table(rows)
+
+
+def text_table(rows: Sequence[Sequence[str]]) -> str:
+    """Aligns the columns to the left."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    lines = (
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    )
+    return "\n".join(line.rstrip() for line in lines)

@@ -1,0 +1,234 @@
+"""A run of a robot on its buses from start to end: driver, loop, signals, verdict and summary.
+
+The command ``thorvaldc run`` uses it, and so can a Python program::
+
+    interfaces = open_interfaces("socketcan:can0", robot)
+    session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), duration=10.0)
+    diagnostic = session.run(lambda runner, state: print(runner.state))
+    print(session.summary())
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from thorvaldc.can.interface import CanInterface
+from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.robot import Robot
+from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.runner import BaseRunner, Watch
+from thorvaldc.runtime.se2 import Twist
+
+UNTESTED = (
+    "thorvaldc's driver was never tried on physical hardware. Lift the wheels off the ground first,"
+    " keep the emergency stop in reach, and do not rely on any stop in software."
+)
+"""A warning that a program shows before it drives hardware."""
+
+
+class RunSession:
+    """A robot, its runner and its control channel, from the start to the shutdown.
+
+    ``twist`` is commanded while no other source drives.  ``duration`` (s) counts from the moment
+    when the robot is ready.  ``channel`` is the name of the control channel; empty: none.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        interfaces: Mapping[str, CanInterface],
+        *,
+        parameters: str | None = None,
+        twist: Twist | None = None,
+        duration: float = math.inf,
+        channel: str = "",
+        threaded: bool = True,
+        paced: bool = False,
+    ) -> None:
+        """Takes the CAN interfaces of the robot's buses by name and closes them at the end.
+
+        ``threaded``: received frames are read in a thread per bus; ``False`` for a simulated
+        robot in this process.  ``paced``: the loop waits so that virtual time follows the clock.
+        Raises ``DiagnosticError``, and ``OSError`` if the control channel is in use; the
+        interfaces are closed then.
+        """
+        self.robot = robot
+        self.twist = twist
+        self.duration = duration
+        self.stop_requested = False
+        clock = interfaces[robot.buses[0].name]
+        try:
+            base = CanBase(robot, interfaces, threaded=threaded)
+            self.runner: BaseRunner = BaseRunner(robot, base, clock, parameters=parameters)
+            self.control = RunnerControl(self.runner, channel)
+        except (DiagnosticError, OSError):
+            for interface in interfaces.values():
+                interface.close()
+            raise
+        self.runner.feed = self._feed
+        self.start_time = clock.now
+        self.ready_time = math.nan
+        if paced:
+            offset = time.monotonic() - clock.now
+            self.runner.pace = lambda at: time.sleep(max(offset + at - time.monotonic(), 0.0))
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the start in s, of the first bus's clock."""
+        return self.runner.clock.now - self.start_time
+
+    def run(self, watch: Watch | None = None) -> Diagnostic | None:
+        """Runs until the duration is over, a fault ends the run, or SIGINT or SIGTERM arrives.
+
+        Brings the robot to rest and closes the interfaces.  Calls ``watch`` after each cycle.
+        Returns the diagnostic of the fault that ended the run, ``None`` for an orderly end.
+        """
+        # A pause of the garbage collector is a pause of the robot: the collector does not look at
+        # the objects that exist now.
+        gc.collect()
+        gc.freeze()
+        gc.enable()
+        with self._signals_handled():
+            try:
+                self.runner.run(watch=watch, stop=self._is_over)
+                diagnostic = self._verdict()
+                self.runner.shutdown()
+            except BaseException:
+                # Nothing is sent any more: the drives stop by their own time-outs.
+                self.runner.base.close()
+                raise
+            finally:
+                self.control.close()
+        return diagnostic
+
+    def request_stop(self) -> None:
+        """Ends the run after the present cycle; may be called from a signal handler."""
+        self.stop_requested = True
+
+    @contextmanager
+    def _signals_handled(self) -> Iterator[None]:
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        previous_handlers = {
+            number: signal.signal(number, lambda *_: self.request_stop())
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
+        try:
+            yield
+        finally:
+            for number, handler in previous_handlers.items():
+                signal.signal(number, handler)
+
+    def _feed(self, driver: BaseDriver, now: float) -> None:
+        """Commands the twist of the control channel; the session's twist if no source drives."""
+        selection = self.control.feed(driver, now)
+        is_free = not selection.source and not selection.locks
+        if self.twist is not None and is_free and self.runner.ready and self.runner.base.armed:
+            driver.command(self.twist, now)
+
+    def _is_over(self) -> bool:
+        runner, now = self.runner, self.runner.clock.now
+        if runner.ready and math.isnan(self.ready_time):
+            self.ready_time = now
+        if self.stop_requested:
+            return True
+        if runner.state in (State.FAULT, State.ESTOP):
+            # An operator at the control channel can reset a fault; a run without an operator,
+            # with a lost bus or with a robot that never became ready ends.
+            unattended = self.twist is not None or self.duration < math.inf
+            bus_lost = any(c.receiver.lost for c in runner.base.connections)
+            return unattended or bus_lost or not runner.base.supervisor.was_ready
+        return now - self.ready_time >= self.duration - 1e-9
+
+    def _verdict(self) -> Diagnostic | None:
+        supervisor = self.runner.base.supervisor
+        if supervisor.state not in (State.FAULT, State.ESTOP):
+            return None
+        code, hint = "bus-stopped", None
+        if supervisor.mismatch:
+            code = "bus-mismatch"
+            hint = "is it this robot's file? `thorvaldc can plan` shows the differences"
+        elif not supervisor.was_ready:
+            code = "bus-start"
+        return Diagnostic(CODES[code], supervisor.reason, self.robot.span, hint)
+
+    def status_line(self) -> str:
+        """Returns state, twist, pose, battery and timing in one line."""
+        runner = self.runner
+        state = runner.driver.state
+        twist, pose = state.odometry.twist, state.pose
+        parts = [
+            f"{runner.state.value:8}",
+            f"{twist.vx:+.2f} {twist.vy:+.2f} m/s {twist.wz:+.2f} rad/s",
+            f"at {pose.x:.2f} {pose.y:.2f} m {math.degrees(pose.yaw):.0f} deg",
+        ]
+        batteries = runner.batteries().values()
+        charges = [battery.charge for battery in batteries if not math.isnan(battery.charge)]
+        if charges:
+            parts.append(f"battery {100.0 * min(charges):.0f} %")
+        if runner.timing.overruns:
+            parts.append(f"{runner.timing.overruns} overruns")
+        drops = sum(runner.relay_drops().values())
+        if drops:
+            parts.append(f"{drops} frames not relayed")
+        return "  ".join(parts)
+
+    def summary(self) -> dict[str, Any]:
+        """Returns the run as plain values, in SI; the pose is relative to the start."""
+        runner = self.runner
+        supervisor, timing = runner.base.supervisor, runner.timing
+        pose = runner.driver.state.pose
+        return {
+            "robot": self.robot.name,
+            "state": runner.state.value,
+            "reason": supervisor.reason,
+            "was_ready": supervisor.was_ready,
+            "seconds": self.elapsed,
+            "pose": {"x": pose.x, "y": pose.y, "yaw": pose.yaw},
+            "timing": {
+                "cycles": timing.cycles,
+                "overruns": timing.overruns,
+                "skipped": timing.skipped,
+                "latest": timing.latest,
+                "longest": timing.longest,
+            },
+            "buses": {
+                connection.bus.name: {
+                    "received": connection.receiver.received,
+                    "dropped": connection.receiver.dropped,
+                    "malformed": connection.malformed,
+                    "not_sent": connection.not_sent,
+                }
+                for connection in runner.base.connections
+            },
+            "changes": [
+                {
+                    "time": change.time - self.start_time,
+                    "state": change.state.value,
+                    "reason": change.reason,
+                }
+                for change in runner.changes
+            ],
+            "batteries": {
+                name: {
+                    "voltage": battery.voltage,
+                    "current": battery.current,
+                    "charge": battery.charge,
+                }
+                for name, battery in runner.batteries().items()
+            },
+            "warnings": runner.warnings(),
+            "not_relayed": runner.relay_drops(),
+        }

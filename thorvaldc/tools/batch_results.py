@@ -1,0 +1,150 @@
+"""Results of a batch of scenario runs: a text table, and a CSV or JSON file."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TextIO
+
+from thorvaldc.model.finite_json import finite
+from thorvaldc.simulation.scenario_metrics import UNITS
+from thorvaldc.tools.scenario_batch import Run
+
+SUFFIXES = (".csv", ".json")
+# Metric, heading, format and factor of the columns of the text table.
+_COLUMNS = (
+    ("path", "true", "{:.3f} m", 1.0),
+    ("end_error", "end error", "{:.1f} mm", 1000.0),
+    ("length_ratio", "length ratio", "{:.5f}", 1.0),
+    ("tilt", "tilt", "{:.2f} deg", math.degrees(1.0)),
+    ("slip", "slip", "{:.4f} m/s", 1.0),
+    ("collisions", "collisions", "{:.0f}", 1.0),
+)
+
+
+def runs_as_json(runs: Sequence[Run]) -> str:
+    """Returns all runs as a JSON list."""
+    values = [finite(run.as_json()) for run in runs]
+    return json.dumps(values, indent=1, ensure_ascii=False)
+
+
+def results_table(runs: Sequence[Run]) -> str:
+    """Returns the runs as aligned text: varied values, metrics, verdict and hash."""
+    has_fleet = any(run.result is not None and len(run.result["metrics"]) > 1 for run in runs)
+    headings = [heading for _, heading, _, _ in _COLUMNS]
+    rows = [["run", *runs[0].values, *(["robot"] * has_fleet), *headings, "", "hash"]]
+    for run in runs:
+        values = [_short_text(value) for value in run.values.values()]
+        verdict = "ok" if run.passed else "FAILED"
+        short_hash = run.result["hash"][:8] if run.result is not None else "-"
+        for robot, metrics in _metrics_by_robot(run):
+            cells = [
+                form.format(factor * metrics[name]) if name in metrics else "-"
+                for name, _, form, factor in _COLUMNS
+            ]
+            robot_cell = [robot] * has_fleet
+            rows.append([str(run.number), *values, *robot_cell, *cells, verdict, short_hash])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    failed = sum(not run.passed for run in runs)
+    verdicts = f"{failed} not as expected" if failed else "all as expected"
+    noun = "run" if len(runs) == 1 else "runs"
+    return "\n".join([*lines, f"{len(runs)} {noun}, {verdicts}"])
+
+
+class ResultFile:
+    """A CSV or JSON file that receives each run when it ends, and all runs in order at the end.
+
+    A process that is killed loses no finished run.  Raises ``OSError``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._is_csv = path.suffix.lower() == ".csv"
+        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._runs: list[Run] = []
+
+    def __enter__(self) -> ResultFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        with self._stream:
+            self._rewrite_in_order()
+
+    def append(self, run: Run) -> None:
+        """Writes a run behind those that ended before it."""
+        self._runs.append(run)
+        if self._is_csv:
+            _write_rows(self._stream, [run], heading=len(self._runs) == 1)
+        else:
+            line = json.dumps(finite(run.as_json()), ensure_ascii=False)
+            self._stream.write(line + "\n")
+        self._stream.flush()
+
+    def _rewrite_in_order(self) -> None:
+        runs = sorted(self._runs, key=lambda run: run.number)
+        self._stream.seek(0)
+        self._stream.truncate()
+        if self._is_csv:
+            _write_rows(self._stream, runs, heading=True)
+        else:
+            self._stream.write(runs_as_json(runs) + "\n")
+
+
+def _write_rows(stream: TextIO, runs: Sequence[Run], *, heading: bool) -> None:
+    """Writes a line for each robot of each run: varied values, all metrics in SI, verdict, hash."""
+    writer = csv.writer(stream, lineterminator="\n")
+    if heading and runs:
+        writer.writerow(
+            ["run", "robot", *runs[0].values, *UNITS, "simulated", "passed", "hash", "faults"]
+        )
+    for run in runs:
+        values = [_value_text(value) for value in run.values.values()]
+        for robot, metrics in _metrics_by_robot(run):
+            simulated = run.result["run"]["simulated"] if run.result is not None else ""
+            writer.writerow(
+                [
+                    run.number,
+                    robot,
+                    *values,
+                    *(f"{metrics[name]:.9g}" if name in metrics else "" for name in UNITS),
+                    simulated,
+                    str(run.passed).lower(),
+                    run.result["hash"] if run.result is not None else "",
+                    "; ".join(run.faults),
+                ]
+            )
+
+
+def _metrics_by_robot(run: Run) -> Iterator[tuple[str, Mapping[str, float]]]:
+    if run.result is None:
+        yield "", {}
+        return
+    yield from run.result["metrics"].items()
+
+
+def _value_text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _short_text(value: Any) -> str:
+    """Returns a value with six digits, because values that are drawn have many."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    text = _value_text(value)
+    number, _, unit = text.partition(" ")
+    try:
+        return f"{float(number):.6g} {unit}".rstrip() if len(number) > 8 else text
+    except ValueError:
+        return text

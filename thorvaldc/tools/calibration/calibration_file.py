@@ -1,0 +1,58 @@
+"""Writes a calibration file for a robot, with the values of its present calibration."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.compiler.modules.wheel_calibration import load_calibration
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.diagnostics import Report
+from thorvaldc.tools.calibration.calibration_text import overlay
+from thorvaldc.tools.calibration.self_calibration import CalibrationResult
+
+
+def overlay_text(result: CalibrationResult, robot: Path) -> str:
+    """Returns a calibration file that keeps the robot file's values that were not estimated."""
+    return overlay(result, _present_values(robot))
+
+
+def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
+    """Returns the wheels of the calibration that the robot file includes, in SI."""
+    document = read_file(robot, robot.name, Report())
+    calibration = load_calibration(document, robot.parent, Report(), {}) if document else None
+    if calibration is None:
+        return {}
+    wheels: dict[str, dict[str, Any]] = {name: {} for name in calibration.names}
+    for name, (value, _) in calibration.radii.items():
+        wheels[name]["radius"] = value
+    for name, named_radii in calibration.named_radii.items():
+        wheels[name]["radii"] = {key: value for key, (value, _) in named_radii.items()}
+    for name, (value, _) in calibration.offsets.items():
+        wheels[name]["steering_offset"] = value
+    return wheels
+
+
+def write_calibration(path: Path, text: str) -> None:
+    """Writes the whole file or leaves it unchanged.
+
+    Raises ``FileExistsError`` for an existing file that is no calibration.
+    """
+    if path.exists() and not _is_calibration(path):
+        raise FileExistsError(f"will not overwrite {path}, which is no calibration")
+    temporary = path.with_name(f".{path.name}.new")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _is_calibration(path: Path) -> bool:
+    document = read_file(path, path.name, Report())
+    return (
+        document is not None
+        and document.get("robot") is not None
+        and document.get("wheels") is not None
+    )

@@ -1,0 +1,103 @@
+"""Builds robots and drives each from its generated files, over two processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from thorvaldc import __version__
+from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.importer import import_original
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.writer import write_build
+from thorvaldc.diagnostics import Report, Severity
+from thorvaldc.model import Fleet
+from thorvaldc.simulation.run_result import SimulationResult
+from thorvaldc.simulation.simulation_run import drive_build
+
+PROCESSES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DemoJob:
+    """A robot file, or a configuration of the original system, and the folder for its build."""
+
+    file: str
+    output: str
+    is_original: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DemoOutcome:
+    """The run of a file's robots, and the diagnostics with their source files."""
+
+    result: SimulationResult | None
+    report: Report
+    sources: Mapping[str, Path]
+
+
+def run_demo(jobs: Sequence[DemoJob]) -> Iterator[DemoOutcome]:
+    """Yields the outcomes in the order of the jobs.  Raises ``WriteError``."""
+    # Ctrl-C is for the parent process, which then ends the others.
+    count = min(PROCESSES, os.cpu_count() or 1)
+    with multiprocessing.Pool(count, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        yield from pool.imap(run_job, jobs)
+
+
+def run_job(job: DemoJob) -> DemoOutcome:
+    """Compiles, builds and drives one file."""
+    report = Report()
+    sources: dict[str, Path] = {}
+    file = job.file
+    if job.is_original:
+        sources[file] = Path(file)
+        file = _import(job, report)
+        if not file:
+            return DemoOutcome(None, report, sources)
+    compilation = compile_file(file)
+    sources |= compilation.sources
+    result: SimulationResult | None = None
+    run_report = Report()
+    model = compilation.model
+    if model is not None:
+        emit_report = Report()
+        contents = emit(model, DEFAULT_TARGETS, emit_report)
+        compilation.report.extend(compilation.located(emit_report))
+        folder = Path(job.output) / model.name
+        write_build(
+            contents,
+            folder,
+            name=model.name,
+            source_sha256=compilation.source_sha256,
+            version=__version__,
+        )
+        result = drive_build(folder, run_report)
+        if result is not None and isinstance(model, Fleet):
+            result = _with_fleet_name(result, model.name)
+    report.extend(compilation.report)
+    report.extend(compilation.located(run_report))
+    return DemoOutcome(result, report, sources)
+
+
+def _with_fleet_name(result: SimulationResult, fleet: str) -> SimulationResult:
+    robots = tuple(replace(robot, name=f"{fleet}/{robot.name}") for robot in result.robots)
+    return replace(result, robots=robots)
+
+
+def _import(job: DemoJob, report: Report) -> str:
+    """Writes the robot.yaml of an original configuration; returns its path, empty after errors."""
+    text, import_report = import_original(Path(job.file))
+    for diagnostic in import_report:
+        # A note for each value that robot.yaml cannot express is too much for a table.
+        if diagnostic.severity is not Severity.NOTE:
+            report.put(diagnostic)
+    if text is None:
+        return ""
+    robot = Path(job.output) / "imported" / f"{Path(job.file).stem}.yaml"
+    robot.parent.mkdir(parents=True, exist_ok=True)
+    robot.write_text(text, encoding="utf-8")
+    return str(robot)

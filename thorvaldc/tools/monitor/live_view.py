@@ -1,0 +1,105 @@
+"""Watches a bus with a monitor: live on a terminal, or as a stream of summaries."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import IO, Any
+
+from thorvaldc.can.interface import CanInterface
+from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
+from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
+from thorvaldc.tools.teleoperation.terminal import Terminal
+
+
+def watch_live(
+    interface: CanInterface,
+    monitor: BusMonitor,
+    interval: float,
+    duration: float,
+    keys: IO[str] | None,
+    screen: IO[str],
+) -> None:
+    """Shows the bus on the terminal until ``q``, a signal, or ``duration`` (s) is over.
+
+    ``interval`` (s) is the time between two views.  Raises ``ConnectionError`` if the interface
+    is lost.
+    """
+    with _end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
+        view = LiveView(terminal)
+        watch(
+            interface,
+            monitor,
+            interval,
+            view.show,
+            until=interface.now + duration,
+            ended=lambda: end_requested() or view.poll(),
+        )
+
+
+def watch_stream(
+    interface: CanInterface,
+    monitor: BusMonitor,
+    interval: float,
+    duration: float,
+    show: Callable[[Mapping[str, Any]], None],
+) -> None:
+    """Calls ``show`` with a summary every ``interval`` (s) until a signal or ``duration`` (s)."""
+    with _end_signals() as end_requested:
+        until = interface.now + duration
+        watch(interface, monitor, interval, show, until=until, ended=end_requested)
+
+
+class LiveView:
+    """The lines of a summary on a terminal, scrolled with the arrow keys."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        self._terminal = terminal
+        self._first_line = 0
+        self._lines: list[str] = []
+        self._quit = False
+
+    def show(self, summary: Mapping[str, Any]) -> None:
+        """Replaces the lines by those of a new summary."""
+        self._lines = monitor_lines(summary)
+        self._draw()
+
+    def poll(self) -> bool:
+        """Reads the keys and scrolls; returns whether the user quits."""
+        try:
+            keys = self._terminal.read()
+        except EOFError:
+            return True
+        for key in keys:
+            if key in ("q", "Q", "ctrl-d", "ctrl-c"):
+                self._quit = True
+            step = {"down": 1, "j": 1, "up": -1, "k": -1, " ": _height() - 2}.get(key, 0)
+            if step:
+                last = max(len(self._lines) - _height() + 1, 0)
+                self._first_line = min(max(self._first_line + step, 0), last)
+                self._draw()
+        return self._quit
+
+    def _draw(self) -> None:
+        self._terminal.show(page(self._lines, _height(), self._first_line))
+
+
+def _height() -> int:
+    return shutil.get_terminal_size().lines
+
+
+@contextmanager
+def _end_signals() -> Iterator[Callable[[], bool]]:
+    """Yields a function that reports whether SIGINT, SIGTERM or SIGHUP arrived."""
+    received: list[int] = []
+    previous_handlers = {
+        number: signal.signal(number, lambda number, _: received.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in previous_handlers.items():
+            signal.signal(number, handler)

@@ -1,0 +1,48 @@
+"""Reads a record for a replay and checks that it has the groups that the replay needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model import Robot
+from thorvaldc.simulation.records.record_reader import read_record
+from thorvaldc.simulation.records.recorded_run import RecordedRun
+
+PLOTTED_GROUPS = ("odometry", "truth")
+
+
+def read_replay_record(
+    path: Path, robots: Sequence[tuple[str, Robot]], report: Report, *, for_plot: bool = False
+) -> dict[str, RecordedRun] | None:
+    """Returns the recorded runs by robot; ``None`` after errors were added to ``report``.
+
+    A replay needs the odometry or the true poses; a plot needs both.
+    """
+    runs = read_record(path, robots, report)
+    if runs is None:
+        return None
+    for name, run in runs.items():
+        missing = [group for group in PLOTTED_GROUPS if group not in run.groups]
+        if for_plot and missing:
+            report.add(
+                "record-incomplete",
+                f"`{path}` has no {' and no '.join(missing)} of {name}; --plot needs "
+                f"{' and '.join(PLOTTED_GROUPS)}",
+                Span(str(path)),
+            )
+        if len(missing) == len(PLOTTED_GROUPS):
+            report.add(
+                "record-incomplete",
+                f"`{path}` has neither odometry nor truth of {name}",
+                Span(str(path)),
+                hint="name one of them in `record: {what: ..}`, or leave `what` out",
+            )
+    return None if report.has_errors else runs
+
+
+def text_sources(path: Path) -> dict[str, Path]:
+    """Returns the CSV files of a record by the names that diagnostics give them, for excerpts."""
+    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+    return {str(file): file for file in files if file.suffix == ".csv"}
