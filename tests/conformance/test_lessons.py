@@ -107,7 +107,7 @@ def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
 def test_a_full_receive_queue_keeps_the_newest() -> None:
     """It kept the oldest frames: the robot went by what had been."""
     wire = Wire(Timeline())
-    receiver = FrameReceiver(VirtualTimeInterface(wire, "driver"), {0x701}, ring=8)
+    receiver = FrameReceiver(VirtualTimeInterface(wire, "driver"), {0x701}, limit=8)
     node = VirtualTimeInterface(wire, "node")
     for number in range(30):
         node.send(CanFrame(0x701, bytes([number])), timeout=1.0)
