@@ -68,7 +68,7 @@ def test_keys_drive_and_a_service_is_called_beside(
     refused = thorvaldc("call", "good", "twist", "source=auto_nav", "vx=fast")
     assert (refused.status, refused.err) == (
         1,
-        "error: `vx` is 'fast'; a number is wanted\n",
+        "error: `vx` is 'fast'; it must be a number\n",
     )
     listed = thorvaldc("call", "good").out
     assert "twist source=... [vx=...] [vy=...] [wz=...]\n" in listed
@@ -157,7 +157,7 @@ def test_what_is_said_on_a_terminal(
 def test_call_where_nothing_is_run(folder: Path, thorvaldc: Command) -> None:
     done = thorvaldc("call", "nobody", "state")
     assert done.status == 3
-    assert done.err.startswith("error: no driver is run at ")
+    assert done.err.startswith("error: no driver runs at ")
     assert done.err.count("\n") == 1
     assert thorvaldc("call", "nobody", "state", "novalue").status == 2
 
@@ -181,7 +181,8 @@ def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
             person.until("active  drives: teleop_joy", typing="i")
             again = thorvaldc("run", "good.yaml", "--bus", "virtual")
             assert again.status == 3
-            assert "already; --name gives this one another name" in again.err
+            assert "already runs" in again.err
+            assert "--name gives this one another name" in again.err
             assert thorvaldc("call", "good", "safety_stop").status == 0
             person.until("estop")
             refused = thorvaldc("call", "good", "reset_faults")

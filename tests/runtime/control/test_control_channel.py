@@ -169,7 +169,7 @@ def test_parameters_and_odometry(running: Running, wire: Wire) -> None:
         b'{"set": "rail"}': "has no parameter set `rail`",
         b'{"max_linear_velocity": -1}': "must be positive",
         b'{"radii": {"w9": 0.2}}': "no wheel `w9`",
-        b'{"set": "", "radii": {"w0": 0.2}}': "`set` goes alone",
+        b'{"set": "", "radii": {"w0": 0.2}}': "`set` cannot be combined",
     }
     for arguments, reason in refused.items():
         answer = wire.ask(call % arguments)
@@ -185,23 +185,26 @@ def test_parameters_and_odometry(running: Running, wire: Wire) -> None:
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        (b"state", "a line is no JSON"),
-        (b"[1]", "a line is no mapping"),
-        (b"\xff\xfe", "a line is no JSON"),
-        (b"[" * 20000, "a line is no JSON"),
+        (b"state", "the request is not JSON"),
+        (b"[1]", "the request is not a mapping"),
+        (b"\xff\xfe", "the request is not JSON"),
+        (b"[" * 20000, "the request is not JSON"),
         (b"{}", "names no service"),
         (b'{"call": 5}', "names no service"),
         (b'{"call": "stat"}', "did you mean `state`?"),
-        (b'{"call": "state", "arguments": []}', "is no mapping"),
-        (b'{"call": "state", "args": {}}', "a request has no `args`"),
+        (b'{"call": "state", "arguments": []}', "is not a mapping"),
+        (b'{"call": "state", "args": {}}', "a request has no key `args`"),
         (b'{"call": "state", "arguments": {"a": 1}}', "has no argument `a`"),
         (b'{"call": "twist"}', "needs the argument `source`"),
-        (b'{"call": "twist", "arguments": {"source": 1}}', "`source` is 1; text is wanted"),
+        (b'{"call": "twist", "arguments": {"source": 1}}', "`source` is 1; it must be text"),
         (b'{"call": "twist", "arguments": {"source": "x"}}', "no source of twists `x`"),
         (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": NaN}}', "must be finite"),
         (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 1e400}}', "must be finite"),
-        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 1e12}}', "beyond all"),
-        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": true}}', "a number is want"),
+        (b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 1e12}}', "too large"),
+        (
+            b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": true}}',
+            "it must be a number",
+        ),
         (b'{"call": "lock", "arguments": {"name": "x"}}', "there is no lock `x`"),
     ],
 )
@@ -305,7 +308,7 @@ def test_a_client_calls_from_another_thread(running: Running) -> None:
 
 
 def test_where_no_driver_is_run_or_it_ends(running: Running) -> None:
-    with pytest.raises(OSError, match=r"no driver is run at .*x-control"):
+    with pytest.raises(OSError, match=r"no driver runs at .*x-control"):
         ControlClient("x")
     client = ControlClient("r", answer_time=0.05)
     with pytest.raises(ConnectionError, match="does not answer"):
@@ -331,7 +334,7 @@ def test_services_are_listed_with_their_arguments() -> None:
         "arguments": [{"name": "n", "kind": "integer", "required": True}],
     }
     assert services.call("a", {"n": 2}, 0.5) == 2.5
-    with pytest.raises(ServiceError, match="a whole number is wanted"):
+    with pytest.raises(ServiceError, match="it must be a whole number"):
         services.call("a", {"n": 2.0}, 0.0)
 
 

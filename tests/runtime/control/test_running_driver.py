@@ -108,7 +108,7 @@ def test_services_of_the_original(driven: Driven) -> None:
         ("set_output", {"board": "io", "output": "beacon_blue"}, "has no output `beacon_blue`"),
         ("set_output", {"board": "x", "output": "y"}, "there is no IO board `x`"),
         ("setup_motor_controller", {"node": "x", "setting": "y", "value": 1}, "no controller `x`"),
-        ("send_to_device", {"cob_id": 0x205, "data": "zz"}, "bytes in hexadecimal are wanted"),
+        ("send_to_device", {"cob_id": 0x205, "data": "zz"}, "it must be bytes in hexadecimal"),
         ("send_to_device", {"cob_id": 0x900, "data": "00"}, "an identifier of 11 bits"),
         ("send_to_device", {"cob_id": 0x205, "data": "00"}, "0x205: "),
         ("reset_faults", {}, "there is nothing to reset"),

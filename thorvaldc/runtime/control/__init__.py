@@ -1,4 +1,4 @@
 """The control channel of a running driver: other programs publish twists and call services.
 
-JSON lines over a local socket, see docs/teleoperation.md.
+It carries lines of JSON over a local socket; see docs/teleoperation.md.
 """

@@ -1,4 +1,4 @@
-"""A program's end of the control channel."""
+"""The client of the control channel: calls the services of a driver in another process."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from thorvaldc.runtime.control.control_server import control_path
 from thorvaldc.runtime.control.service_table import ServiceError
 
 ANSWER_TIME = 2.0
-"""s to wait for an answer; a control cycle takes a hundredth of it."""
+"""s to wait for an answer: a hundred control cycles."""
 
 
 class ControlClient:
-    """Calls the services of a driver that another process runs.
+    """A connection to a running driver.
 
-    Raises ``OSError`` where none is run by that name, and ``ConnectionError`` where it ends or
+    Raises ``OSError`` where no driver of this name runs, and ``ConnectionError`` where it ends or
     does not answer.
     """
 
@@ -29,18 +29,18 @@ class ControlClient:
         self._calls = 0
         try:
             self._stream.connect(str(path))
-        except OSError as fault:
+        except OSError as error:
             self._stream.close()
-            raise OSError(f"no driver is run at {path} ({fault.strerror or fault})") from None
+            raise OSError(f"no driver runs at {path} ({error.strerror or error})") from None
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """The service's result.  Raises ``ServiceError`` with the reason where it is refused."""
+        """Returns the result of the service.  Raises ``ServiceError`` where it is refused."""
         self._calls += 1
         request = {"call": service, "arguments": arguments, "id": self._calls}
         line = json.dumps(request, ensure_ascii=False).encode("utf-8", "replace") + b"\n"
         try:
             self._stream.sendall(line)
-            answer = self._answer()
+            answer = self._read_answer()
         except TimeoutError:
             raise ConnectionError(f"the driver `{self.name}` does not answer") from None
         except (OSError, ValueError):
@@ -52,16 +52,18 @@ class ControlClient:
     def close(self) -> None:
         self._stream.close()
 
-    def _answer(self) -> dict[str, Any]:
+    def _read_answer(self) -> dict[str, Any]:
+        """Returns the answer to the last call; skips late answers to calls that timed out."""
         while True:
             line, end, rest = self._unread.partition(b"\n")
             if end:
                 self._unread = rest
-                found = json.loads(line)
-                if isinstance(found, dict) and found.get("id") == self._calls:
-                    return found
-                if isinstance(found, dict) and not found.get("ok") and "id" not in found:
-                    return found
+                answer = json.loads(line)
+                if isinstance(answer, dict) and answer.get("id") == self._calls:
+                    return answer
+                # The server could not read the request, so it knows no id.
+                if isinstance(answer, dict) and not answer.get("ok") and "id" not in answer:
+                    return answer
                 continue
             data = self._stream.recv(65536)
             if not data:

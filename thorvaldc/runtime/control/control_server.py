@@ -1,4 +1,13 @@
-"""The driver's end of the control channel, served between two control cycles."""
+"""The server of the control channel: answers requests between two control cycles.
+
+    client                                                  server, once in a cycle
+    {"call": "twist", "arguments": {...}, "id": 7}   --->   reads what has come,
+                                                            runs the services,
+                                                     <---   {"ok": true, "result": null, "id": 7}
+
+A client that does not read its answers, that sends endless lines or floods the server with requests
+cannot delay a cycle: the limits below bound the work for each client.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +23,25 @@ from thorvaldc.can.local_socket import remove_stale_socket, socket_path
 from thorvaldc.runtime.control.service_table import ServiceError, Services
 
 LONGEST_LINE = 65536
-"""Bytes of a request."""
+"""Bytes of a request, at most."""
 MOST_CLIENTS = 32
 MOST_REQUESTS = 100
-"""Of a client, between two control cycles; more of them wait for the next."""
-BACKLOG = 1 << 20
-"""Bytes of answers that wait for a client that does not read; after that it is let go."""
+"""Requests of a client in a cycle, at most; more of them wait for the next cycle."""
+LONGEST_BACKLOG = 1 << 20
+"""Bytes of unread answers of a client, at most; then the server closes the connection."""
 
 
 def control_path(name: str) -> Path:
-    """The socket of a driver by its name (or a path with a slash).  Raises ``OSError``."""
+    """Returns the socket of a driver by its name; a name with a slash is the path itself.
+
+    Raises ``OSError``.
+    """
     return socket_path(name if "/" in name else f"{name}-control")
 
 
 class _Client:
+    """A connection: received bytes that are no whole line yet, and answers to send."""
+
     def __init__(self, stream: socket.socket) -> None:
         self.stream = stream
         self.unread = b""
@@ -36,16 +50,16 @@ class _Client:
 
 
 class ControlServer:
-    """Listens for programs that drive this robot; ``poll`` answers what they have asked.
+    """Listens for programs that drive this robot; ``poll`` answers their requests.
 
-    A request is a line ``{"call": NAME, "arguments": {...}}``, its answer a line
-    ``{"ok": true, "result": ...}`` or ``{"ok": false, "error": "one plain line"}``; an ``id`` of
-    the request comes back with the answer.  Only programs of the same user can connect.
-    One thread, and never a wait: the control cycle goes on whatever a client does.
+    A request is a line ``{"call": NAME, "arguments": {...}}``.  The answer is a line
+    ``{"ok": true, "result": ...}`` or ``{"ok": false, "error": "one line"}``, with the ``id`` of
+    the request where it has one.  Only programs of the same user can connect.  ``poll`` does not
+    wait.
     """
 
     def __init__(self, name: str, services: Services) -> None:
-        """Raises ``OSError`` where a driver of that name is run already."""
+        """Raises ``OSError`` where a driver of this name already runs."""
         self.path = control_path(name)
         self.services = services
         self._clients: list[_Client] = []
@@ -54,9 +68,9 @@ class ControlServer:
         mask = os.umask(0o177)
         try:
             self._listener.bind(str(self.path))
-        except OSError as fault:
+        except OSError as error:
             self._listener.close()
-            raise OSError(f"{self.path}: {fault.strerror or fault}") from None
+            raise OSError(f"{self.path}: {error.strerror or error}") from None
         finally:
             os.umask(mask)
         self._inode = self.path.stat().st_ino
@@ -64,20 +78,21 @@ class ControlServer:
         self._listener.setblocking(False)
 
     def poll(self, now: float) -> None:
-        """Take and answer what has come, as at ``now`` (s, the driver's time)."""
+        """Accepts clients and answers their requests; ``now``: the driver's time (s)."""
         if self._ready(self._listener):
             self._accept()
         for client in list(self._clients):
             try:
                 self._serve(client, now)
-            except OSError:  # it has gone, or was killed in the middle of a line
+            except OSError:  # the client has ended, perhaps in the middle of a line
                 self._drop(client)
 
     def close(self) -> None:
-        """Let all clients go."""
+        """Closes all connections and removes the socket."""
         for client in list(self._clients):
             self._drop(client)
         self._listener.close()
+        # Another driver may have taken the path meanwhile: its socket stays.
         with contextlib.suppress(OSError):
             if self.path.stat().st_ino == self._inode:
                 self.path.unlink()
@@ -109,22 +124,22 @@ class ControlServer:
             client.out += _line(self._answer(line, now))
             requests += 1
         if len(client.unread) > LONGEST_LINE and b"\n" not in client.unread:
-            client.out += _line(_refusal(f"a line is longer than {LONGEST_LINE} bytes"))
+            client.out += _line(_refusal(f"a request is longer than {LONGEST_LINE} bytes"))
             client.unread, client.ended = b"", True
         if client.out:
             with contextlib.suppress(BlockingIOError):
                 sent = client.stream.send(client.out)
                 del client.out[:sent]
-        if len(client.out) > BACKLOG or (client.ended and b"\n" not in client.unread):
+        if len(client.out) > LONGEST_BACKLOG or (client.ended and b"\n" not in client.unread):
             self._drop(client)
 
     def _answer(self, line: bytes, now: float) -> dict[str, Any]:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
-            return _refusal("a line is no JSON")
+            return _refusal("the request is not JSON")
         if not isinstance(request, dict):
-            return _refusal('a line is no mapping, as {"call": "state"} is')
+            return _refusal('the request is not a mapping, such as {"call": "state"}')
         answer = self._call(request, now)
         if "id" in request:
             answer["id"] = request["id"]
@@ -133,16 +148,18 @@ class ControlServer:
     def _call(self, request: dict[str, Any], now: float) -> dict[str, Any]:
         name, arguments = request.get("call"), request.get("arguments", {})
         if not isinstance(name, str):
-            return _refusal('a request names no service, as {"call": "state"} does')
+            return _refusal('the request names no service, such as {"call": "state"}')
         if not isinstance(arguments, dict):
-            return _refusal("`arguments` is no mapping")
+            return _refusal("`arguments` is not a mapping")
         unknown = [key for key in request if key not in ("call", "arguments", "id")]
         if unknown:
-            return _refusal(f"a request has no `{unknown[0]}`; it has call, arguments and id")
+            return _refusal(
+                f"a request has no key `{unknown[0]}`; its keys are call, arguments and id"
+            )
         try:
             return {"ok": True, "result": self.services.call(name, arguments, now)}
-        except ServiceError as fault:
-            return _refusal(str(fault))
+        except ServiceError as error:
+            return _refusal(str(error))
 
     def _drop(self, client: _Client) -> None:
         self._clients.remove(client)

@@ -1,4 +1,4 @@
-"""The services that every driver has, on whatever base it drives."""
+"""The services of every driver, on a simulated base and on a bus."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.se2 import Twist
 
 SAFETY_STOP = "safety_stop"
-"""The lock that every robot has, above all sources."""
+"""The lock of every robot with a priority above all sources."""
 
 
 def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Service]:
-    """Twists and locks, the state, odometry, parameters and the stop.
+    """Returns the services: twists and locks, state, odometry, parameters and safety stop.
 
-    The stop is one of software: it is no safety function.
+    The stop is software; it is not a safety function.
     """
 
     def twist(now: float, source: str, vx: float, vy: float, wz: float) -> None:
         if not multiplexer.publish(source, Twist(vx, vy, wz), now):
-            raise ServiceError("the twist is beyond all bounds")
+            raise ServiceError("the twist is too large")
 
     def lock(now: float, name: str, locked: bool) -> None:
         multiplexer.lock(name, locked, now)
@@ -36,15 +36,15 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
     def set_drive_parameters(
         now: float, set: str | None, radii: dict[str, float], **limits: float | None
     ) -> None:
-        given = {name: value for name, value in limits.items() if value is not None}
-        if set is None and not radii and not given:
+        changes = {name: value for name, value in limits.items() if value is not None}
+        if set is None and not radii and not changes:
             raise ServiceError("`set_drive_parameters` needs `set`, `radii` or a limit")
-        if set is not None and (radii or given):
-            raise ServiceError("`set` goes alone; change single values in a call of their own")
+        if set is not None and (radii or changes):
+            raise ServiceError("`set` cannot be combined; change single values in another call")
         if set is not None:
             driver.use(set or None)
         else:
-            driver.update(radii=radii, noise=None, **given)
+            driver.update(radii=radii, noise=None, **changes)
 
     def safety_stop(now: float) -> None:
         multiplexer.lock(SAFETY_STOP, True, now)
@@ -55,7 +55,7 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
     return [
         Service(
             "twist",
-            "Drive: a source's velocity (m/s, m/s, rad/s), in force until its time-out.",
+            "Command the twist of a source (m/s, m/s, rad/s); it is valid until its time-out.",
             twist,
             (
                 Argument("source", "text"),
@@ -66,16 +66,20 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
         ),
         Service(
             "lock",
-            "Set a lock, which holds back sources of a lower priority, or take it away.",
+            "Set a lock, which blocks sources of lower priority, or release it.",
             lock,
             (Argument("name", "text"), Argument("locked", "flag", True)),
         ),
-        Service("state", "What the driver does.", state),
-        Service("description", "What the robot is.", lambda now: driver_description(driver)),
-        Service("reset_odometry", "Set the odometry's pose to zero.", reset_odometry),
+        Service("state", "Return the state of the driver.", state),
+        Service(
+            "description",
+            "Return the robot's constants: names, top speeds, rate.",
+            lambda now: driver_description(driver),
+        ),
+        Service("reset_odometry", "Set the pose of the odometry to zero.", reset_odometry),
         Service(
             "set_drive_parameters",
-            "Switch to a parameter set (`set`; empty: the ordinary values), or change radii (m, by"
+            "Change to a parameter set (`set`; empty: the default values), or change radii (m, by"
             " wheel) and limits.",
             set_drive_parameters,
             (
@@ -85,12 +89,12 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
             ),
         ),
         Service("safety_stop", "Stop the robot and keep it stopped.", safety_stop),
-        Service("release_safety_stop", "Let the robot drive again.", release_safety_stop),
+        Service("release_safety_stop", "Release the safety stop.", release_safety_stop),
     ]
 
 
 def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
-    """The state as plain values: m, rad, m/s, rad/s; ``time`` of the last tick in s."""
+    """Returns the state as JSON values: m, rad, m/s, rad/s; ``time`` of the last tick in s."""
     state, selected = driver.state, multiplexer.select(now)
     return {
         "robot": driver.robot.name,
@@ -109,16 +113,16 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
 
 
 def driver_description(driver: BaseDriver) -> dict[str, Any]:
-    """What does not change while it runs: names, top speeds (m/s, rad/s), rate (Hz)."""
+    """Returns names, top speeds (m/s, rad/s) and rate (Hz) as JSON values."""
     robot, limits = driver.robot, driver.settings
-    turns = [w.steered or w.swivel_joint is not None for w in robot.wheels]
+    steerable = [w.steered or w.swivel_joint is not None for w in robot.wheels]
     return {
         "robot": robot.name,
         "rate": limits.rate,
         "max_linear_velocity": limits.max_linear_velocity,
         "max_angular_velocity": limits.max_angular_velocity,
-        "sideways": bool(turns) and all(turns),
+        "sideways": bool(steerable) and all(steerable),
         "sources": [source.name for source in robot.twist_sources],
         "locks": [lock.name for lock in robot.twist_locks],
-        "parameter_sets": [found.name for found in robot.parameter_sets],
+        "parameter_sets": [parameters.name for parameters in robot.parameter_sets],
     }

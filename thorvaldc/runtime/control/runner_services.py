@@ -1,4 +1,4 @@
-"""The services of a robot that runs on its bus."""
+"""The services of a robot on its buses, in addition to those of its driver."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from thorvaldc.runtime.runner import BaseRunner
 
 
 class RunnerControl:
-    """Who drives a runner, and what can be asked of it: by calls here and over a channel.
+    """Multiplexer and services of a runner, for callers here and over a control channel.
 
-    Its ``feed`` is for the runner's.  ``channel`` empty: none.  Raises ``OSError`` where the
-    channel is in use.
+    ``channel``: name of the control channel; empty: none.  ``feed`` is the runner's ``feed``.
+    Raises ``OSError`` where the channel is in use.
     """
 
     def __init__(self, runner: BaseRunner, channel: str = "") -> None:
@@ -30,13 +30,13 @@ class RunnerControl:
         self._server = ControlServer(channel, self.services) if channel else None
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
-        """What has come over the channel, then the command of who drives."""
+        """Answers the requests of the channel, then commands the twist of the selected source."""
         if self._server is not None:
             self._server.poll(now)
         return self.multiplexer.feed(driver, now)
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Raises ``ServiceError``."""
+        """Calls a service.  Raises ``ServiceError``."""
         return self.services.call(service, arguments, self.runner.clock.now)
 
     def close(self) -> None:
@@ -45,7 +45,7 @@ class RunnerControl:
 
 
 def runner_services(control: RunnerControl) -> list[Service]:
-    """What a robot on its bus can do beside driving; some of them as it is done there."""
+    """Returns the services; some replace a driver's service of the same name."""
     runner, multiplexer = control.runner, control.multiplexer
 
     def safety_stop(now: float) -> None:
@@ -60,15 +60,15 @@ def runner_services(control: RunnerControl) -> list[Service]:
         try:
             content = bytes.fromhex(data)
         except ValueError:
-            raise ServiceError(f"`data` is {data!r}; bytes in hexadecimal are wanted") from None
+            raise ServiceError(f"`data` is {data!r}; it must be bytes in hexadecimal") from None
         if len(content) > 8 or not 0 <= cob_id <= 0x7FF:
-            raise ServiceError("a frame has an identifier of 11 bits and up to 8 bytes")
+            raise ServiceError("a frame has an identifier of 11 bits and at most 8 bytes")
         runner.send_to_device(cob_id, content, bus)
 
     def from_devices(now: float, bus: str) -> list[dict[str, Any]]:
         return [
-            {"time": came.time, "cob_id": came.cob_id, "data": came.data.hex()}
-            for came in runner.from_devices(bus)
+            {"time": frame.time, "cob_id": frame.cob_id, "data": frame.data.hex()}
+            for frame in runner.from_devices(bus)
         ]
 
     def without_time(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -77,40 +77,40 @@ def runner_services(control: RunnerControl) -> list[Service]:
     return [
         Service(
             "state",
-            "What the driver and its bus do.",
+            "Return the state of the driver and its buses.",
             lambda now: runner_state(runner, multiplexer, now),
         ),
-        Service("home_steering", "Find the steerings' zero.", without_time(runner.home_steering)),
+        Service("home_steering", "Home all steerings again.", without_time(runner.home_steering)),
         Service(
             "set_home_count_current_position_zero",
-            "Let the steering's present angle be its zero, of one controller or of all.",
+            "Make the present steering angle zero, of one controller or of all.",
             without_time(runner.set_home_count_current_position_zero),
             (Argument("node", "text", ""),),
         ),
         Service(
             "setup_motor_controller",
-            "Set one of a controller's own values, in its units.",
+            "Write a setting of a motor controller, in its units.",
             without_time(runner.setup_motor_controller),
             (Argument("node", "text"), Argument("setting", "text"), Argument("value", "number")),
         ),
         Service(
             "safety_stop",
-            "Stop all drives at once and take their torque, until it is released and reset.",
+            "Stop all motors and switch them off, until release and reset.",
             safety_stop,
         ),
         Service(
             "release_safety_stop",
-            "Release the stop; to drive again it takes `reset_faults`.",
+            "Release the safety stop; to drive again, call `reset_faults`.",
             release_safety_stop,
         ),
         Service(
             "reset_faults",
-            "Leave a fault or a stop: the stop released, and zero commanded.",
+            "Leave a fault or a stop; the stop must be released, and zero commanded.",
             without_time(runner.reset),
         ),
         Service(
             "mute_devices",
-            "Pass nothing on to foreign devices, or pass it on again.",
+            "Stop relaying frames to foreign devices, or start it again.",
             without_time(runner.mute_devices),
             (Argument("muted", "flag", True),),
         ),
@@ -122,13 +122,13 @@ def runner_services(control: RunnerControl) -> list[Service]:
         ),
         Service(
             "send_to_device",
-            "Pass a frame on to a foreign device, `data` in hexadecimal.",
+            "Relay a frame to a foreign device, `data` in hexadecimal.",
             send_to_device,
             (Argument("cob_id", "integer"), Argument("data", "text"), Argument("bus", "text", "")),
         ),
         Service(
             "from_devices",
-            "What foreign devices have sent since it was asked last.",
+            "Return the frames of foreign devices since the last call.",
             from_devices,
             (Argument("bus", "text", ""),),
         ),
@@ -136,7 +136,10 @@ def runner_services(control: RunnerControl) -> list[Service]:
 
 
 def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
-    """That of the driver, and ``supervisor``, why it is in a fault, batteries, IO, warnings."""
+    """Returns the driver's state, and that of the base, batteries, IO boards and the loop.
+
+    ``supervisor`` is the state of the base; ``fault`` the reason of FAULT or ESTOP.
+    """
     state = driver_state(runner.driver, multiplexer, now)
     reason = runner.base.supervisor.reason
     state["supervisor"] = runner.state.value
@@ -159,5 +162,5 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
 
 
 def _number(value: float) -> float | None:
-    """JSON has no NaN: what is not known is null."""
+    """Returns ``None`` for an unknown value: JSON has no NaN."""
     return value if math.isfinite(value) else None

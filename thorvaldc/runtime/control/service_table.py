@@ -1,4 +1,4 @@
-"""What can be asked of a running driver, by name, with checked arguments and plain answers."""
+"""The services of a running driver: called by name, with checked arguments and JSON results."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ _REQUIRED = object()
 
 
 class ServiceError(ValueError):
-    """A call cannot be done; the message is one line."""
+    """A call is refused; the message is the reason, in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """``kind``: ``number``, ``integer``, ``flag``, ``text`` or ``mapping`` (names to numbers)."""
+    """An argument of a service.
+
+    ``kind``: ``number``, ``integer``, ``flag``, ``text`` or ``mapping`` (names to numbers).
+    """
 
     name: str
     kind: str
@@ -37,13 +40,14 @@ class Argument:
         return self.default is _REQUIRED
 
     def check(self, value: Any) -> Any:
-        """The value as the service takes it.  Raises ``ServiceError``."""
-        types, wanted = _KINDS[self.kind]
-        fits = isinstance(value, types) and (self.kind == "flag" or not isinstance(value, bool))
+        """Returns the checked value.  Raises ``ServiceError``."""
+        types, description = _KINDS[self.kind]
+        # In Python a bool is an int too.
+        matches = isinstance(value, types) and (self.kind == "flag" or not isinstance(value, bool))
         if value is None and not self.required and self.default is None:
             return None
-        if not fits:
-            raise ServiceError(f"`{self.name}` is {_shown(value)}; {wanted} is wanted")
+        if not matches:
+            raise ServiceError(f"`{self.name}` is {_shorten(value)}; it must be {description}")
         if self.kind == "number":
             return _finite(self.name, value)
         if self.kind == "mapping":
@@ -54,9 +58,9 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """``call`` takes the time (s) and the arguments by name; its result is plain JSON values.
+    """A service.  ``call`` takes the time (s) and the arguments by name, and returns JSON values.
 
-    It raises ``ServiceError``, ``ValueError`` or ``DiagnosticError`` where it cannot be done.
+    It raises ``ServiceError``, ``ValueError`` or ``DiagnosticError`` where it refuses the call.
     """
 
     name: str
@@ -66,7 +70,7 @@ class Service:
 
 
 class Services:
-    """Services by name, in the order in which they were given; the last of a name counts."""
+    """Services by name, in the order of ``services``; of two with one name the last one counts."""
 
     def __init__(self, services: Iterable[Service]) -> None:
         self._services = {service.name: service for service in services}
@@ -76,31 +80,31 @@ class Services:
     def names(self) -> tuple[str, ...]:
         return tuple(self._services)
 
-    def call(self, name: str, given: Mapping[str, Any], now: float) -> Any:
-        """Call one; ``-`` in its name is as ``_``.  Raises ``ServiceError``."""
+    def call(self, name: str, arguments: Mapping[str, Any], now: float) -> Any:
+        """Calls a service; ``-`` in its name means ``_``.  Raises ``ServiceError``."""
         service = self._services.get(name.replace("-", "_"))
         if service is None:
             hint = did_you_mean(name, self.names, f"there are {', '.join(self.names)}")
             raise ServiceError(f"there is no service `{name}`; {hint}")
         known = {argument.name: argument for argument in service.arguments}
-        for key in given:
+        for key in arguments:
             if key not in known:
                 listed = ", ".join(known) or "none"
                 raise ServiceError(f"`{service.name}` has no argument `{key}`; it has {listed}")
-        taken = {}
+        checked = {}
         for argument in service.arguments:
-            if argument.name in given:
-                taken[argument.name] = argument.check(given[argument.name])
+            if argument.name in arguments:
+                checked[argument.name] = argument.check(arguments[argument.name])
             elif argument.required:
                 raise ServiceError(f"`{service.name}` needs the argument `{argument.name}`")
             else:
-                taken[argument.name] = argument.default
+                checked[argument.name] = argument.default
         try:
-            return service.call(now, **taken)
-        except DiagnosticError as fault:
-            raise ServiceError(_one_line(fault)) from None
-        except ValueError as fault:
-            raise ServiceError(" ".join(str(fault).split())) from None
+            return service.call(now, **checked)
+        except DiagnosticError as error:
+            raise ServiceError(_one_line(error)) from None
+        except ValueError as error:
+            raise ServiceError(" ".join(str(error).split())) from None
 
     def _list(self, now: float) -> list[dict[str, Any]]:
         return [
@@ -126,11 +130,11 @@ def _finite(name: str, value: float) -> float:
     return number
 
 
-def _one_line(fault: DiagnosticError) -> str:
-    found = fault.diagnostic
-    return f"{found.message}; {found.hint}" if found.hint else found.message
+def _one_line(error: DiagnosticError) -> str:
+    diagnostic = error.diagnostic
+    return f"{diagnostic.message}; {diagnostic.hint}" if diagnostic.hint else diagnostic.message
 
 
-def _shown(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
