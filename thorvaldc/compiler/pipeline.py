@@ -87,11 +87,11 @@ def compile_robot(source: SourceFile, library: Sequence[Path]) -> Compilation:
             report,
             compilation.files,
             sorted(_module_names(source.document) - _module_names(document)),
-            whole=_modules_are_valid(source),
+            modules_are_valid=_modules_are_valid(source),
             lock=lock,
         )
         compilation.files.update(modules.files)
-        design = read_design(document, modules, report)
+        design = read_design(document, report)
         if model is not None:
             check_robot(model, design, report)
             check_calculator(model, document, report)

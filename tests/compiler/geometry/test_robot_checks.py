@@ -11,7 +11,7 @@ from tests.examples import FOLDER, ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
 from tests.workshop import CART, Workshop
 from thorvaldc.compiler.geometry.robot_checks import check_robot, feasible_twists
-from thorvaldc.compiler.modules.design_requirements import Design
+from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
@@ -19,9 +19,9 @@ from thorvaldc.model import Robot
 SQUARE = [(0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)]
 
 
-def codes(robot: Robot, design: Design | None = None) -> list[str]:
+def codes(robot: Robot, design: DesignRequirements | None = None) -> list[str]:
     report = Report()
-    check_robot(robot, design or Design(), report)
+    check_robot(robot, design or DesignRequirements(), report)
     return [d.code.name for d in report]
 
 
@@ -111,8 +111,8 @@ def test_the_tip_over_angle_is_that_of_the_nearest_edge(
     wheels = tuple(replace(w, x=px, y=py) for w, (px, py) in zip(robot.wheels, SQUARE, strict=True))
     robot = replace(robot, wheels=wheels)
     angle = math.atan2(margin, z)
-    assert "tip-over" not in codes(robot, Design(tip_over_angle=angle - 1e-6))
-    assert "tip-over" in codes(robot, Design(tip_over_angle=angle + 1e-6))
+    assert "tip-over" not in codes(robot, DesignRequirements(tip_over_angle=angle - 1e-6))
+    assert "tip-over" in codes(robot, DesignRequirements(tip_over_angle=angle + 1e-6))
 
 
 def test_a_wheel_in_the_middle_changes_no_edge() -> None:
@@ -121,8 +121,8 @@ def test_a_wheel_in_the_middle_changes_no_edge() -> None:
     for robot in (four, five):
         robot = with_mass_at(robot, 0.0, 0.0, 0.4)
         angle = math.atan2(0.45, 0.4)
-        assert "tip-over" not in codes(robot, Design(tip_over_angle=angle - 1e-6))
-        assert "tip-over" in codes(robot, Design(tip_over_angle=angle + 1e-6))
+        assert "tip-over" not in codes(robot, DesignRequirements(tip_over_angle=angle - 1e-6))
+        assert "tip-over" in codes(robot, DesignRequirements(tip_over_angle=angle + 1e-6))
 
 
 @pytest.mark.parametrize(("x", "stands"), [(0.4999, True), (0.5001, False), (-0.6, False)])

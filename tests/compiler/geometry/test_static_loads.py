@@ -11,7 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.robots import SPAN
-from thorvaldc.compiler.geometry.static_loads import Pivot, lowest_point, static_loads
+from thorvaldc.compiler.geometry.static_loads import Pivot, static_loads
+from thorvaldc.compiler.geometry.wheel_geometry import lowest_point
 from thorvaldc.model import Inertial, Joint, Link, Pose
 from thorvaldc.model.statics.joint_tree import JointTree
 

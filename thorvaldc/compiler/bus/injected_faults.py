@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.bounded_quantities import Numbers
+from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
@@ -24,16 +24,17 @@ _BATTERIES = "kc_battery"
 def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
     """The script.  Faults of devices that the robot does not have are reported."""
     scope = Scope(None, {}, Library(), report, None)
+    quantities = BoundedQuantities(scope, report)
     seed = document.get("seed")
     return BusFaults(
-        tuple(_Reader(robot, Numbers(scope, report), report).faults(document.get("faults"))),
+        tuple(_Reader(robot, quantities, report).faults(document.get("faults"))),
         seed.value if seed is not None and isinstance(seed.value, int) else 0,
         scope.text(document.get("description")),
     )
 
 
 class _Reader:
-    def __init__(self, robot: Robot, numbers: Numbers, report: Report) -> None:
+    def __init__(self, robot: Robot, numbers: BoundedQuantities, report: Report) -> None:
         self.robot = robot
         self.numbers = numbers
         self.report = report

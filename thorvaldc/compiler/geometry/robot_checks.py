@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.compiler.geometry.static_loads import contact_point
-from thorvaldc.compiler.modules.design_requirements import Design
+from thorvaldc.compiler.geometry.wheel_geometry import contact_point
+from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.gravity import GRAVITY
@@ -15,7 +15,7 @@ from thorvaldc.model.statics.joint_tree import JointTree
 WHEEL_OFF_GROUND = 2e-3  # m; a suspension or a tyre takes up less than this
 
 
-def check_robot(robot: Robot, design: Design, report: Report) -> None:
+def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Run every check; all their findings go to the report."""
     check_masses(robot, report)
     check_inertias(robot, report)
@@ -164,7 +164,7 @@ def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
     return True
 
 
-def check_stability(robot: Robot, design: Design, report: Report) -> None:
+def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """The angle at which the robot tips over the nearest edge between its wheels."""
     hull = _convex_hull([contact_point(w) for w in robot.wheels])
     x, y, z = robot.inertial.com
@@ -198,7 +198,7 @@ def check_stability(robot: Robot, design: Design, report: Report) -> None:
             f"the robot tips over at {math.degrees(angle):.1f} deg "
             f"(centre of mass {z:.3f} m high, {margin:.3f} m from the nearest edge); "
             f"at least {math.degrees(design.tip_over_angle):.1f} deg is asked for",
-            design.tip_over_place or robot.span,
+            design.tip_over_span or robot.span,
             hint="widen the base, lower the masses, "
             "or state another `design: {minimum_tip_over_angle: ..}`",
         )
@@ -356,7 +356,7 @@ def _rank(rows: Sequence[tuple[float, float, float]], tolerance: float = 1e-4) -
     return len(basis)
 
 
-def check_slope(robot: Robot, design: Design, report: Report) -> None:
+def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Whether the motors, and the grip of the driven wheels, hold the stated slope."""
     if design.slope is None:
         return
@@ -377,6 +377,6 @@ def check_slope(robot: Robot, design: Design, report: Report) -> None:
             report.add(
                 "slope-too-steep",
                 f"{word} with {force:.0f} N; a slope of {degrees:.1f} deg needs {needed:.0f} N",
-                design.slope_place or robot.span,
+                design.slope_span or robot.span,
                 hint=hint,
             )

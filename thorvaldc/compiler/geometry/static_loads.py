@@ -1,182 +1,35 @@
-"""The base of the robot: forward kinematics at zero, wheels, ground and static loads."""
+"""Static wheel loads, in N, and the rest positions of springs.
+
+The wheels of a standing robot carry its weight W.  With contact points (x_i, y_i) and the centre
+of mass at (x, y), the loads N_i satisfy
+
+    sum N_i = W,   sum N_i x_i = W x,   sum N_i y_i = W y.
+
+For more than three wheels these equations have many solutions.  Wheels of equal vertical
+stiffness under a rigid body deflect in a plane, so N_i = a + b x_i + c y_i.  The same solution
+has the least sum of squares of N_i.  A rocker adds one equation: its wheels balance about its
+joint; then the solution of least squares is computed directly.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from thorvaldc.compiler.modules.hardware import WheelPart
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.robot import Actuator, Joint, Wheel
-from thorvaldc.model.spatial import (
-    Inertial,
-    Vec3,
-    add,
-    clean,
-    cross,
-    dot,
-    norm,
-    scale,
-)
+from thorvaldc.compiler.geometry.wheel_geometry import UP, contact_point
+from thorvaldc.model.robot import Joint, Wheel
+from thorvaldc.model.spatial import Inertial, clean, dot
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 
-UP: Vec3 = (0.0, 0.0, 1.0)
-
-
-class PlacedWheel(NamedTuple):
-    """A module's wheel in the robot, before its geometry is known."""
-
-    name: str
-    module: str
-    link: str
-    part: WheelPart
-    span: Span
-
-
-def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
-    """The lowest point of a wheel: of the circle in its middle plane, also under camber.
-
-    Where the wheel leans on the ground it rolls on ``radius``, as in every output.
-    """
-    level = math.sqrt(max(1.0 - axis[2] * axis[2], 1e-12))
-    down: Vec3 = (axis[0] * axis[2], axis[1] * axis[2], axis[2] * axis[2] - 1.0)
-    return add(center, scale(radius / level, down))
-
-
-class _Chain(NamedTuple):
-    spin: Joint
-    steering: Joint | None
-    swivel: Joint | None
-    suspension: Joint | None
-    axis: Vec3
-
-
-def _chain(tree: JointTree, wheel: PlacedWheel, report: Report) -> _Chain | None:
-    above = tree.joints_above(wheel.link)
-    moving = [j for j in above if j.type != "fixed"]
-    if not moving or moving[0].type not in ("continuous", "revolute"):
-        report.add(
-            "wheel-does-not-spin",
-            f"the wheel of `{wheel.module}` hangs on no joint that turns it",
-            wheel.span,
-            hint="mount it on a drive or a caster",
-        )
-        return None
-    spin = moving[0]
-    axis = tree.pose[spin.child].rotate(spin.axis)
-    steering = swivel = suspension = None
-    for joint in moving[1:]:
-        if joint.role == "steering" and steering is None and swivel is None:
-            steering = joint
-        elif joint.role == "swivel" and swivel is None and steering is None:
-            swivel = joint
-        elif joint.role == "suspension" and suspension is None:
-            suspension = joint
-    return _Chain(spin, steering, swivel, suspension, axis)
-
-
-def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
-    """How far ``base_link`` must be lifted so that the lowest wheel stands on z = 0."""
-    heights = []
-    for wheel in wheels:
-        chain = _chain(tree, wheel, report)
-        if chain is not None:
-            point = lowest_point(tree.pose[wheel.link].xyz, chain.axis, wheel.part.radius)
-            heights.append(point[2])
-    return -min(heights) if heights else 0.0
-
-
-def make_wheels(
-    tree: JointTree,
-    placed: Sequence[PlacedWheel],
-    actuators: Mapping[str, Actuator],
-    report: Report,
-) -> list[Wheel]:
-    """The wheels' geometry in ``base_link``; loads are filled in later."""
-    wheels: list[Wheel] = []
-    for item in placed:
-        chain = _chain(tree, item, report)
-        if chain is None:
-            continue
-        part = item.part
-        forward = cross(chain.axis, UP)
-        if norm(forward) < 0.17:  # within 10 degrees of lying flat
-            report.add(
-                "wheel-lies-flat",
-                f"the wheel of `{item.module}` spins about a vertical axis",
-                item.span,
-                hint="turn its mount",
-            )
-            continue
-        heading = math.atan2(forward[1], forward[0])
-        point = lowest_point(tree.pose[item.link].xyz, chain.axis, part.radius)
-        x, y, sign = point[0], point[1], 1.0
-        turning = chain.steering or chain.swivel
-        trail = lateral = 0.0
-        if turning is not None:
-            frame = tree.pose[turning.child]
-            direction = frame.rotate(turning.axis)
-            if abs(direction[2]) < 0.5:
-                tilt = math.degrees(math.acos(min(1.0, abs(direction[2]))))
-                report.add(
-                    "steering-axis-tilted",
-                    f"the steering axis of `{item.module}` is {tilt:.0f} deg off the vertical",
-                    item.span,
-                    hint="the base calculators need a nearly vertical axis",
-                )
-                continue
-            sign = 1.0 if direction[2] > 0 else -1.0
-            t = (point[2] - frame.xyz[2]) / direction[2]
-            x, y = frame.xyz[0] + t * direction[0], frame.xyz[1] + t * direction[1]
-            c, s = math.cos(heading), math.sin(heading)
-            trail = c * (point[0] - x) + s * (point[1] - y)
-            lateral = -s * (point[0] - x) + c * (point[1] - y)
-        wheels.append(
-            Wheel(
-                name=item.name,
-                module=item.module,
-                link=item.link,
-                spin_joint=chain.spin.name,
-                steering_joint=chain.steering.name if chain.steering else None,
-                swivel_joint=chain.swivel.name if chain.swivel else None,
-                suspension_joint=chain.suspension.name if chain.suspension else None,
-                driven=chain.spin.name in actuators,
-                x=clean(x),
-                y=clean(y),
-                heading=clean(heading),
-                steering_sign=sign,
-                trail=clean(round(trail, 10)),
-                lateral_offset=clean(round(lateral, 10)),
-                radius=part.radius,
-                width=part.width,
-                radii=part.radii,
-                friction=part.friction,
-                rolling_resistance=part.rolling_resistance,
-                load=0.0,
-                contact_height=clean(round(point[2], 9)),
-                span=item.span,
-                treads=part.treads,
-            )
-        )
-    return wheels
-
-
-def contact_point(wheel: Wheel) -> tuple[float, float]:
-    """Where the wheel stands in ``base_link``, every joint at zero, m."""
-    c, s = math.cos(wheel.heading), math.sin(wheel.heading)
-    return (
-        wheel.x + c * wheel.trail - s * wheel.lateral_offset,
-        wheel.y + s * wheel.trail + c * wheel.lateral_offset,
-    )
-
 
 class Pivot(NamedTuple):
-    """A joint that turns freely, such as that of a rocker: nothing holds it but its wheels.
+    """A joint without motor and spring, such as that of a rocker, which its wheels balance.
 
-    ``levers`` (m) has for each wheel of the robot the moment about the joint of an upward
-    force of 1 N under it; ``moment`` (N m) is that with which they are in balance.
+    ``levers`` (m): for each wheel of the robot, the moment about the joint per upward force of
+    1 N at the wheel.  ``moment`` (N m): the moment of the weight that the joint carries; the
+    wheel loads balance it.
     """
 
     levers: tuple[float, ...]
@@ -184,67 +37,74 @@ class Pivot(NamedTuple):
 
 
 def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
-    """The joints without spring and motor that wheels hang on, but for their own axles."""
-    found: list[Pivot] = []
-    own = {
+    """Returns the pivots of a robot.
+
+    Spin, steering and swivel joints of wheels are none.  ``actuated`` are the joints with motors.
+    """
+    pivots: list[Pivot] = []
+    joints_of_wheels = {
         name for w in wheels for name in (w.spin_joint, w.steering_joint, w.swivel_joint) if name
     }
     for joint in tree.parent_joint.values():
         if joint.type not in ("revolute", "continuous") or joint.stiffness > 0.0:
             continue
-        if joint.name in own or joint.name in actuated or joint.mimic is not None:
+        if joint.name in joints_of_wheels or joint.name in actuated or joint.mimic is not None:
             continue
         below = tree.links_below(joint.child)
         links = set(below)
         pose = tree.pose[joint.child]
         (ox, oy, _), (ax, ay, _) = pose.xyz, pose.rotate(joint.axis)
 
-        def lever(x: float, y: float, at: tuple[float, ...] = (ox, oy, ax, ay)) -> float:
-            return at[2] * (y - at[1]) - at[3] * (x - at[0])
+        def lever(x: float, y: float, line: tuple[float, ...] = (ox, oy, ax, ay)) -> float:
+            # Moment of an upward unit force at (x, y) about the axis (ax, ay) through (ox, oy).
+            return line[2] * (y - line[1]) - line[3] * (x - line[0])
 
         levers = [lever(*contact_point(w)) if w.link in links else 0.0 for w in wheels]
         if max(map(abs, levers), default=0.0) < 1e-6:
             continue
         carried = tree.inertial(below)
         moment = carried.mass * GRAVITY * lever(carried.com[0], carried.com[1])
-        found.append(Pivot(tuple(levers), moment))
-    return found
+        pivots.append(Pivot(tuple(levers), moment))
+    return pivots
 
 
 def static_loads(
     points: Sequence[tuple[float, float]], body: Inertial, pivots: Sequence[Pivot] = ()
 ) -> list[float]:
-    """The wheels' shares of the weight in N, for equal stiffness under each.
+    """Returns the loads of the wheels in N.
 
-    N_i = a + b x_i + c y_i with the sum and both moments in balance; with pivots, the least
-    forces (sum of squares) for which they are in balance as well.  A wheel
-    that would have to pull carries nothing and the rest is solved again.
-    Wheels on one line carry what the line can carry.
+    ``points`` are their contact points, ``body`` is the whole robot.  A wheel with a negative
+    load would have to pull the robot down: its load is set to 0 and the others are computed
+    again.  If all wheels are on one line, only the moment about the line's normal is balanced.
     """
     active = list(range(len(points)))
     weight = body.mass * GRAVITY
     loads = [0.0] * len(points)
     while active:
         if pivots:
-            found = _balanced(points, body, pivots, active)
+            solution = _least_squares_loads(points, body, pivots, active)
         else:
-            found = _plane([points[i] for i in active], (body.com[0], body.com[1]), weight)
-        worst = min(range(len(active)), key=lambda k: found[k])
-        if found[worst] >= -1e-9 * max(weight, 1.0) or len(active) == 1:
-            for i, load in zip(active, found, strict=True):
+            solution = _plane_loads([points[i] for i in active], body.com[:2], weight)
+        lowest = min(range(len(active)), key=lambda k: solution[k])
+        if solution[lowest] >= -1e-9 * max(weight, 1.0) or len(active) == 1:
+            for i, load in zip(active, solution, strict=True):
                 loads[i] = max(load, 0.0)
             break
-        del active[worst]
+        del active[lowest]
     return loads
 
 
-def _balanced(
+def _least_squares_loads(
     points: Sequence[tuple[float, float]],
     body: Inertial,
     pivots: Sequence[Pivot],
     active: Sequence[int],
 ) -> list[float]:
-    """The forces of least squares that satisfy each balance, one orthogonal part after another."""
+    """Returns the loads of least squares that satisfy every balance ``row . loads = value``.
+
+    Gram-Schmidt makes the rows orthonormal; a row that depends on the earlier ones is dropped.
+    The solution of least squares is then the sum of the rows times their values.
+    """
     weight = body.mass * GRAVITY
     balances = [
         ([1.0] * len(active), weight),
@@ -252,22 +112,25 @@ def _balanced(
         ([points[i][1] for i in active], weight * body.com[1]),
         *(([pivot.levers[i] for i in active], pivot.moment) for pivot in pivots),
     ]
-    parts: list[tuple[list[float], float]] = []
+    orthonormal: list[tuple[list[float], float]] = []
     for row, value in balances:
-        size = math.sqrt(sum(a * a for a in row))
-        for direction, share in parts:
-            along = sum(a * b for a, b in zip(row, direction, strict=True))
-            row = [a - along * b for a, b in zip(row, direction, strict=True)]
-            value -= along * share
-        rest = math.sqrt(sum(a * a for a in row))
-        if rest > 1e-9 * size:
-            parts.append(([a / rest for a in row], value / rest))
-    return [sum(share * direction[k] for direction, share in parts) for k in range(len(active))]
+        length = math.sqrt(sum(a * a for a in row))
+        for direction, share in orthonormal:
+            projection = sum(a * b for a, b in zip(row, direction, strict=True))
+            row = [a - projection * b for a, b in zip(row, direction, strict=True)]
+            value -= projection * share
+        remainder = math.sqrt(sum(a * a for a in row))
+        if remainder > 1e-9 * length:
+            orthonormal.append(([a / remainder for a in row], value / remainder))
+    return [
+        sum(share * direction[k] for direction, share in orthonormal) for k in range(len(active))
+    ]
 
 
-def _plane(
+def _plane_loads(
     points: Sequence[tuple[float, float]], com: tuple[float, float], weight: float
 ) -> list[float]:
+    """Returns N_i = W / n + b (x_i - mean x) + c (y_i - mean y), with the moments in balance."""
     n = len(points)
     mx, my = sum(p[0] for p in points) / n, sum(p[1] for p in points) / n
     sxx = sum((p[0] - mx) ** 2 for p in points)
@@ -279,7 +142,7 @@ def _plane(
         b = weight * (syy * dx - sxy * dy) / det
         c = weight * (sxx * dy - sxy * dx) / det
     else:
-        # All on one line: only the moment about its normal can be carried.
+        # All points are on one line: the wheels balance only the moment about its normal.
         trace = sxx + syy
         if trace == 0.0:
             return [weight / n] * n
@@ -293,12 +156,15 @@ def _plane(
 def spring_reference(
     joint: Joint, tree: JointTree, wheels: Sequence[Wheel], loads: Sequence[float]
 ) -> float:
-    """The rest position of a spring whose joint stands at zero under the static load.
+    """Returns the rest position of a spring (m or rad) whose joint is at 0 under the static load.
 
-    In balance: stiffness * reference = -(wheel loads - weight below) along the axis.
+    The spring's force at 0 balances the force of the wheels minus the weight below the joint:
+    stiffness * reference = -(wheel loads - weight below), along the axis.
     """
     below = set(tree.links_below(joint.child))
-    carried = sum(load for wheel, load in zip(wheels, loads, strict=True) if wheel.link in below)
-    unsprung = tree.inertial(sorted(below)).mass * GRAVITY
-    along = dot(tree.pose[joint.child].rotate(joint.axis), UP)
-    return clean(-(carried - unsprung) * along / joint.stiffness)
+    wheel_force = sum(
+        load for wheel, load in zip(wheels, loads, strict=True) if wheel.link in below
+    )
+    weight_below = tree.inertial(sorted(below)).mass * GRAVITY
+    vertical = dot(tree.pose[joint.child].rotate(joint.axis), UP)
+    return clean(-(wheel_force - weight_below) * vertical / joint.stiffness)

@@ -1,4 +1,9 @@
-"""What the base driver goes by: its limits and noise, and the sets of them to switch between."""
+"""Settings of the base driver: rate, limits and noise, and named parameter sets.
+
+The motors limit the twist of the robot.  A wheel of radius r whose motor turns it at most at
+omega (rad/s) rolls at v = omega r.  At the distance d from the centre of the base it allows the
+turning rate v / d.  The slowest wheel determines both; accelerations follow in the same way.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +11,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from thorvaldc.compiler.geometry.static_loads import contact_point
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.geometry.wheel_geometry import contact_point
+from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report
@@ -15,9 +20,10 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, DriverSettings, ParameterSet, Wheel
 from thorvaldc.model.spatial import clean
 
-MIN_RATE, MAX_RATE = 1.0, 1000.0  # Hz; a shorter cycle than 1 ms is not for a bus
-DEFAULT_RATE = 50.0  # Hz, facts of the original: the base driver's `rate`
-DEFAULT_TIMEOUT = 0.5  # s, the original's command time-out
+MIN_RATE, MAX_RATE = 1.0, 1000.0  # Hz; a CAN bus cannot serve cycles shorter than 1 ms
+DEFAULT_RATE = 50.0  # Hz; parameter `rate` of the original system's base driver
+DEFAULT_TIMEOUT = 0.5  # s; the original system's command time-out
+MIN_LEVER = 0.05  # m; a wheel near the centre does not limit the turning rate
 
 LIMITS = {
     "max_linear_velocity": "velocity",
@@ -36,41 +42,41 @@ NOISE = {
 }
 
 
-class DriverParameters:
+class DriverSettingsReader:
     """Reads ``driver`` and ``parameter_sets`` of a robot document.
 
-    ``tolerance`` is the share by which a stated limit may exceed what the
-    modules allow before it is said.
+    ``actuators`` are by their joints.  ``tolerance`` is the fraction by which a stated limit may
+    exceed the limit of the motors without a warning.
     """
 
     def __init__(
         self,
         document: Node,
-        scope: Scope,
+        reader: ValueReader,
         wheels: Sequence[Wheel],
         actuators: Mapping[str, Actuator],
         tolerance: float,
         report: Report,
     ) -> None:
         self._document = document
-        self._scope = scope
+        self._reader = reader
         self._wheels = wheels
         self._actuators = actuators
         self._tolerance = tolerance
         self._report = report
 
     def driver(self) -> DriverSettings:
-        """The limits that the modules allow together, lowered by what the file says."""
+        """Returns the driver settings: limits of the motors, or lower stated limits."""
         node = self._document.get("driver") or Node({}, self._document.span)
-        rate = self._scope.quantity(node.get("rate"), "frequency", DEFAULT_RATE)
-        timeout = self._scope.quantity(node.get("command_timeout"), "time", DEFAULT_TIMEOUT)
+        rate = self._reader.quantity(node.get("rate"), "frequency", DEFAULT_RATE)
+        timeout = self._reader.quantity(node.get("command_timeout"), "time", DEFAULT_TIMEOUT)
         for key, value in (("rate", rate), ("command_timeout", timeout)):
             if value <= 0:
-                self._not_positive(key, value, node.get(key))
+                self._report_not_positive(key, value, node.get(key))
         self._check_cycle(rate, timeout, node)
         limits = {
-            key: self._limit(node.get(key), key, allowed)
-            for key, allowed in self._allowed(None).items()
+            key: self._limit(node.get(key), key, motor_limit)
+            for key, motor_limit in self._motor_limits(None).items()
         }
         return DriverSettings(
             rate=rate if rate > 0 else DEFAULT_RATE,
@@ -80,100 +86,104 @@ class DriverParameters:
         )
 
     def _check_cycle(self, rate: float, timeout: float, node: Node) -> None:
-        place = node.get("rate") or node.get("command_timeout") or node
+        """Checks the rate, and that a command is valid for at least one cycle."""
+        entry = node.get("rate") or node.get("command_timeout") or node
         if rate > 0.0 and not MIN_RATE <= rate <= MAX_RATE:
             self._report.add(
                 "driver-cycle",
                 f"the rate is {rate:g} Hz; the base driver runs at {MIN_RATE:g} to {MAX_RATE:g} Hz",
-                place.span,
+                entry.span,
             )
         elif rate > 0.0 and 0.0 < timeout < 1.0 / rate:
             self._report.add(
                 "driver-cycle",
                 f"the command time-out is {timeout:g} s, "
                 f"shorter than one cycle of {1.0 / rate:g} s",
-                (node.get("command_timeout") or place).span,
-                hint="every command would be stale at once",
+                (node.get("command_timeout") or entry).span,
+                hint="every command would expire before the driver uses it",
             )
 
-    def sets(self, driver: DriverSettings) -> tuple[ParameterSet, ...]:
-        """The named sets: the robot's own settings with what each changes."""
-        node = self._document.get("parameter_sets")
-        entries = node.value if node is not None and isinstance(node.value, dict) else {}
-        return tuple(self._set(name, entry, driver) for name, entry in entries.items())
+    def parameter_sets(self, driver: DriverSettings) -> tuple[ParameterSet, ...]:
+        """Returns the named sets: the settings of ``driver`` with the changes of each set."""
+        sets = entries(self._document.get("parameter_sets"))
+        return tuple(self._parameter_set(name, entry, driver) for name, entry in sets.items())
 
-    def _set(self, name: str, node: Node, driver: DriverSettings) -> ParameterSet:
-        radii = node.get("radii")
-        chosen = self._scope.text(radii) if radii is not None else None
+    def _parameter_set(self, name: str, node: Node, driver: DriverSettings) -> ParameterSet:
+        radii_node = node.get("radii")
+        radii = self._reader.text(radii_node) if radii_node is not None else None
         known = list(dict.fromkeys(key for wheel in self._wheels for key, _ in wheel.radii))
-        if radii is not None and chosen not in known:
+        if radii_node is not None and radii not in known:
             self._report.add(
                 "parameter-set-radii",
-                f"no wheel has radii named `{chosen}`",
-                radii.span,
+                f"no wheel has radii named `{radii}`",
+                radii_node.span,
                 hint=did_you_mean(
-                    str(chosen),
+                    str(radii),
                     known,
                     f"there are {', '.join(known)}" if known else "every wheel has one radius",
                 ),
             )
         limits = {}
-        for key, allowed in self._allowed(chosen).items():
+        for key, motor_limit in self._motor_limits(radii).items():
             stated = node.get(key)
             limits[key] = (
-                min(getattr(driver, key), _finite(allowed))
+                min(getattr(driver, key), _finite(motor_limit))
                 if stated is None
-                else self._limit(stated, key, allowed)
+                else self._limit(stated, key, motor_limit)
             )
         noise = self._noise(node.get("noise"), driver.noise)
-        return ParameterSet(name, chosen, replace(driver, noise=noise, **limits), node.where)
+        return ParameterSet(name, radii, replace(driver, noise=noise, **limits), node.where)
 
-    def _allowed(self, radii: str | None) -> dict[str, float]:
-        """The limits that the slowest motors set with these radii."""
-        speed = turn = math.inf
-        acceleration = turn_acceleration = math.inf
+    def _motor_limits(self, radii: str | None) -> dict[str, float]:
+        """Returns the limits of the slowest motors, with the radii of this name."""
+        speed = turning_rate = math.inf
+        acceleration = turning_acceleration = math.inf
         for wheel in self._wheels:
             actuator = self._actuators.get(wheel.spin_joint)
             if actuator is None:
                 continue
             radius = wheel.radius_named(radii)
-            v = actuator.max_velocity * radius
-            a = actuator.max_acceleration * radius
-            arm = max(math.hypot(*contact_point(wheel)), 0.05)
-            speed, turn = min(speed, v), min(turn, v / arm)
-            acceleration, turn_acceleration = min(acceleration, a), min(turn_acceleration, a / arm)
-        return dict(zip(LIMITS, (speed, turn, acceleration, turn_acceleration), strict=True))
+            wheel_speed = actuator.max_velocity * radius
+            wheel_acceleration = actuator.max_acceleration * radius
+            lever = max(math.hypot(*contact_point(wheel)), MIN_LEVER)
+            speed = min(speed, wheel_speed)
+            turning_rate = min(turning_rate, wheel_speed / lever)
+            acceleration = min(acceleration, wheel_acceleration)
+            turning_acceleration = min(turning_acceleration, wheel_acceleration / lever)
+        limits = (speed, turning_rate, acceleration, turning_acceleration)
+        return dict(zip(LIMITS, limits, strict=True))
 
-    def _limit(self, node: Node | None, key: str, allowed: float) -> float:
-        stated = self._scope.quantity(node, LIMITS[key], allowed)
+    def _limit(self, node: Node | None, key: str, motor_limit: float) -> float:
+        """Returns the lower of the stated limit and that of the motors."""
+        stated = self._reader.quantity(node, LIMITS[key], motor_limit)
         shown = QUANTITIES[LIMITS[key]].shown
         if node is not None and stated <= 0:
-            self._not_positive(key, stated, node)
-        if node is not None and stated > allowed * (1 + self._tolerance):
+            self._report_not_positive(key, stated, node)
+        if node is not None and stated > motor_limit * (1 + self._tolerance):
             self._report.add(
                 "driver-limit-too-high",
-                f"`{key}` is {shown(stated)}; the slowest module allows {shown(allowed)}",
+                f"`{key}` is {shown(stated)}; the slowest module allows {shown(motor_limit)}",
                 node.span,
-                hint="lower it, or leave it out to have what the modules allow",
+                hint="lower it, or leave it out to use the limit of the modules",
             )
-        return _finite(min(stated, allowed))
+        return _finite(min(stated, motor_limit))
 
     def _noise(
-        self, node: Node | None, before: tuple[tuple[str, float], ...]
+        self, node: Node | None, inherited: tuple[tuple[str, float], ...]
     ) -> tuple[tuple[str, float], ...]:
-        entries = node.value if node is not None and isinstance(node.value, dict) else {}
-        found = dict(before)
-        for key, entry in entries.items():
-            if key not in NOISE:  # the schema has said so
+        """Returns the inherited noise values with the changes of a `noise` section."""
+        noise = dict(inherited)
+        for key, entry in entries(node).items():
+            if key not in NOISE:  # The schema check has reported it.
                 continue
-            value = self._scope.quantity(entry, NOISE[key])
+            value = self._reader.quantity(entry, NOISE[key])
             if value > 0 or (value == 0 and key == "correlation"):
-                found[key] = clean(value)
+                noise[key] = clean(value)
             else:
-                self._not_positive(key, value, entry)
-        return tuple(found.items())
+                self._report_not_positive(key, value, entry)
+        return tuple(noise.items())
 
-    def _not_positive(self, key: str, value: float, node: Node | None) -> None:
+    def _report_not_positive(self, key: str, value: float, node: Node | None) -> None:
         self._report.add(
             "size-not-positive",
             f"`{key}` is {value:g}; it must be positive",
@@ -182,4 +192,5 @@ class DriverParameters:
 
 
 def _finite(value: float) -> float:
+    """Returns 0 for infinity: no driven wheel limits the robot."""
     return clean(value) if math.isfinite(value) else 0.0

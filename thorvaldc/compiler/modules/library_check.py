@@ -1,4 +1,4 @@
-"""Checks module types by themselves, with the defaults of their parameters."""
+"""Checks module types without a robot, with the defaults of their parameters."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
+# A bus and a control cycle for checking a single device.
+BITRATE = 500_000  # bit/s
+CYCLE = 0.02  # s
+
 
 @dataclass
 class LibraryCheck:
-    """The module types of a library folder and their diagnostics.
+    """The module types of a library folder and the diagnostics about them.
 
     ``sources`` maps file names in ``report`` to files.
     """
@@ -38,27 +42,25 @@ def check_library(folder: Path | None) -> LibraryCheck:
 
 
 def check_module(name: str, library: Library, report: Report) -> None:
-    """Load a type, expand it and work out its hardware; every fault goes to the report.
+    """Loads a module type, expands it and computes its hardware; reports every error.
 
-    A type with a parameter that has no default is expanded only as far as its
-    document goes: what it is made of depends on a value that nobody has given.
+    If a parameter has no default, only the document is checked: the parts depend on a value that
+    is not known.
     """
     module = library.load(name, Node(name, Span(name)), report)
     if module is None:
         return
-    place = module.document.span
-    asked = Node(name, place)
-    for param in module.section("params").values():
-        if param.get("default") is None:
-            return
-    entry = Node({"type": asked}, place)
-    robot = Instance("", None, Scope(None, {}, library, report, None), entry, place, None)
+    if any(param.get("default") is None for param in module.section("params").values()):
+        return
+    span = module.document.span
+    entry = Node({"type": Node(name, span)}, span)
+    robot = Instance("", None, Scope(None, {}, library, report, None), entry, span, None)
     resolver = Resolver(library, report)
-    own = name.rpartition("/")[2]
-    resolver.expand(robot, own, entry)
-    part = robot.children.get(own)
+    part_name = name.rpartition("/")[2]
+    resolver.expand(robot, part_name, entry)
+    part = robot.children.get(part_name)
     if part is not None and module.is_assembly:
-        _check_offers(part, module, resolver, report)
+        _check_assembly_references(part, module, resolver, report)
     for leaf in robot.leaves():
         if leaf.type is None:
             continue
@@ -66,32 +68,30 @@ def check_module(name: str, library: Library, report: Report) -> None:
         can = leaf.type.document.get("can")
         if can is not None:
             channels = leaf.type.document.get("channels")
-            device = Device(leaf.path, own, can, channels, (), None, leaf.scope, place)
-            # Alone it drives no motor, which is a warning for a robot and nothing here.
-            found = Report()
-            build_buses([device], [BusSpec("bus", 500_000, place)], [], 0.02, found)
-            for fault in found.errors:
-                report.put(fault)
+            device = Device(leaf.path, part_name, can, channels, (), None, leaf.scope, span)
+            # Warnings are dropped: a device without a robot drives no motor.
+            bus_report = Report()
+            build_buses([device], [BusSpec("bus", BITRATE, span)], [], CYCLE, bus_report)
+            for diagnostic in bus_report.errors:
+                report.put(diagnostic)
 
 
-def _check_offers(
+def _check_assembly_references(
     assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
 ) -> None:
-    """That what an assembly offers to the outside is there."""
-    for section, find in (
-        ("ports", resolver.references.find_port),
-        ("motors", resolver.references.find_motor),
-    ):
+    """Checks that `ports`, `motors` and `can` of an assembly name what its parts have."""
+    references = resolver.references
+    for section, find in (("ports", references.find_port), ("motors", references.find_motor)):
         for node in module.section(section).values():
-            # What its defaults leave out may be there with other parameters.
+            # Parts that the defaults leave out may be present with other parameter values.
             if str(node.value).partition(".")[0] not in assembly.left_out:
                 find(assembly, str(node.value), node)
-    taker = module.document.get("can")
-    known = [*assembly.children, *assembly.left_out, *assembly.failed]
-    if taker is not None and taker.value not in known:
+    controller = module.document.get("can")
+    part_names = [*assembly.children, *assembly.left_out, *assembly.failed]
+    if controller is not None and controller.value not in part_names:
         report.add(
             "module-unknown",
-            f"there is no module `{taker.value}` in `{assembly.path}`",
-            taker.span,
-            hint=hint_of_known(str(taker.value), list(assembly.children)),
+            f"there is no module `{controller.value}` in `{assembly.path}`",
+            controller.span,
+            hint=hint_of_known(str(controller.value), list(assembly.children)),
         )

@@ -1,4 +1,4 @@
-"""The calibration that a robot document includes: what was measured of its wheels."""
+"""Applies measured wheel radii and steering offsets from the calibration file of a robot."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
-from thorvaldc.compiler.geometry.static_loads import PlacedWheel
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel, spin_joint
+from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -19,29 +19,36 @@ from thorvaldc.model.robot import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import add, clean
 from thorvaldc.model.statics.joint_tree import JointTree
 
-MOST_RADIUS = 0.2
-"""Share by which a measured radius may differ from the module's: more is another wheel."""
-MOST_OFFSET = math.radians(45.0)
-"""Steering offset beyond which a reading is not a matter of calibration."""
+MAX_RADIUS_CHANGE = 0.2
+"""Fraction by which a measured radius may differ from the module's: beyond, it is another wheel."""
+MAX_STEERING_OFFSET = math.radians(45.0)
+"""Larger offsets (rad) are errors of homing and not of calibration."""
+
+
+class Measured(NamedTuple):
+    """A measured value in SI, and where the calibration file states it."""
+
+    value: float
+    span: Span
 
 
 @dataclass
 class Calibration:
-    """Measured values by wheel, in SI, with where each is written."""
+    """Measured values by wheel.  ``names`` are the wheels of the file and their spans."""
 
-    span: Span
     names: dict[str, Span] = field(default_factory=dict)
-    radii: dict[str, tuple[float, Span]] = field(default_factory=dict)
-    named_radii: dict[str, dict[str, tuple[float, Span]]] = field(default_factory=dict)
-    offsets: dict[str, tuple[float, Span]] = field(default_factory=dict)
+    radii: dict[str, Measured] = field(default_factory=dict)
+    named_radii: dict[str, dict[str, Measured]] = field(default_factory=dict)
+    steering_offsets: dict[str, Measured] = field(default_factory=dict)
 
 
 def load_calibration(
     document: Node, base_dir: Path, report: Report, files: dict[str, Path]
 ) -> Calibration | None:
-    """What the document's ``calibration`` names; ``None`` where it names nothing readable.
+    """Reads the file that ``calibration`` of a robot document names.
 
-    ``files`` gets the file by its name in spans.
+    Returns ``None`` if the document names none, or if the file cannot be read (reported).
+    ``base_dir`` is the folder of the robot file; ``files`` gets the calibration file.
     """
     node = document.get("calibration")
     if node is None or not isinstance(node.value, str):
@@ -57,45 +64,48 @@ def load_calibration(
         return None
     files[node.value] = path
     shape = Report()
-    whole = read_file(path, node.value, shape)
-    if whole is not None:
-        check(whole, "calibration", shape)
-        whole = without_invalid_values(whole, shape)
+    root = read_file(path, node.value, shape)
+    if root is not None:
+        check(root, "calibration", shape)
+        root = without_invalid_values(root, shape)
     report.extend(shape)
-    if whole is None:
+    if root is None:
         return None
-    scope = Scope(None, {}, Library(), report, None)
-    _check_robot(scope, whole, document, report)
-    found = Calibration(whole.span)
-    wheels = whole.get("wheels")
-    for name, entry in (wheels.value if wheels and isinstance(wheels.value, dict) else {}).items():
-        found.names[name] = entry.key_span or entry.span
+    reader = ValueReader(report)
+    _check_robot(reader, root, document, report)
+    calibration = Calibration()
+    for name, entry in entries(root.get("wheels")).items():
+        calibration.names[name] = entry.where
         radius, offset = entry.get("radius"), entry.get("steering_offset")
-        named = entry.get("radii")
         if radius is not None and radius.value is not None:
-            found.radii[name] = (scope.quantity(radius, "length"), radius.span)
-        if named is not None and isinstance(named.value, dict):
-            found.named_radii[name] = {
-                key: (scope.quantity(value, "length"), value.span)
-                for key, value in named.value.items()
+            calibration.radii[name] = Measured(reader.quantity(radius, "length"), radius.span)
+        named_radii = entry.get("radii")
+        if named_radii is not None:
+            calibration.named_radii[name] = {
+                key: Measured(reader.quantity(value, "length"), value.span)
+                for key, value in entries(named_radii).items()
                 if value.value is not None
             }
         if offset is not None and offset.value is not None:
-            found.offsets[name] = (scope.quantity(offset, "angle"), offset.span)
-    return found
+            measured_offset = Measured(reader.quantity(offset, "angle"), offset.span)
+            calibration.steering_offsets[name] = measured_offset
+    return calibration
 
 
-def _check_robot(scope: Scope, whole: Node, document: Node, report: Report) -> None:
-    node, own = whole.get("robot"), document.get("name")
-    if node is None or own is None or None in (node.value, own.value):
+def _check_robot(reader: ValueReader, calibration: Node, document: Node, report: Report) -> None:
+    """Checks that the calibration is that of this robot."""
+    measured_node, name_node = calibration.get("robot"), document.get("name")
+    if measured_node is None or name_node is None:
         return
-    measured, name = scope.text(node), scope.text(own)
-    if measured != name:
+    if None in (measured_node.value, name_node.value):
+        return
+    measured_name, name = reader.text(measured_node), reader.text(name_node)
+    if measured_name != name:
         report.add(
             "calibration-robot",
-            f"the calibration is of `{measured}`; the robot is `{name}`",
-            node.span,
-            labels=[Label(own.span, "the robot's name")],
+            f"the calibration is of `{measured_name}`; the robot is `{name}`",
+            measured_node.span,
+            labels=[Label(name_node.span, "the robot's name")],
             hint="two robots of one design have different wheels: calibrate each",
         )
 
@@ -103,10 +113,10 @@ def _check_robot(scope: Scope, whole: Node, document: Node, report: Report) -> N
 def calibrate_wheels(
     calibration: Calibration, wheels: list[PlacedWheel], report: Report
 ) -> list[PlacedWheel]:
-    """The wheels with their measured radii.
+    """Returns the wheels with their measured radii.
 
-    A named radius that the module has equal to its ``radius`` is that of the same
-    tyre and follows it.
+    A named radius that equals the module's ``radius`` belongs to the same tyre and gets the
+    same measured value.
     """
     known = [wheel.name for wheel in wheels]
     for name, span in calibration.names.items():
@@ -117,41 +127,42 @@ def calibrate_wheels(
                 span,
                 hint=did_you_mean(name, known, f"its wheels: {', '.join(known)}"),
             )
-    made: list[PlacedWheel] = []
-    for wheel in wheels:
-        part = wheel.part
-        measured = calibration.radii.get(wheel.name)
-        named = calibration.named_radii.get(wheel.name, {})
-        radii = dict(part.radii)
-        radius = part.radius
-        if measured is not None:
-            radius = _radius(*measured, part.radius, wheel.name, report)
-            radii = {key: radius if r == part.radius else r for key, r in part.radii}
-        for key, (value, span) in named.items():
-            if key in radii:
-                radii[key] = _radius(value, span, dict(part.radii)[key], wheel.name, report)
-            else:
-                report.add(
-                    "calibration-wheel",
-                    f"the wheel `{wheel.name}` has no radius named `{key}`",
-                    span,
-                    hint=did_you_mean(
-                        key, radii, f"it has {', '.join(radii)}" if radii else "it has one radius"
-                    ),
-                )
-        part = part._replace(radius=radius, radii=tuple(radii.items()))
-        made.append(wheel._replace(part=part))
-    return made
+    return [_calibrate_wheel(calibration, wheel, report) for wheel in wheels]
 
 
-def _radius(value: float, span: Span, nominal: float, wheel: str, report: Report) -> float:
-    if abs(value - nominal) <= MOST_RADIUS * nominal:
-        return value
+def _calibrate_wheel(calibration: Calibration, wheel: PlacedWheel, report: Report) -> PlacedWheel:
+    part = wheel.part
+    nominal_radii = dict(part.radii)
+    radius, radii = part.radius, dict(nominal_radii)
+    measured_radius = calibration.radii.get(wheel.name)
+    if measured_radius is not None:
+        radius = _checked_radius(measured_radius, part.radius, wheel.name, report)
+        radii = {key: radius if r == part.radius else r for key, r in part.radii}
+    for key, measured in calibration.named_radii.get(wheel.name, {}).items():
+        if key in radii:
+            radii[key] = _checked_radius(measured, nominal_radii[key], wheel.name, report)
+        else:
+            report.add(
+                "calibration-wheel",
+                f"the wheel `{wheel.name}` has no radius named `{key}`",
+                measured.span,
+                hint=did_you_mean(
+                    key, radii, f"it has {', '.join(radii)}" if radii else "it has one radius"
+                ),
+            )
+    return wheel._replace(part=part._replace(radius=radius, radii=tuple(radii.items())))
+
+
+def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Report) -> float:
+    """Returns the measured radius, or the nominal one if the measurement is not plausible."""
+    if abs(measured.value - nominal) <= MAX_RADIUS_CHANGE * nominal:
+        return measured.value
     report.add(
         "calibration-value",
-        f"the radius of `{wheel}` is {value * 1000:.6g} mm; its module says "
-        f"{nominal * 1000:.6g} mm, and more than {MOST_RADIUS:.0%} from it is another wheel",
-        span,
+        f"the radius of `{wheel}` is {measured.value * 1000:.6g} mm; its module states "
+        f"{nominal * 1000:.6g} mm, and a difference of more than {MAX_RADIUS_CHANGE:.0%} means "
+        "another wheel",
+        measured.span,
         hint="calibrate again, or correct the wheel's module",
     )
     return nominal
@@ -160,24 +171,24 @@ def _radius(value: float, span: Span, nominal: float, wheel: str, report: Report
 def raise_axles(
     joints: list[Joint],
     tree: JointTree,
-    before: Sequence[PlacedWheel],
-    after: Sequence[PlacedWheel],
+    nominal_wheels: Sequence[PlacedWheel],
+    measured_wheels: Sequence[PlacedWheel],
 ) -> None:
-    """Move the axles of wheels up by what their radii grew, in place.
+    """Raises the axle of each wheel by the growth of its radius, in ``joints``.
 
-    The radius on which a tyre rolls says little of how the robot stands: legs and
-    frame give way by such millimetres, and a rigid model would stand on three wheels.
+    All wheels then still touch the ground.  In reality legs and frame give way by such
+    millimetres; a rigid model would stand on three wheels.
     """
     index = {joint.name: i for i, joint in enumerate(joints)}
-    for old, new in zip(before, after, strict=True):
-        growth = new.part.radius - old.part.radius
-        spin = next((j for j in tree.joints_above(old.link) if j.type != "fixed"), None)
+    for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
+        growth = measured.part.radius - nominal.part.radius
+        spin = spin_joint(tree, nominal.link)
         if growth == 0.0 or spin is None:
             continue
         axis = tree.pose[spin.child].rotate(spin.axis)
-        # Under camber the wheel stands on the foot of a leaning circle.
-        up = growth * math.sqrt(max(1.0 - axis[2] * axis[2], 0.0))
-        shift = tree.pose[spin.parent].inverse().rotate((0.0, 0.0, up))
+        # A wheel that leans by the camber angle stands on a leaning circle: cos(camber).
+        rise = growth * math.sqrt(max(1.0 - axis[2] * axis[2], 0.0))
+        shift = tree.pose[spin.parent].inverse().rotate((0.0, 0.0, rise))
         i = index[spin.name]
         pose = joints[i].pose
         joints[i] = replace(joints[i], pose=replace(pose, xyz=add(pose.xyz, shift)).clean())
@@ -189,14 +200,14 @@ def calibrate_steering(
     wheels: Sequence[Wheel],
     report: Report,
 ) -> None:
-    """Give the steering motors the offsets of their encoders, in place."""
+    """Sets the encoder offsets of the steering motors in ``actuators``."""
     index = {actuator.joint: i for i, actuator in enumerate(actuators)}
-    given: dict[str, tuple[float, Span]] = {}
+    offset_by_joint: dict[str, Measured] = {}
     for wheel in wheels:
-        found = calibration.offsets.get(wheel.name)
-        if found is None:
+        measured = calibration.steering_offsets.get(wheel.name)
+        if measured is None:
             continue
-        offset, span = found
+        offset, span = measured
         joint = wheel.steering_joint
         if joint is None or joint not in index:
             report.add(
@@ -205,25 +216,25 @@ def calibrate_steering(
                 span,
                 hint="leave `steering_offset` out",
             )
-        elif abs(offset) > MOST_OFFSET:
+        elif abs(offset) > MAX_STEERING_OFFSET:
             report.add(
                 "calibration-value",
                 f"the steering offset of `{wheel.name}` is {math.degrees(offset):.6g} deg; "
-                f"it must be within +-{math.degrees(MOST_OFFSET):.0f} deg",
+                f"it must be within +-{math.degrees(MAX_STEERING_OFFSET):.0f} deg",
                 span,
                 hint="home the steering first, then calibrate",
             )
-        elif joint in given and given[joint][0] != offset:
-            other, where = given[joint]
+        elif joint in offset_by_joint and offset_by_joint[joint].value != offset:
+            first = offset_by_joint[joint]
             report.add(
                 "calibration-value",
                 f"the steering joint `{joint}` of `{wheel.name}` has two offsets: "
-                f"{math.degrees(other):.6g} and {math.degrees(offset):.6g} deg",
+                f"{math.degrees(first.value):.6g} and {math.degrees(offset):.6g} deg",
                 span,
-                labels=[Label(where, "the other one")],
+                labels=[Label(first.span, "the other one")],
                 hint="wheels on one joint have one offset",
             )
         else:
-            given[joint] = found
+            offset_by_joint[joint] = measured
             i = index[joint]
             actuators[i] = replace(actuators[i], encoder_offset=clean(offset))

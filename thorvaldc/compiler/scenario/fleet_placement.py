@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.geometry.static_loads import contact_point
+from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.bounded_quantities import Numbers
+from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
@@ -61,8 +61,9 @@ class Placements:
         if grid is None:
             yield entry, first
             return
-        # Far apart where it is at fault: nothing more is to be said of them.
-        spacing = Numbers(self._scope, self._report).positive(grid, "spacing", "length", 100.0)
+        spacing = BoundedQuantities(self._scope, self._report).positive(
+            grid, "spacing", "length", 100.0
+        )
         for k in range(robots_of(node)):
             x, y, z = first.xyz
             row, column = divmod(k, _count(grid, "columns"))

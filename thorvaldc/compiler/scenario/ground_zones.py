@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from thorvaldc.compiler.modules.bounded_quantities import Numbers, placed
+from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Zone
@@ -15,7 +15,7 @@ CELLS_PER_WAVE = 10
 """Cells of rough ground along a wave: the fewer, the more it resists rolling."""
 
 
-def read_zones(listed: Node | None, numbers: Numbers, report: Report) -> Iterator[Zone]:
+def read_zones(listed: Node | None, numbers: BoundedQuantities, report: Report) -> Iterator[Zone]:
     items = listed.value if listed is not None else None
     for node in items if isinstance(items, tuple) else ():
         size = numbers.pair(node, "size", (1.0, 1.0))
@@ -42,7 +42,7 @@ def read_zones(listed: Node | None, numbers: Numbers, report: Report) -> Iterato
                 )
         seed = node.get("seed")
         yield Zone(
-            placed(node, numbers),
+            numbers.planar_pose(node),
             size,
             _own(node, "friction", numbers, 5.0),
             _own(node, "rolling_resistance", numbers, 1.0),
@@ -56,7 +56,7 @@ def read_zones(listed: Node | None, numbers: Numbers, report: Report) -> Iterato
         )
 
 
-def _own(node: Node, key: str, numbers: Numbers, most: float) -> float | None:
+def _own(node: Node, key: str, numbers: BoundedQuantities, most: float) -> float | None:
     if node.get(key) is None:
         return None
     return numbers(node, key, "number", least=0.0, most=most)

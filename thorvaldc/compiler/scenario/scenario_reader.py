@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.bounded_quantities import Numbers
+from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.scenario.ground_zones import check_starts
 from thorvaldc.compiler.scenario.world import friction, read_world, with_friction
@@ -74,7 +74,7 @@ def _try_variations(document: Node, fleet: Fleet, report: Report) -> None:
 
 def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
     scope = Scope(None, {}, Library(), report, None)
-    numbers = Numbers(scope, report)
+    numbers = BoundedQuantities(scope, report)
     mu = friction(document, numbers)
     if mu is not None:
         placed = (replace(p, robot=with_friction(p.robot, mu)) for p in fleet.placements)
@@ -108,7 +108,7 @@ def _groups(record: Node | None) -> tuple[str, ...]:
 
 
 class _Reader:
-    def __init__(self, fleet: Fleet, numbers: Numbers, report: Report) -> None:
+    def __init__(self, fleet: Fleet, numbers: BoundedQuantities, report: Report) -> None:
         self.robots = {placement.name: placement.robot for placement in fleet.placements}
         self.numbers = numbers
         self.report = report

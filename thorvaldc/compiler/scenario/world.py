@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.compiler.modules.bounded_quantities import Numbers, placed
+from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.scenario.ground_zones import CELLS_PER_WAVE, MAX_CELLS, read_zones
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
@@ -17,7 +17,7 @@ _OF_SLOPES = ("angle", "direction")
 _OF_BUMPS = ("amplitude", "wavelength", "seed", "size")
 
 
-def read_world(document: Node, numbers: Numbers, report: Report) -> World:
+def read_world(document: Node, numbers: BoundedQuantities, report: Report) -> World:
     node = document.get("world")
     if node is None:
         return World(Ground())
@@ -30,7 +30,7 @@ def read_world(document: Node, numbers: Numbers, report: Report) -> World:
     )
 
 
-def friction(document: Node, numbers: Numbers) -> float | None:
+def friction(document: Node, numbers: BoundedQuantities) -> float | None:
     """The coefficient that wheels have in this world; ``None``: their own."""
     node = document.get("world")
     if node is None or node.get("friction") is None:
@@ -44,7 +44,7 @@ def with_friction(robot: Robot, mu: float) -> Robot:
     return replace(robot, wheels=tuple(replace(wheel, friction=mu) for wheel in robot.wheels))
 
 
-def _ground(node: Node, numbers: Numbers, report: Report) -> Ground:
+def _ground(node: Node, numbers: BoundedQuantities, report: Report) -> Ground:
     type_ = node.get("type")
     kind = type_.value if type_ is not None else None
     wrong = {"plane": (*_OF_SLOPES, *_OF_BUMPS), "slope": _OF_BUMPS}.get(str(kind), ())
@@ -90,7 +90,7 @@ def _ground(node: Node, numbers: Numbers, report: Report) -> Ground:
 class _Blocks:
     """Expands what stands around into single things."""
 
-    def __init__(self, numbers: Numbers, report: Report, world: Node) -> None:
+    def __init__(self, numbers: BoundedQuantities, report: Report, world: Node) -> None:
         self.numbers = numbers
         self.report = report
         self.world = world
@@ -141,7 +141,7 @@ class _Blocks:
         return Pose.from_xyz_rpy(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (0.0, 0.0, yaw)), length
 
     def _frame(self, node: Node) -> Pose:
-        return placed(node, self.numbers)
+        return self.numbers.planar_pose(node)
 
     def _kerb(self, node: Node, name: str) -> None:
         middle, length = self._line(node)

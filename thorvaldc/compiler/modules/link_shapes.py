@@ -1,4 +1,4 @@
-"""The parts that a module's links are made of: shapes, colours, masses."""
+"""Reads the parts of a module's links: shapes, colours and masses."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.compiler.modules.scope import Scope, hint_of_known
+from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Box, Collision, Cylinder, Mesh, MeshShape, Shape, Sphere, Visual
@@ -17,10 +18,10 @@ DEFAULT_COLOR = "#9a9a9a"
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?")
 
 
-class PartReader:
-    """Reads the parts of one module's links; ``meshes`` gathers what they use.
+class LinkShapeReader:
+    """Reads the parts of one module's links; ``meshes`` collects the meshes that they use.
 
-    ``folder`` is the module's, for its mesh files.
+    Mesh files are relative to ``folder``, the folder of the module.
     """
 
     def __init__(self, folder: Path, palette: dict[str, str], report: Report) -> None:
@@ -37,7 +38,8 @@ class PartReader:
         collisions: list[Collision],
         masses: list[Inertial],
     ) -> None:
-        shape_node, mass_node = part.get("shape"), part.get("mass")
+        """Adds the shape and the mass of a part to the lists of its link."""
+        shape_node = part.get("shape")
         pose = scope.pose(part).clean()
         shape = self._shape(shape_node, scope) if shape_node is not None else None
         if shape is not None:
@@ -45,68 +47,71 @@ class PartReader:
                 visuals.append(Visual(shape, pose, self._color(part.get("color"), scope)))
             if scope.boolean(part.get("collide"), False):
                 collisions.append(Collision(shape, pose))
+        inertial = self._inertial(part, shape, scope)
+        if inertial is not None:
+            masses.append(inertial.transformed(pose))
+
+    def _inertial(self, part: Node, shape: Shape | None, scope: Scope) -> Inertial | None:
+        """Returns mass and inertia of a part in its own frame.
+
+        The inertia is stated, or that of a uniform solid of `inertia_shape` or the shape.
+        """
+        mass_node = part.get("mass")
         if mass_node is None:
-            return
+            return None
         mass = scope.quantity(mass_node, "mass")
         if mass < 0:
             self.report.add(
                 "mass-negative", f"the mass is {mass:g} kg; it must not be negative", mass_node.span
             )
-            return
-        explicit = part.get("inertia")
-        if explicit is not None:
-            masses.append(self._explicit(part, explicit, mass, scope).transformed(pose))
-            return
-        stand_in = part.get("inertia_shape")
-        if stand_in is not None:
-            shape = self._shape(stand_in, scope)
+            return None
+        stated_inertia = part.get("inertia")
+        if stated_inertia is not None:
+            values = [scope.quantity(item, "inertia") for item in items(stated_inertia)]
+            xx, yy, zz, xy, xz, yz = [*values, *[0.0] * 6][:6]
+            com = scope.vector(part.get("com"), "length")
+            return Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
+        inertia_shape = part.get("inertia_shape")
+        if inertia_shape is not None:
+            shape = self._shape(inertia_shape, scope)
         if shape is None or isinstance(shape, MeshShape):
-            if shape is not None or shape_node is None:
+            if shape is not None or part.get("shape") is None:
                 self.report.add(
                     "inertia-unknown",
-                    "a mass needs a solid shape to have an inertia from",
+                    "the mass has no solid shape from which to compute the inertia",
                     mass_node.where,
                     hint="add `inertia_shape: {box: [...]}` or `com` and `inertia`",
                 )
-            return
+            return None
         wall = part.get("wall")
         thickness = scope.quantity(wall, "length") if wall is not None else None
         if wall is not None and thickness is not None:
-            self._positive((thickness,), wall)
-        masses.append(uniform_solid(shape, mass, thickness).transformed(pose))
-
-    def _explicit(self, part: Node, node: Node, mass: float, scope: Scope) -> Inertial:
-        items = node.value if isinstance(node.value, tuple) else ()
-        values = [scope.quantity(item, "inertia") for item in items]
-        values += [0.0] * (6 - len(values))
-        com = scope.vector(part.get("com"), "length")
-        return Inertial(
-            mass, com, (values[0], values[1], values[2], values[3], values[4], values[5])
-        )
+            self._check_positive((thickness,), wall)
+        return uniform_solid(shape, mass, thickness)
 
     def _shape(self, node: Node, scope: Scope) -> Shape | None:
         box, cylinder = node.get("box"), node.get("cylinder")
         sphere, mesh = node.get("sphere"), node.get("mesh")
         if box is not None:
             size = scope.vector(box, "length")
-            self._positive(size, box)
+            self._check_positive(size, box)
             return Box(size)
         if cylinder is not None:
             radius = scope.quantity(cylinder.get("radius"), "length")
             length = scope.quantity(cylinder.get("length"), "length")
-            self._positive((radius, length), cylinder)
+            self._check_positive((radius, length), cylinder)
             return Cylinder(radius, length)
         if sphere is not None:
             radius = scope.quantity(sphere.get("radius"), "length")
-            self._positive((radius,), sphere)
+            self._check_positive((radius,), sphere)
             return Sphere(radius)
         if mesh is not None:
             return self._mesh(mesh, scope)
         return None
 
-    def _positive(self, sizes: tuple[float, ...], node: Node) -> None:
+    def _check_positive(self, sizes: tuple[float, ...], node: Node) -> None:
         if min(sizes) <= 0.0 and not self.report.has_errors:
-            shown = ", ".join(f"{s:g}" for s in sizes)
+            shown = ", ".join(f"{size:g}" for size in sizes)
             self.report.add(
                 "size-not-positive", f"sizes must be positive, not {shown} m", node.span
             )
@@ -116,50 +121,51 @@ class PartReader:
         if file is None:
             return None
         name = scope.text(file)
-        path = self.folder / name
-        mesh = load_mesh(path, file.span, self.report, display=name)
+        mesh = load_mesh(self.folder / name, file.span, self.report, display=name)
         if mesh is None:
             return None
         self.meshes[mesh.name] = mesh
-        factor = node.get("scale")
-        if factor is not None and not isinstance(factor.value, tuple):
-            value = scope.evaluate(factor)
+        scale = node.get("scale")
+        if scale is not None and not isinstance(scale.value, tuple):
+            value = scope.evaluate(scale)
             if isinstance(value, int | float | str):
-                one = scope.quantity(factor, "ratio", 1.0)
-                return MeshShape(mesh.name, (one, one, one))
-        return MeshShape(mesh.name, scope.vector(factor, "ratio", (1.0, 1.0, 1.0)))
+                factor = scope.quantity(scale, "ratio", 1.0)
+                return MeshShape(mesh.name, (factor, factor, factor))
+        return MeshShape(mesh.name, scope.vector(scale, "ratio", (1.0, 1.0, 1.0)))
 
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
+        """Returns the colour of "#rrggbb", "#rrggbbaa" or a name of the palette; 0 to 1 each."""
         text = scope.text(node, DEFAULT_COLOR) or DEFAULT_COLOR
         digits = self.palette.get(text, text)
         if _COLOR.fullmatch(digits):
             values = [int(digits[i : i + 2], 16) / 255 for i in range(1, len(digits), 2)]
             r, g, b, a = (round(v, 4) for v in [*values, 1.0][:4])
             return (r, g, b, a)
+        known = hint_of_known(text, list(self.palette))
         self.report.add(
             "color-unknown",
-            f"`{text}` is no colour",
+            f"`{text}` is not a colour",
             node.span if node is not None else None,
-            hint='write "#rrggbb" or a name of the palette; '
-            + hint_of_known(text, list(self.palette)),
+            hint=f'write "#rrggbb" or a name of the palette; {known}',
         )
         return (0.5, 0.5, 0.5, 1.0)
 
 
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
-    """Inertia of a body of uniform density about its centre; cylinders may be tubes.
+    """Returns the inertia of a body of uniform density about its centre.
 
-    Source: the textbook formulas of solid boxes, cylinders, tubes and spheres.
+    The standard formulas of solid boxes, cylinders and spheres, for example in Meriam and
+    Kraige, Engineering Mechanics: Dynamics, table D/4.  A cylinder with a ``wall`` (m) is a tube.
+    A mesh has no inertia here.
     """
     if isinstance(shape, Box):
         x, y, z = shape.size
-        d = (y * y + z * z, x * x + z * z, x * x + y * y)
-        ixx, iyy, izz = (mass / 12 * v for v in d)
+        ixx, iyy, izz = (mass / 12 * v for v in (y * y + z * z, x * x + z * z, x * x + y * y))
     elif isinstance(shape, Cylinder):
-        inner = max(shape.radius - wall, 0.0) if wall is not None else 0.0
-        square = shape.radius**2 + inner**2
-        ixx = iyy = mass * (3 * square + shape.length**2) / 12
-        izz = mass * square / 2
+        inner_radius = max(shape.radius - wall, 0.0) if wall is not None else 0.0
+        squares = shape.radius**2 + inner_radius**2
+        ixx = iyy = mass * (3 * squares + shape.length**2) / 12
+        izz = mass * squares / 2
     elif isinstance(shape, Sphere):
         ixx = iyy = izz = 0.4 * mass * shape.radius**2
     else:

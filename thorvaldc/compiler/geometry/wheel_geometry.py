@@ -1,0 +1,241 @@
+"""Geometry of the wheels in ``base_link``, with every joint at zero.
+
+A wheel is a circle of ``radius`` in its middle plane.  Its contact point is the lowest point of
+that circle, also if the wheel leans (camber).  The wheel turns about a steering or swivel axis;
+``Wheel.x`` and ``y`` are the point where this axis meets the plane of the contact point, and
+``trail`` and ``lateral_offset`` go from there to the contact point, along the heading and to the
+left of it.  A caster from its left side, rolling to the right::
+
+                  | swivel axis
+            _     |
+          ( + )---+
+        ----c-----o----->  heading      o = (x, y), c = contact point, trail = -|oc|
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from thorvaldc.compiler.modules.hardware_parts import WheelPart
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model.robot import Actuator, Collision, Cylinder, Joint, Link, Wheel
+from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, norm, scale
+from thorvaldc.model.statics.joint_tree import JointTree
+
+UP: Vec3 = (0.0, 0.0, 1.0)
+_MIN_FORWARD = 0.17  # sin(10 deg): least angle between spin axis and the vertical
+_MIN_UPRIGHT = 0.5  # cos(60 deg): largest tilt of a steering axis
+
+
+class PlacedWheel(NamedTuple):
+    """A module's wheel in the robot, before its geometry is computed."""
+
+    name: str
+    module: str
+    link: str
+    part: WheelPart
+    span: Span
+
+
+class _WheelJoints(NamedTuple):
+    """The movable joints above a wheel by their roles; ``axis`` is the spin axis."""
+
+    spin: Joint
+    steering: Joint | None
+    swivel: Joint | None
+    suspension: Joint | None
+    axis: Vec3
+
+
+class _TurningPoint(NamedTuple):
+    """Where the steering axis meets the contact plane (m), and the contact point from there."""
+
+    x: float
+    y: float
+    trail: float
+    lateral_offset: float
+    sign: float
+
+
+def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
+    """Returns the lowest point of a wheel's circle.
+
+    ``axis`` is the spin axis, a unit vector.  The direction from the centre to the lowest point
+    is the downward vector without its part along the axis, normalized:
+    ``-(UP - axis_z axis) / sqrt(1 - axis_z^2)``.
+    """
+    horizontal = math.sqrt(max(1.0 - axis[2] * axis[2], 1e-12))
+    down: Vec3 = (axis[0] * axis[2], axis[1] * axis[2], axis[2] * axis[2] - 1.0)
+    return add(center, scale(radius / horizontal, down))
+
+
+def contact_point(wheel: Wheel) -> tuple[float, float]:
+    """Returns the wheel's contact point in ``base_link`` (x, y in m), every joint at zero."""
+    c, s = math.cos(wheel.heading), math.sin(wheel.heading)
+    return (
+        wheel.x + c * wheel.trail - s * wheel.lateral_offset,
+        wheel.y + s * wheel.trail + c * wheel.lateral_offset,
+    )
+
+
+def spin_joint(tree: JointTree, link: str) -> Joint | None:
+    """Returns the nearest movable joint above a wheel's link."""
+    return next((joint for joint in tree.joints_above(link) if joint.type != "fixed"), None)
+
+
+def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
+    """Returns the height (m) by which to raise the robot: its lowest wheel is then at z = 0."""
+    heights = []
+    for wheel in wheels:
+        joints = _wheel_joints(tree, wheel, report)
+        if joints is not None:
+            point = lowest_point(tree.pose[wheel.link].xyz, joints.axis, wheel.part.radius)
+            heights.append(point[2])
+    return -min(heights) if heights else 0.0
+
+
+def make_wheels(
+    tree: JointTree,
+    placed: Sequence[PlacedWheel],
+    actuators: Mapping[str, Actuator],
+    report: Report,
+) -> list[Wheel]:
+    """Returns the wheels of the model, with load 0.  ``actuators`` are by their joints."""
+    wheels: list[Wheel] = []
+    for wheel in placed:
+        joints = _wheel_joints(tree, wheel, report)
+        if joints is None:
+            continue
+        part = wheel.part
+        forward = cross(joints.axis, UP)
+        if norm(forward) < _MIN_FORWARD:
+            report.add(
+                "wheel-lies-flat",
+                f"the wheel of `{wheel.module}` spins about a vertical axis",
+                wheel.span,
+                hint="turn its mount",
+            )
+            continue
+        heading = math.atan2(forward[1], forward[0])
+        contact = lowest_point(tree.pose[wheel.link].xyz, joints.axis, part.radius)
+        turning = _turning_point(tree, wheel, joints, contact, heading, report)
+        if turning is None:
+            continue
+        wheels.append(
+            Wheel(
+                name=wheel.name,
+                module=wheel.module,
+                link=wheel.link,
+                spin_joint=joints.spin.name,
+                steering_joint=joints.steering.name if joints.steering else None,
+                swivel_joint=joints.swivel.name if joints.swivel else None,
+                suspension_joint=joints.suspension.name if joints.suspension else None,
+                driven=joints.spin.name in actuators,
+                x=clean(turning.x),
+                y=clean(turning.y),
+                heading=clean(heading),
+                steering_sign=turning.sign,
+                trail=clean(round(turning.trail, 10)),
+                lateral_offset=clean(round(turning.lateral_offset, 10)),
+                radius=part.radius,
+                width=part.width,
+                radii=part.radii,
+                friction=part.friction,
+                rolling_resistance=part.rolling_resistance,
+                load=0.0,
+                contact_height=clean(round(contact[2], 9)),
+                span=wheel.span,
+                treads=part.treads,
+            )
+        )
+    return wheels
+
+
+def _wheel_joints(tree: JointTree, wheel: PlacedWheel, report: Report) -> _WheelJoints | None:
+    movable = [joint for joint in tree.joints_above(wheel.link) if joint.type != "fixed"]
+    if not movable or movable[0].type not in ("continuous", "revolute"):
+        report.add(
+            "wheel-does-not-spin",
+            f"the wheel of `{wheel.module}` hangs on no joint that turns it",
+            wheel.span,
+            hint="mount it on a drive or a caster",
+        )
+        return None
+    spin = movable[0]
+    axis = tree.pose[spin.child].rotate(spin.axis)
+    steering = swivel = suspension = None
+    for joint in movable[1:]:
+        if joint.role == "steering" and steering is None and swivel is None:
+            steering = joint
+        elif joint.role == "swivel" and swivel is None and steering is None:
+            swivel = joint
+        elif joint.role == "suspension" and suspension is None:
+            suspension = joint
+    return _WheelJoints(spin, steering, swivel, suspension, axis)
+
+
+def _turning_point(
+    tree: JointTree,
+    wheel: PlacedWheel,
+    joints: _WheelJoints,
+    contact: Vec3,
+    heading: float,
+    report: Report,
+) -> _TurningPoint | None:
+    """Returns the turning point; without a steering or swivel joint, the contact point.
+
+    Returns ``None`` and reports if the axis is too far off the vertical.
+    """
+    turning_joint = joints.steering or joints.swivel
+    if turning_joint is None:
+        return _TurningPoint(contact[0], contact[1], 0.0, 0.0, 1.0)
+    pose = tree.pose[turning_joint.child]
+    direction = pose.rotate(turning_joint.axis)
+    if abs(direction[2]) < _MIN_UPRIGHT:
+        tilt = math.degrees(math.acos(min(1.0, abs(direction[2]))))
+        report.add(
+            "steering-axis-tilted",
+            f"the steering axis of `{wheel.module}` is {tilt:.0f} deg off the vertical",
+            wheel.span,
+            hint="the base calculators need a nearly vertical axis",
+        )
+        return None
+    sign = 1.0 if direction[2] > 0 else -1.0
+    t = (contact[2] - pose.xyz[2]) / direction[2]
+    x, y = pose.xyz[0] + t * direction[0], pose.xyz[1] + t * direction[1]
+    c, s = math.cos(heading), math.sin(heading)
+    trail = c * (contact[0] - x) + s * (contact[1] - y)
+    lateral_offset = -s * (contact[0] - x) + c * (contact[1] - y)
+    return _TurningPoint(x, y, trail, lateral_offset, sign)
+
+
+def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree: JointTree) -> None:
+    """Adds the collision cylinder of each wheel to its link in ``links``, along the spin axis."""
+    index = {link.name: i for i, link in enumerate(links)}
+    for wheel in wheels:
+        spin = spin_joint(tree, wheel.link)
+        if spin is None:
+            continue
+        wheel_from_base = tree.pose[wheel.link].inverse()
+        axis = wheel_from_base.rotate(tree.pose[spin.child].rotate(spin.axis))
+        pose = Pose(quat=_rotation_from_z_to(axis)).clean()
+        cylinder = Collision(Cylinder(wheel.part.radius, wheel.part.width), pose)
+        link = links[index[wheel.link]]
+        links[index[wheel.link]] = replace(link, collisions=(cylinder, *link.collisions))
+
+
+def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
+    """Returns the quaternion (wxyz) of the shortest rotation from z to a unit vector.
+
+    For -z, where the shortest rotation is not unique: half a turn about x.
+    """
+    if axis[2] < -1 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    v = cross(UP, axis)
+    w = 1.0 + axis[2]
+    n = math.sqrt(w * w + norm(v) ** 2)
+    x, y, z = scale(1.0 / n, v)
+    return (w / n, x, y, z)

@@ -1,0 +1,103 @@
+"""Attaches the links and joints of extras (xacro files) to the robot's modules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from thorvaldc.compiler.modules.hardware_parts import Hardware
+from thorvaldc.compiler.modules.instance import Instance, name_prefix
+from thorvaldc.compiler.modules.references import References
+from thorvaldc.compiler.modules.robot_parts import RobotParts
+from thorvaldc.compiler.modules.value_reader import items
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.spatial import Pose
+
+
+def add_extras(
+    document: Node,
+    robot: Instance,
+    hardware: Mapping[str, Hardware],
+    parts: RobotParts,
+    base_dir: Path,
+    files: dict[str, Path],
+    report: Report,
+) -> tuple[str, ...]:
+    """Adds the document's ``extras`` to ``parts``; returns their further URDF elements.
+
+    ``base_dir`` is the folder of the robot file.  ``files`` gets the files that were read.
+    """
+    extras = document.get("extras")
+    if extras is None or not isinstance(extras.value, tuple):
+        return ()
+    from thorvaldc.compiler.extras.extras import Attachment, load_extras  # loads xacro
+
+    finder = _AttachmentFinder(document, robot, hardware, parts)
+
+    def attach(reference: str | None) -> Attachment | None:
+        if reference is None:
+            return Attachment(parts.links[1].name, Pose())  # the root module's first link
+        link_and_pose = finder.find(reference)
+        return Attachment(*link_and_pose) if link_and_pose is not None else None
+
+    extra_parts = load_extras(
+        items(extras),
+        base_dir,
+        links={link.name: link.span for link in parts.links},
+        joints={joint.name: joint.span for joint in parts.joints},
+        attach=attach,
+        report=report,
+    )
+    files.update(extra_parts.files)
+    parts.links.extend(extra_parts.links)
+    parts.joints.extend(extra_parts.joints)
+    for mesh in extra_parts.meshes:
+        parts.meshes[mesh.name] = mesh
+    return extra_parts.urdf_extensions
+
+
+class _AttachmentFinder:
+    """Finds the link and pose that an extra is attached to."""
+
+    def __init__(
+        self,
+        document: Node,
+        robot: Instance,
+        hardware: Mapping[str, Hardware],
+        parts: RobotParts,
+    ) -> None:
+        self.document = document
+        self.robot = robot
+        self.hardware = hardware
+        self.link_names = {link.name for link in parts.links}
+        self.first_links = {
+            path: f"{name_prefix(path)}_{part.links[0].name}"
+            for path, part in hardware.items()
+            if part.links
+        }
+
+    def find(self, reference: str) -> tuple[str, Pose] | None:
+        """Returns the link and the pose in it for `link`, `module` or `module.port`.
+
+        An assembly stands for its first module with links.
+        """
+        if reference in self.link_names:
+            return reference, Pose()
+        if reference in self.first_links:
+            return self.first_links[reference], Pose()
+        references = References(Report())  # The reader of the extras reports what is not found.
+        node = Node(reference, self.document.span)
+        leaf_and_port = references.find_port(self.robot, reference, node)
+        if leaf_and_port is not None:
+            leaf, port_name = leaf_and_port
+            if leaf.type is not None and leaf.path in self.first_links:
+                port = leaf.type.section("ports")[port_name]
+                link = leaf.scope.text(port.get("link")) or self.hardware[leaf.path].links[0].name
+                return f"{name_prefix(leaf.path)}_{link}", leaf.scope.pose(port)
+        part_and_rest = references.find(self.robot, reference, node)
+        if part_and_rest is not None and not part_and_rest[1]:
+            for leaf in part_and_rest[0].leaves():
+                if leaf.path in self.first_links:
+                    return self.first_links[leaf.path], Pose()
+        return None

@@ -1,0 +1,182 @@
+"""Collects links, joints and devices of a robot from the hardware of its module instances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel
+from thorvaldc.compiler.modules.hardware_parts import Hardware
+from thorvaldc.compiler.modules.instance import Instance, name_prefix
+from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.robot import Actuator, Battery, Joint, Link, Mesh, Sensor
+from thorvaldc.model.spatial import Pose, clean
+
+HEIGHT_TOLERANCE = 1e-3  # m; allowed error of a stated height above ground
+
+
+@dataclass
+class RobotParts:
+    """Lists of the model's elements, in model order.
+
+    Names are ``<module>_<name>``, where ``<module>`` is the instance's path with ``_`` for ``.``.
+    """
+
+    links: list[Link]
+    joints: list[Joint] = field(default_factory=list)
+    actuators: list[Actuator] = field(default_factory=list)
+    wheels: list[PlacedWheel] = field(default_factory=list)
+    sensors: list[Sensor] = field(default_factory=list)
+    batteries: list[Battery] = field(default_factory=list)
+    meshes: dict[str, Mesh] = field(default_factory=dict)
+
+    def add(self, leaf: Instance, hardware: Mapping[str, Hardware]) -> None:
+        """Adds all parts of a leaf; ``hardware`` is that of all leaves by their paths."""
+        part = hardware[leaf.path]
+        prefix = name_prefix(leaf.path)
+        for mesh in part.meshes:
+            self.meshes[mesh.name] = mesh
+        for link in part.links:
+            self.links.append(
+                Link(
+                    f"{prefix}_{link.name}",
+                    leaf.path,
+                    link.inertial,
+                    link.visuals,
+                    link.collisions,
+                    leaf.span,
+                )
+            )
+        self.joints.append(_mount_joint(leaf, hardware))
+        if part.wheel is not None:
+            link_name = f"{prefix}_{part.wheel.link}"
+            self.wheels.append(PlacedWheel(prefix, leaf.path, link_name, part.wheel, leaf.span))
+        if part.sensor is not None:
+            sensor = part.sensor
+            link_name = f"{prefix}_{sensor.link}"
+            self.sensors.append(
+                Sensor(prefix, leaf.path, sensor.type, link_name, sensor.properties, leaf.span)
+            )
+        if part.battery is not None:
+            battery = part.battery
+            node = prefix if battery.present else None
+            link_name = f"{prefix}_{battery.link}"
+            self.batteries.append(
+                Battery(prefix, leaf.path, link_name, node, battery.properties, leaf.span)
+            )
+        self.add_joints(leaf, part)
+
+    def add_joints(self, leaf: Instance, hardware: Hardware) -> None:
+        """Adds the joints and motors of a leaf."""
+        prefix = name_prefix(leaf.path)
+        motors = {motor.joint: motor for motor in hardware.motors}
+        limits: dict[str, tuple[float, float]] = {}  # of actuated joints: effort, velocity
+        for joint in hardware.joints:
+            motor = motors.get(joint.name)
+            effort, velocity = joint.effort, joint.velocity
+            if motor is not None:  # the lower limits of joint and motor
+                effort = min(motor.max_torque, math.inf if effort is None else effort)
+                velocity = min(motor.max_velocity, math.inf if velocity is None else velocity)
+                velocity = clean(velocity)
+                limits[joint.name] = (effort, velocity)
+            self.joints.append(
+                Joint(
+                    name=f"{prefix}_{joint.name}",
+                    module=leaf.path,
+                    type=joint.type,
+                    parent=f"{prefix}_{joint.parent}",
+                    child=f"{prefix}_{joint.child}",
+                    pose=joint.pose,
+                    span=leaf.span,
+                    axis=joint.axis,
+                    lower=joint.lower,
+                    upper=joint.upper,
+                    effort=effort,
+                    velocity=velocity,
+                    damping=joint.damping,
+                    friction=joint.friction,
+                    stiffness=joint.stiffness,
+                    armature=clean(motor.armature) if motor is not None else 0.0,
+                    role=joint.role,
+                )
+            )
+        for motor in hardware.motors:
+            effort, velocity = limits.get(motor.joint, (motor.max_torque, motor.max_velocity))
+            self.actuators.append(
+                Actuator(
+                    name=f"{prefix}_{motor.name}",
+                    module=leaf.path,
+                    joint=f"{prefix}_{motor.joint}",
+                    role=motor.role,
+                    gear_ratio=motor.gear_ratio,
+                    motor_max_speed=motor.motor_max_speed,
+                    encoder_ppr=motor.encoder_ppr,
+                    max_velocity=velocity,
+                    max_acceleration=clean(motor.max_acceleration),
+                    max_torque=effort,
+                    armature=clean(motor.armature),
+                    node=None,
+                    channel=None,
+                    span=leaf.span,
+                )
+            )
+
+    def check_names(self, report: Report) -> None:
+        """Reports links or joints of equal names: `a_b.c` and `a.b_c` have the same prefix."""
+        for word, elements in (("link", self.links), ("joint", self.joints)):
+            first_by_name: dict[str, Link | Joint] = {}
+            for element in elements:
+                first = first_by_name.setdefault(element.name, element)
+                if first is not element:
+                    report.add(
+                        "name-twice",
+                        f"two {word}s have the name `{element.name}`: "
+                        f"one of `{first.module or 'the base'}` and one of `{element.module}`",
+                        element.span,
+                        labels=[Label(first.span, "the first one")],
+                        hint="rename one of the modules",
+                    )
+
+    def raise_root(self, height: float, hardware: Mapping[str, Hardware], report: Report) -> None:
+        """Raises the root module by ``height`` (m), so that the wheels stand on the ground.
+
+        Reports if the resulting height differs from the one that the module states.  A robot
+        without wheels gets the stated height.
+        """
+        for i, joint in enumerate(self.joints):
+            if joint.parent != "base_link" or joint.type != "fixed" or not joint.module:
+                continue
+            root = hardware.get(joint.module)
+            if root is None:
+                continue
+            x, y, z = joint.pose.xyz
+            z += height
+            self.joints[i] = replace(joint, pose=Pose((x, y, z), joint.pose.quat).clean())
+            stated = root.height_above_ground
+            if not self.wheels and stated is not None:
+                self.joints[i] = replace(joint, pose=Pose((x, y, stated), joint.pose.quat))
+            elif stated is not None and abs(stated - z) > HEIGHT_TOLERANCE:
+                report.add(
+                    "frame-height",
+                    f"`{joint.module}` states a height of {stated * 1000:.6g} mm; "
+                    f"on these wheels it is {z * 1000:.6g} mm",
+                    joint.span,
+                    hint=f"set `height: {z * 1000:.6g} mm`, leave it out, "
+                    "or choose legs of another length",
+                )
+
+
+def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> Joint:
+    """Returns the fixed joint between a leaf's first link and the link that carries it."""
+    part = hardware[leaf.path]
+    prefix = name_prefix(leaf.path)
+    child = f"{prefix}_{part.links[0].name}"
+    if leaf.mount is None:
+        parent, pose = "base_link", Pose()
+    else:
+        carrier = leaf.mount.leaf
+        link = leaf.mount.link or hardware[carrier.path].links[0].name
+        parent = f"{name_prefix(carrier.path)}_{link}"
+        pose = leaf.mount.pose * part.mount_pose.inverse()
+    return Joint(f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.span)
