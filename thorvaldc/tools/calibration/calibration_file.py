@@ -29,7 +29,7 @@ def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
         wheels[name]["radius"] = value
     for name, named_radii in calibration.named_radii.items():
         wheels[name]["radii"] = {key: value for key, (value, _) in named_radii.items()}
-    for name, (value, _) in calibration.offsets.items():
+    for name, (value, _) in calibration.steering_offsets.items():
         wheels[name]["steering_offset"] = value
     return wheels
 
