@@ -1,4 +1,4 @@
-"""Robot and scenario files as environments of Gymnasium, by the id ``thorvaldc/Robot-v0``.
+"""Gymnasium environments of robot, fleet and scenario files, with the id ``thorvaldc/Robot-v0``.
 
 ``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")`` imports this
 module, which registers the id.
@@ -33,25 +33,26 @@ def make(
     library: Sequence[str | Path] = (),
     **options: Any,
 ) -> RobotEnv:
-    """The environment of a robot, fleet or scenario file, or of a robot in ``scenario``.
+    """Returns the environment of a robot, fleet or scenario file.
 
-    ``library`` are further module folders, ``options`` the arguments of ``RobotEnv``.  Raises
-    ``ValueError`` with all that is wrong where the file does not compile, and where ``scenario``
-    is none.
+    With ``scenario`` the robot of ``file`` replaces that of the scenario.  ``library`` are
+    additional module folders, ``options`` the arguments of ``RobotEnv``.  Raises ``ValueError``
+    with all errors if the file does not compile, and if ``scenario`` is not a scenario.
     """
     from thorvaldc.simulation.gym.robot_env import RobotEnv
 
     folders = [Path(folder) for folder in library]
-    done = compile_file(scenario or file, library=folders, robot=file if scenario else None)
-    if done.model is None:
-        said = "\n".join(
-            f"{d.span}: {d.code.severity}[{d.code.number}]: {d.message}" for d in done.report.errors
+    compilation = compile_file(scenario or file, library=folders, robot=file if scenario else None)
+    if compilation.model is None:
+        errors = "\n".join(
+            f"{d.span}: {d.code.severity}[{d.code.number}]: {d.message}"
+            for d in compilation.report.errors
         )
-        raise ValueError(f"{scenario or file} does not compile:\n{said}")
-    if scenario and done.scenario is None:
-        raise ValueError(f"{scenario} is no scenario")
-    files = emit(done.model, ["mjcf"], Report())
-    return RobotEnv(done.scenario or done.model, files, **options)
+        raise ValueError(f"{scenario or file} does not compile:\n{errors}")
+    if scenario and compilation.scenario is None:
+        raise ValueError(f"{scenario} is not a scenario")
+    files = emit(compilation.model, ["mjcf"], Report())
+    return RobotEnv(compilation.scenario or compilation.model, files, **options)
 
 
 if NAME not in registration.registry:

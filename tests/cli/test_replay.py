@@ -159,7 +159,7 @@ def test_a_record_that_ended_before_its_first_tick_holds_nothing(
     McapRecorder(Path("a.mcap"), [(done.model.name, done.model)], GROUPS).close()
     told = thorvaldc("sim", SLIM, "--replay", "a.mcap")
     assert told.status == 1
-    assert "`a.mcap` holds nothing of thorvald_4wd4ws_slim" in told.err
+    assert "`a.mcap` has no samples of thorvald_4wd4ws_slim" in told.err
 
 
 def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path)
         ("cut", whole[: len(whole) // 2], "mcap recover"),
         ("broken", bytes(broken), "mcap recover"),
         ("empty", b"", "seems to be empty"),
-        ("other", b"no bag at all", "cannot be read as a bag"),
+        ("other", b"no bag at all", "cannot be read as a ROS bag"),
     ):
         path = Path(f"{name}.mcap")
         path.write_bytes(content)

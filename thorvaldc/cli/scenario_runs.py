@@ -137,9 +137,9 @@ def run_batch(
     if failed_compilation is not None:
         return show_report(failed_compilation.report, failed_compilation.sources)
     runs = _collect_runs(batch, process_count, path if output else None, json)
-    failed_runs = [run for run in runs if run.faults]
+    failed_runs = [run for run in runs if run.errors]
     for run in failed_runs[:SHOWN_FAILURES]:
-        for text in run.faults:
+        for text in run.errors:
             message(f"run {run.number}: {text}")
     hidden = len(failed_runs) - SHOWN_FAILURES
     if hidden > 0:

@@ -1,4 +1,4 @@
-"""Records played back: how the robots drove, and where they stood, without physics."""
+"""Replays records of runs without physics: their results, and the robots' positions over time."""
 
 from __future__ import annotations
 
@@ -20,18 +20,21 @@ from thorvaldc.simulation.run_result import RobotResult, SimulationResult
 def summary(
     robots: Sequence[tuple[str, Robot]], runs: Mapping[str, RecordedRun]
 ) -> SimulationResult:
-    """How the recorded robots drove; what the record does not tell is nan."""
+    """Returns the results of the recorded robots; values that are not in the record are nan."""
     end = max(run.samples[-1].time for run in runs.values())
-    found = tuple(_run(name, robot, runs[name].samples) for name, robot in robots)
-    return SimulationResult("record", end, end, math.nan, False, found)
+    results = tuple(_result(name, robot, runs[name].samples) for name, robot in robots)
+    return SimulationResult("record", end, end, math.nan, False, results)
 
 
-def _run(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
+def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
     first, last = samples[0], samples[-1]
-    true = _from(last.pose_true, first.pose_true)
-    estimated = _from(last.pose_estimated, first.pose_estimated)
-    upright = [math.cos(s.posture[1]) * math.cos(s.posture[2]) for s in samples]
-    tilt = math.acos(min(max(min(upright), -1.0), 1.0)) if all(map(math.isfinite, upright)) else 0.0
+    true = last.pose_true.relative_to(first.pose_true)
+    estimated = last.pose_estimated.relative_to(first.pose_estimated)
+    # The z axis of `base_link` has the vertical component cos(roll) cos(pitch).
+    uprightness = [math.cos(s.posture[1]) * math.cos(s.posture[2]) for s in samples]
+    tilt = 0.0
+    if all(map(math.isfinite, uprightness)):
+        tilt = math.acos(min(max(min(uprightness), -1.0), 1.0))
     return RobotResult(
         name=name,
         mass=robot.inertial.mass,
@@ -52,13 +55,8 @@ def _run(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
     )
 
 
-def _from(pose: Pose2, start: Pose2) -> Pose2:
-    """The pose as seen from the start; yaw not wrapped."""
-    return pose.relative_to(start)
-
-
 def _path(poses: Sequence[Pose2]) -> float:
-    """The length of the way through the poses, each step an arc."""
+    """Returns the path length (m) through the poses; each step is an arc."""
     return sum(
         math.hypot(b.x - a.x, b.y - a.y) / se2.chord_over_arc(b.yaw - a.yaw)
         for a, b in pairwise(poses)
@@ -66,10 +64,10 @@ def _path(poses: Sequence[Pose2]) -> float:
 
 
 class Replay:
-    """Recorded robots in a scene of theirs, moved to where they were.
+    """Moves the robots of a scene to their recorded poses and joint positions.
 
-    They stand on the true path, or on the estimated one where that is all there is.  Wheels that no
-    motor drives or steers keep still.
+    The poses are the true ones, or the estimated ones if the record has no truth.  Joints
+    without a motor are not recorded and do not move.
     """
 
     def __init__(
@@ -78,25 +76,27 @@ class Replay:
         robots: Sequence[tuple[str, Robot]],
         runs: Mapping[str, RecordedRun],
     ) -> None:
-        """Raises ``DiagnosticError`` (``simulation-scene``) where the scene has other robots."""
+        """Raises ``DiagnosticError`` (``simulation-scene``) if the scene has other robots."""
         self.scene = scene
-        self._puppets = [_Puppet(scene, robot, runs[name]) for name, robot in robots]
+        self._robots = [_ReplayedRobot(scene, robot, runs[name]) for name, robot in robots]
         self.end = max(run.samples[-1].time for run in runs.values())
 
     def show(self, time: float) -> None:
-        """Move the robots to where they were at ``time`` (s)."""
-        for puppet in self._puppets:
-            puppet.show(time)
+        """Moves the robots to their last sample at or before ``time`` (s)."""
+        for robot in self._robots:
+            robot.show(time)
         self.scene.forward()
 
     def times(self, rate: float) -> Iterator[float]:
-        """The times from 0 to the end, ``rate`` a second; the scene is at each in turn."""
+        """Yields the times (s) of ``rate`` steps per second and moves the robots to each."""
         for number in range(int(self.end * rate + 1e-6) + 1):
             self.show(number / rate)
             yield number / rate
 
 
-class _Puppet:
+class _ReplayedRobot:
+    """The addresses of one robot's joints in the scene, and its samples."""
+
     def __init__(self, scene: MujocoScene, robot: Robot, run: RecordedRun) -> None:
         model = scene.model
         prefix = robot.prefix
@@ -105,36 +105,37 @@ class _Puppet:
         self._spin: list[tuple[int, int]] = []
         self._steering: list[tuple[int, int]] = []
         for i, wheel in enumerate(robot.wheels):
-            for name, wanted, found in (
+            for name, is_recorded, addresses in (
                 (wheel.spin_joint, wheel.driven, self._spin),
                 (wheel.steering_joint, wheel.steered, self._steering),
             ):
-                if wanted and name is not None:
+                if is_recorded and name is not None:
                     joint = scene.index("joint", prefix + name, robot)
-                    found.append((i, int(model.jnt_qposadr[joint])))
+                    addresses.append((i, int(model.jnt_qposadr[joint])))
         self._scene = scene
         self._samples = run.samples
-        self._true = "truth" in run.groups
-        self._next = 0
+        self._has_truth = "truth" in run.groups
+        self._index = 0
 
     def show(self, time: float) -> None:
         samples = self._samples
-        if self._next and samples[self._next].time > time + 1e-9:
-            self._next = 0
-        while self._next + 1 < len(samples) and samples[self._next + 1].time <= time + 1e-9:
-            self._next += 1
-        sample = samples[self._next]
-        pose = sample.pose_true if self._true else sample.pose_estimated
-        z, roll, pitch = sample.posture if self._true else (0.0, 0.0, 0.0)
-        place = (pose.x, pose.y, z, *quat_from_rpy(roll, pitch, pose.yaw))
-        if all(map(math.isfinite, place)):
-            self._scene.data.qpos[self._base : self._base + 7] = place
+        # Times usually increase, so the search goes on from the last sample.
+        if self._index and samples[self._index].time > time + 1e-9:
+            self._index = 0
+        while self._index + 1 < len(samples) and samples[self._index + 1].time <= time + 1e-9:
+            self._index += 1
+        sample = samples[self._index]
+        pose = sample.pose_true if self._has_truth else sample.pose_estimated
+        z, roll, pitch = sample.posture if self._has_truth else (0.0, 0.0, 0.0)
+        position = (pose.x, pose.y, z, *quat_from_rpy(roll, pitch, pose.yaw))
+        if all(map(math.isfinite, position)):
+            self._scene.data.qpos[self._base : self._base + 7] = position
         if sample.joints is not None:
-            self._turn(sample.joints)
+            self._set_joints(sample.joints)
 
-    def _turn(self, joints: JointStates) -> None:
-        position = self._scene.data.qpos
-        for values, where in ((joints.positions, self._spin), (joints.angles, self._steering)):
-            for i, address in where:
+    def _set_joints(self, joints: JointStates) -> None:
+        qpos = self._scene.data.qpos
+        for values, addresses in ((joints.positions, self._spin), (joints.angles, self._steering)):
+            for i, address in addresses:
                 if values is not None and math.isfinite(values[i]):
-                    position[address] = values[i]
+                    qpos[address] = values[i]

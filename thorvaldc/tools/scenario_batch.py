@@ -1,4 +1,4 @@
-"""Many variations of one scenario, over processes; what comes out does not depend on how many."""
+"""Runs many variations of a scenario, over one or more processes with equal results."""
 
 from __future__ import annotations
 
@@ -38,59 +38,58 @@ def plan_variations(
     own: bool = True,
     report: Report,
 ) -> Variations | None:
-    """What varies in the runs of a scenario: what its document says, and ``settings``.
+    """Returns the variations of a scenario: those of its document, and ``settings``.
 
-    Without ``own`` the settings alone; ``None`` where the file is no scenario.  See
-    ``passes.variations.read_variations``.
+    With ``own=False`` only the settings.  Returns ``None`` if the file is not a scenario.  For
+    the arguments see ``read_variations``.
     """
-    shape, said = Report(), Report()
-    document = read_file(Path(path), str(path), shape)
+    document_report = Report()  # compile_file reports these problems again, so they are dropped
+    document = read_file(Path(path), str(path), document_report)
     if document is None:
-        report.extend(shape)
+        report.extend(document_report)
         return Variations(())
     if document.get("scenario") is None:
         return None
-    check(document, "scenario", shape)
-    document = without_invalid_values(document, shape)
+    check(document, "scenario", document_report)
+    document = without_invalid_values(document, document_report)
     if not own:
         document = without_variations(document)
-    found = read_variations(document, settings, draws, seed, said)
-    report.extend(said)
-    return found
+    return read_variations(document, settings, draws, seed, report)
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One variation's run: its number from 1 on, its values by path, and what came of it.
+    """The run of one variation: its number (from 1), its values by path, and its result.
 
-    ``result`` is ``ScenarioResult.as_json()`` without what depends on the machine's speed,
-    ``None`` where it could not start; ``faults`` are what was said of it.
+    ``result`` is ``ScenarioResult.as_json()`` without the real time factor, which depends on
+    the machine; ``None`` if the run could not start.  ``errors`` are its error messages.
     """
 
     number: int
     values: Mapping[str, Any]
     result: Mapping[str, Any] | None
-    faults: tuple[str, ...]
+    errors: tuple[str, ...]
 
     @property
     def passed(self) -> bool:
         return self.result is not None and bool(self.result["passed"])
 
     def as_json(self) -> dict[str, Any]:
-        """The run as plain values."""
+        """Returns the run as plain values."""
         return {
             "number": self.number,
             "values": dict(self.values),
             "passed": self.passed,
             "result": None if self.result is None else dict(self.result),
-            "faults": list(self.faults),
+            "faults": list(self.errors),
         }
 
 
 class Batch:
     """The runs of a scenario's variations.
 
-    Each is compiled and simulated by itself, so that its result is that of the run alone.
+    Each run is compiled and simulated independently, so its result is the same as that of a
+    single run.
     """
 
     def __init__(
@@ -102,49 +101,49 @@ class Batch:
         library: Sequence[Path] = (),
     ) -> None:
         self.variations = variations
-        self._work = [
-            _Work(number, str(scenario), changes, None if robot is None else str(robot), library)
+        self._jobs = [
+            _Job(number, str(scenario), changes, None if robot is None else str(robot), library)
             for number, changes in enumerate(variations.all(), 1)
         ]
 
     def __len__(self) -> int:
-        return len(self._work)
+        return len(self._jobs)
 
     def check(self) -> Compilation | None:
-        """What is wrong with one of the values, found before anything runs; ``None``: nothing.
+        """Compiles each value once before the runs; returns the first compilation with errors.
 
-        Each value is tried beside those of the first run.
+        Each value is combined with the other values of the first run.  ``None``: no errors.
         """
-        if not self._work:
+        if not self._jobs:
             return None
-        first = self._work[0]
-        tried = [first.changes]
+        first = self._jobs[0]
+        combinations = [first.changes]
         for change in self.variations.single():
             if change not in first.changes:
                 others = (c for c in first.changes if c.path != change.path)
-                tried.append((*others, change))
-        for changes in tried:
-            done = first._replace_changes(changes).compiled()
-            if done.model is None:
-                return done
+                combinations.append((*others, change))
+        for changes in combinations:
+            compilation = first.with_changes(changes).compile()
+            if compilation.model is None:
+                return compilation
         return None
 
     def runs(self, jobs: int = 1) -> Iterator[Run]:
-        """Every run as it ends, over so many processes (1: in this one).
+        """Yields the runs in the order in which they end, over ``jobs`` processes (1: this one).
 
-        Raises ``BrokenProcessPool`` where one of them was killed.  What is left when the
-        iterator is closed, or interrupted, is given up.
+        Raises ``BrokenProcessPool`` if a process was killed.  If the caller closes the
+        iterator or an interrupt ends it, the remaining runs are cancelled.
         """
-        if jobs <= 1 or len(self._work) <= 1:
-            for work in self._work:
-                yield work()
+        if jobs <= 1 or len(self._jobs) <= 1:
+            for job in self._jobs:
+                yield job()
             return
-        # Spawned: a fork would share what MuJoCo and numpy have begun.
+        # A forked process would inherit locks and threads of MuJoCo and numpy.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(jobs, len(self._work)), mp_context=context)
+        pool = ProcessPoolExecutor(min(jobs, len(self._jobs)), mp_context=context)
         try:
-            with _deaf_to_interrupts():
-                futures: list[Future[Run]] = [pool.submit(work) for work in self._work]
+            with _ignored_interrupts():
+                futures: list[Future[Run]] = [pool.submit(job) for job in self._jobs]
             for future in as_completed(futures):
                 yield future.result()
         except BrokenProcessPool:
@@ -158,17 +157,19 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
-class _Work:
+class _Job:
+    """One run, with all that a process needs for it."""
+
     number: int
     scenario: str
     changes: tuple[Change, ...]
     robot: str | None
     library: Sequence[Path]
 
-    def _replace_changes(self, changes: tuple[Change, ...]) -> _Work:
-        return _Work(self.number, self.scenario, changes, self.robot, self.library)
+    def with_changes(self, changes: tuple[Change, ...]) -> _Job:
+        return _Job(self.number, self.scenario, changes, self.robot, self.library)
 
-    def compiled(self) -> Compilation:
+    def compile(self) -> Compilation:
         return compile_file(
             self.scenario, library=self.library, robot=self.robot, changes=self.changes
         )
@@ -178,36 +179,40 @@ class _Work:
         from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
         values = {change.path: change.value.plain() for change in self.changes}
-        done = self.compiled()
+        compilation = self.compile()
         report = Report()
-        report.extend(done.report)
+        report.extend(compilation.report)
         result = None
-        if done.scenario is not None:
+        if compilation.scenario is not None:
             try:
-                files = emit(done.scenario.fleet, ["mjcf"], report)
-                result = ScenarioSimulation(done.scenario, files).play(report).as_json()
+                files = emit(compilation.scenario.fleet, ["mjcf"], report)
+                simulation = ScenarioSimulation(compilation.scenario, files)
+                result = simulation.play(report).as_json()
                 result["run"].pop("real_time_factor")
-            except DiagnosticError as fault:
-                report.put(fault.diagnostic)
-        said = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
-        return Run(self.number, values, result, said)
+            except DiagnosticError as error:
+                report.put(error.diagnostic)
+        errors = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
+        return Run(self.number, values, result, errors)
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes that begin in here do not hear Ctrl-C; whoever began them ends them."""
+def _ignored_interrupts() -> Iterator[None]:
+    """Processes that start in this block ignore Ctrl-C; their parent terminates them.
+
+    A terminal sends Ctrl-C to all processes, and each would print a traceback.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Returns the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -233,7 +233,7 @@ def test_wrong_arguments_are_told(gymnasium: Any, tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=r"must|spread|there is no robot"):
             environments.make(SLIM, **options)
-    with pytest.raises(ValueError, match=r"is no scenario"):
+    with pytest.raises(ValueError, match=r"is not a scenario"):
         environments.make(SLIM, scenario=TALL)
     wrong = tmp_path / "robot.yaml"
     wrong.write_text("thorvaldc: 1\nname: x\nmodules: {frame: {type: no/ne}}\n")

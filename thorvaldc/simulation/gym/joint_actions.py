@@ -1,4 +1,4 @@
-"""Joint commands from outside, past a base's calculator: as actions, and through a driver."""
+"""Joint commands of an environment: actions as commands, and a calculator that passes them on."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Array = NDArray[np.float64]
 
 
 class JointActions:
-    """Joint commands of actions of -1..1: driven wheels' speeds, then steered wheels' angles."""
+    """Converts actions of -1..1 to commands: speeds of driven, then angles of steered wheels."""
 
     def __init__(self, robot: Robot) -> None:
         n = len(robot.wheels)
         self.commands = JointCommands([0.0] * n, [0.0] * n)
-        # (wheel, largest rad/s), (wheel, scale, lower, upper in rad).
+        # (wheel, largest speed in rad/s) and (wheel, scale, lower, upper in rad).
         self.driven: list[tuple[int, float]] = []
         self.steered: list[tuple[int, float, float, float]] = []
         for i, wheel in enumerate(robot.wheels):
@@ -37,10 +37,12 @@ class JointActions:
                 self.steered.append((i, scale, lower, upper))
 
     def reset(self) -> None:
+        """Sets all commands to zero."""
         n = len(self.commands.speeds)
         self.commands.speeds, self.commands.angles = [0.0] * n, [0.0] * n
 
     def set(self, action: Array) -> None:
+        """Sets the commands of an action."""
         speeds, angles = list(self.commands.speeds), list(self.commands.angles)
         values = action.tolist()
         for (i, largest), value in zip(self.driven, values, strict=False):
@@ -53,10 +55,10 @@ class JointActions:
 
 
 class DirectCommands(BaseCalculator):
-    """Commands joints as it is told, whatever the twist; odometry as by another calculator."""
+    """A calculator that returns given joint commands for every twist; odometry by ``odometer``."""
 
     name = "direct"
-    summary = "joint commands from outside"
+    summary = "joint commands of an environment"
 
     def __init__(self, odometer: BaseCalculator, commands: JointCommands) -> None:
         super().__init__(odometer.geometry, odometer.options, odometer.noise)

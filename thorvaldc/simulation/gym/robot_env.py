@@ -1,8 +1,8 @@
-"""Robots in MuJoCo as environments of Gymnasium, for learning and for experiments in a loop.
+"""Gymnasium environment of a robot in MuJoCo, for learning and closed-loop experiments.
 
 Needs the extra ``thorvaldc[gym]``.  ``RobotEnv`` takes a model and its MJCF files;
 ``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")`` compiles
-them first.
+a file first.
 """
 
 from __future__ import annotations
@@ -43,19 +43,20 @@ if TYPE_CHECKING:
 
 ACTIONS = ("twist", "joints")
 LARGEST = 1e6
-"""Bound of every observation, in SI; what is beyond, or no number, is brought within."""
+"""Bound of every observation, in SI; larger values are clipped, nan becomes 0."""
 DURATION = 20.0
-"""Length of an episode (s) of what is no scenario."""
+"""Duration of an episode (s), unless a scenario or the caller sets it."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A step, for a reward: the action (-1..1), the robot before and after it.
+    """A step, the argument of a reward function.
 
-    ``duration`` is in s, ``collisions`` how often it came to touch what it must not in
-    this step, ``terminated`` whether it fell over or the simulation diverged.
+    ``action`` is -1..1; ``before`` and ``after`` are samples of the robot; ``duration`` is in
+    s; ``collisions`` is the number of collisions that began in the step; ``terminated`` means
+    that the robot fell over or the simulation diverged.
     """
 
     action: Array
@@ -70,26 +71,28 @@ Reward = Callable[[Transition], float]
 
 
 class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
-    """One robot of a scene, driven by actions of -1..1.
+    """One robot of a scene that follows actions of -1..1.
 
-    ``action="twist"``: vx, vy, wz over the driver's largest, through the base driver with its
-    limits and ramps.  ``action="joints"``: of each driven wheel its speed over the largest of
-    its motor, then of each steered wheel its angle over the larger of its limits (over pi
-    where it has none), in the order of ``Robot.wheels``; what is beyond a limit is cut off.
-    An action takes effect with the driver's next tick and holds for the step.
+    ``action="twist"``: vx, vy, wz over the driver's largest values, through the base driver with
+    its limits and ramps.  ``action="joints"``: the speed of each driven wheel over the largest
+    speed of its motor, then the angle of each steered wheel over the larger of its limits (over
+    pi without limits), in the order of ``Robot.wheels``; angles beyond a limit are clipped, and
+    the driver's calculator is bypassed.  Between two steps the driver ticks at its own rate;
+    an action takes effect at the driver's next tick and holds until the next step.
 
-    An observation is what the robot itself knows, in SI, by ``observation_names``: the
-    odometry's twist and its pose from the start on, the speed of each driven and the angle of
-    each steered wheel.  ``info`` has the truth: ``time``, ``true_pose`` (x, y, yaw in the
-    scene), ``true_twist``, ``tilt``, ``collisions`` so far, and ``cause`` at the end
-    (``tipped``, ``diverged`` or ``time``).  The reward is 0 without a function for it.
+    An observation contains only what the robot itself can measure, in SI, in the order of
+    ``observation_names``: the twist of the odometry, its pose relative to the start, the speed of
+    each driven wheel and the angle of each steered wheel.  ``info`` has the ground truth: ``time``,
+    ``true_pose`` (x, y, yaw in the scene), ``true_twist``, ``tilt``, ``collisions`` so far, and
+    at the end the ``cause`` (``tipped``, ``diverged`` or ``time``).  Without a reward function the
+    reward is 0.
 
     An episode is terminated when the robot falls over or the simulation diverges, and
-    truncated after ``duration``.  All chance comes from the seed of ``reset``: where in
-    ``spread`` it starts, and the noise of a scenario.
+    truncated after ``duration``.  All random numbers (the start pose within ``spread``, the noise
+    of a scenario) depend only on the seed of ``reset``.
     """
 
-    # What Gymnasium asks of a class; each environment has its own, with its rate.
+    # Gymnasium requires this class attribute; each instance has its own with its rate.
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(
@@ -109,19 +112,19 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     ) -> None:
         """``files`` are a build folder, or the outputs of the ``mjcf`` backend for the model.
 
-        ``robot`` names the one that acts, by default the first; others follow a scenario's
-        script.  ``rate`` (Hz) is that of the steps, to the nearest whole number of the
-        driver's ticks.  ``duration`` (s) is a scenario's own or ``DURATION`` where it is 0.
-        ``spread``: how far from the model's place it may start, along its own x and y (m) and
-        in yaw (rad).  ``parameters`` names the parameter set that the robot drives by.
+        ``robot`` names the robot that the actions control, by default the first; the others
+        follow the scenario's script.  ``rate`` (Hz) is the rate of the steps; a step is rounded
+        to a whole number of driver ticks.  ``duration`` (s) of 0 means that of the scenario, or
+        ``DURATION``.  ``spread`` is the largest random offset of the start pose, along the
+        robot's x and y (m) and in yaw (rad).  ``parameters`` names a parameter set.
 
-        Raises ``DiagnosticError`` where the scene is not of the model, ``PictureError`` where
-        pictures are asked for and nothing here draws, ``ValueError`` for other arguments.
+        Raises ``DiagnosticError`` if the scene does not belong to the model, ``PictureError`` if
+        a render mode is set and MuJoCo cannot draw, ``ValueError`` for invalid arguments.
         """
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
         if render_mode is not None:
-            # Before MuJoCo is imported, which looks only once for what it draws by.
+            # Before MuJoCo is imported: it reads the choice of the backend only on import.
             from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 
             choose_opengl_backend()
@@ -134,7 +137,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         )
         self.name = robot or next(iter(self.robots), "")
         if self.name not in self.robots:
-            raise ValueError(f"there is no robot {self.name!r}; there are {', '.join(self.robots)}")
+            names = ", ".join(self.robots)
+            raise ValueError(f"there is no robot {self.name!r}; the robots are {names}")
         self.robot = self.robots[self.name]
         self.parameters = parameters
         settings = Parameters.from_robot(self.robot, parameters).settings
@@ -143,8 +147,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self.spread = tuple(spread)
         ticks = max(1, round(self.robot.driver.rate / rate))
         self.period = ticks / self.robot.driver.rate
-        own = self.scenario.duration if self.scenario is not None else DURATION
-        self.duration = duration or own
+        default = self.scenario.duration if self.scenario is not None else DURATION
+        self.duration = duration or default
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.period)}
         self._limits = (
             settings.max_linear_velocity,
@@ -159,7 +163,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             -LARGEST, LARGEST, (len(self.observation_names),), np.float64
         )
         self._bases: list[ScenarioBase] = []
-        self._meters: list[ControlLoop] = []
+        self._loops: list[ControlLoop] = []
         self._steps = 0
         self._files, self._size = files, size
         self._drawing: _Drawing | None = None
@@ -167,53 +171,57 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode.  ``options["offset"]`` (x, y in m, yaw in rad) is where the robot
-        starts as seen from the model's place, instead of a draw within ``spread``."""
+        """Starts an episode.
+
+        ``options["offset"]`` (x, y in m, yaw in rad) replaces the random offset of the start.
+        """
         super().reset(seed=seed)
-        draw = self.np_random.uniform(-1.0, 1.0, 3)
-        chance = int(self.np_random.integers(2**31))
+        random_offset = self.np_random.uniform(-1.0, 1.0, 3) * self.spread
+        noise_seed = int(self.np_random.integers(2**31))
         offset = (options or {}).get("offset")
-        x, y, yaw = offset if offset is not None else draw * self.spread
+        x, y, yaw = offset if offset is not None else random_offset
         self._release()
         self.scene.reset()
-        self._meters = [self._meter(name, chance) for name in self.robots]
-        acting = self._acting
+        self._loops = [self._control_loop(name, noise_seed) for name in self.robots]
+        loop = self._controlled
         if x or y or yaw:
-            base = acting.base
+            base = loop.base
             if isinstance(base, MujocoBase):
                 base.place(base.true_pose().moved(Pose2(float(x), float(y), float(yaw))))
-                acting.start = acting.pose_true = base.true_pose()
-        self._contacts = CollisionCounter(self.scene, self.robots)
+                loop.start = loop.pose_true = base.true_pose()
+        self._collisions = CollisionCounter(self.scene, self.robots)
         self._steps = 0
         self._advance(0.0)
         return self._observation(), self._info("")
 
     def step(self, action: NDArray[np.float32]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        acting = self._acting
-        asked = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
-        if asked.shape != self.action_space.shape or not np.isfinite(asked).all():
-            raise ValueError(f"an action is {self.action_space.shape} finite numbers")
+        loop = self._controlled
+        values = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        if values.shape != self.action_space.shape or not np.isfinite(values).all():
+            raise ValueError(f"an action must be {self.action_space.shape} finite numbers")
         if self._action == "twist":
-            twist = Twist(*(float(a) * limit for a, limit in zip(asked, self._limits, strict=True)))
-            acting.manoeuvre = (Segment(-math.inf, twist),)
+            vx, vy, wz = (float(v) * limit for v, limit in zip(values, self._limits, strict=True))
+            loop.manoeuvre = (Segment(-math.inf, Twist(vx, vy, wz)),)
         else:
-            self._joints.set(asked)
-        before, collisions = acting.sample(), self._contacts.collisions[self.name]
+            self._joints.set(values)
+        before, collisions = loop.sample(), self._collisions.collisions[self.name]
         self._steps += 1
         self._advance(self._steps * self.period)
-        cause = "diverged" if self.scene.diverged else "tipped" if acting.tipped else ""
+        cause = "diverged" if self.scene.diverged else "tipped" if loop.tipped else ""
         terminated = bool(cause)
         truncated = not terminated and self._steps * self.period > self.duration - 1e-9
         info = self._info(cause or ("time" if truncated else ""))
         reward = 0.0
         if self.reward is not None:
-            hits = info["collisions"] - collisions
-            done = Transition(asked, before, acting.sample(), self.period, hits, terminated)
-            reward = float(self.reward(done))
+            new_collisions = info["collisions"] - collisions
+            transition = Transition(
+                values, before, loop.sample(), self.period, new_collisions, terminated
+            )
+            reward = float(self.reward(transition))
         return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> Any:
-        """The scene as it is, (height, width, 3) bytes; ``None`` without a render mode."""
+        """Returns a picture, (height, width, 3) bytes; ``None`` without a render mode."""
         if self.render_mode is None:
             return None
         if self._drawing is None:
@@ -229,68 +237,70 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     # -- parts --------------------------------------------------------------------------
 
     @property
-    def _acting(self) -> ControlLoop:
-        for meter in self._meters:
-            if meter.name == self.name:
-                return meter
+    def _controlled(self) -> ControlLoop:
+        """The control loop of the robot that the actions control."""
+        for loop in self._loops:
+            if loop.name == self.name:
+                return loop
         raise DiagnosticError("simulation-scene", "the environment was not reset")
 
-    def _meter(self, name: str, chance: int) -> ControlLoop:
+    def _control_loop(self, name: str, noise_seed: int) -> ControlLoop:
         robot, scenario = self.robots[name], self.scenario
         base: MujocoBase
-        plan: Manoeuvre = ()
+        manoeuvre: Manoeuvre = ()
         if scenario is None:
             base = MujocoBase(robot, self.scene)
         else:
             faults = [fault for fault in scenario.faults if fault.robot == name]
-            noise = replace(scenario.noise, seed=chance)
+            noise = replace(scenario.noise, seed=noise_seed)
             zones = scenario.fleet.world.zones if scenario.fleet.world is not None else ()
             base = ScenarioBase(robot, self.scene, faults, noise, zones)
             self._bases.append(base)
-            for other, commands in scenario.commands:
-                if other == name:
-                    plan = tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
+            for commanded_robot, commands in scenario.commands:
+                if commanded_robot == name:
+                    manoeuvre = tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
         if name != self.name:
-            return ControlLoop(name, robot, base, plan)
-        meter = ControlLoop(name, robot, base, (), self.parameters)
+            return ControlLoop(name, robot, base, manoeuvre)
+        loop = ControlLoop(name, robot, base, (), self.parameters)
         if self._action == "joints":
             self._joints.reset()
-            direct = DirectCommands(meter.driver.calculator, self._joints.commands)
-            meter.driver = BaseDriver(robot, base, direct, parameters=self.parameters)
-        return meter
+            direct = DirectCommands(loop.driver.calculator, self._joints.commands)
+            loop.driver = BaseDriver(robot, base, direct, parameters=self.parameters)
+        return loop
 
     def _advance(self, end: float) -> None:
+        """Runs all control loops up to the time ``end`` (s)."""
         while not self.scene.diverged:
-            meter = min(self._meters, key=lambda m: m.next_time)
-            if meter.next_time > end + 1e-9:
+            loop = min(self._loops, key=lambda m: m.next_time)
+            if loop.next_time > end + 1e-9:
                 return
-            meter.tick()
-            self._contacts.update()
+            loop.tick()
+            self._collisions.update()
 
     def _release(self) -> None:
-        """Take back what faults changed in the scene."""
+        """Restores the parts of the scene that injected faults changed."""
         while self._bases:
             self._bases.pop().close()
 
     def _observation(self) -> Array:
-        state = self._acting.driver.state
-        found: list[float] = [*state.odometry.twist, *state.pose]
+        state = self._controlled.driver.state
+        values: list[float] = [*state.odometry.twist, *state.pose]
         if state.joints is not None:
-            found += [state.joints.speeds[i] for i, _ in self._joints.driven]
-            found += [state.joints.angles[i] for i, _, _, _ in self._joints.steered]
-        values = np.zeros(len(self.observation_names))
-        values[: len(found)] = found
-        return np.clip(np.nan_to_num(values), -LARGEST, LARGEST)
+            values += [state.joints.speeds[i] for i, _ in self._joints.driven]
+            values += [state.joints.angles[i] for i, _, _, _ in self._joints.steered]
+        observation = np.zeros(len(self.observation_names))
+        observation[: len(values)] = values
+        return np.clip(np.nan_to_num(observation), -LARGEST, LARGEST)
 
     def _info(self, cause: str) -> dict[str, Any]:
-        acting = self._acting
-        sample = acting.sample()
+        loop = self._controlled
+        sample = loop.sample()
         info: dict[str, Any] = {
             "time": self._steps * self.period,
             "true_pose": np.array(sample.pose_true),
             "true_twist": np.array(sample.true),
-            "tilt": math.acos(max(-1.0, min(1.0, acting.uprightness))),
-            "collisions": self._contacts.collisions[self.name],
+            "tilt": math.acos(max(-1.0, min(1.0, loop.uprightness))),
+            "collisions": self._collisions.collisions[self.name],
         }
         return {**info, "cause": cause} if cause else info
 
@@ -305,22 +315,22 @@ def _check(
     if not 0.0 <= duration < math.inf:
         raise ValueError(f"the duration is {duration:g} s; it must not be negative")
     if len(spread) != 3 or not all(0.0 <= part < math.inf for part in spread):
-        raise ValueError("the spread is that of x, y and yaw, none of them negative")
+        raise ValueError("the spread must be three values (x, y, yaw) that are not negative")
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"the render mode is {render_mode!r}; it must be rgb_array or None")
 
 
 def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What the entries of an action and of an observation are."""
+    """Returns the names of the values of an action and of an observation."""
     speeds = [f"{w.name}_speed" for w in robot.wheels if w.driven]
     angles = [f"{w.name}_angle" for w in robot.wheels if w.steered]
     twist = ("vx", "vy", "wz")
-    asked = twist if action == "twist" else (*speeds, *angles)
-    return asked, (*twist, "x", "y", "yaw", *speeds, *angles)
+    action_names = twist if action == "twist" else (*speeds, *angles)
+    return action_names, (*twist, "x", "y", "yaw", *speeds, *angles)
 
 
 class _Drawing:
-    """Pictures of a scene, from a copy of it with all that is seen; the camera follows."""
+    """Draws a scene from a copy that has its visual geoms; the camera follows the robots."""
 
     def __init__(self, files: Path | str | Mapping[str, bytes], size: tuple[int, int]) -> None:
         from thorvaldc.simulation.pictures.render import View, picture_scene, renderer
@@ -330,11 +340,11 @@ class _Drawing:
         self._scene = picture_scene(files, size, self._view, quick=True)
         self._aspect = size[0] / size[1]
         self._boxes: BoundingBoxes = BoundingBoxes(self._scene)
-        # As far as a robot drives in a while, and the ground on the way.
-        around = self._boxes.corners(self._scene)
-        around = np.vstack([around.min(axis=0) - 20.0, around.max(axis=0) + 20.0])
-        self._open = ExitStack()
-        self._renderer = self._open.enter_context(renderer(self._scene, size, around))
+        # The renderer needs the extent of the scene; 20 m leave room for the motion.
+        corners = self._boxes.corners(self._scene)
+        corners = np.vstack([corners.min(axis=0) - 20.0, corners.max(axis=0) + 20.0])
+        self._resources = ExitStack()
+        self._renderer = self._resources.enter_context(renderer(self._scene, size, corners))
         self._distance = 0.0
 
     def picture(self, scene: MujocoScene) -> Any:
@@ -343,10 +353,10 @@ class _Drawing:
         self._scene.data.qpos[:] = scene.data.qpos
         self._scene.forward()
         camera = fit_camera(self._boxes.corners(self._scene), self._view, self._aspect)
-        # Steady: a robot that turns or steers does not come nearer.
+        # The distance never decreases: the camera keeps still while a robot turns or steers.
         self._distance = camera.distance = max(self._distance, camera.distance)
         self._renderer.update_scene(self._scene.data, camera)
         return self._renderer.render()
 
     def close(self) -> None:
-        self._open.close()
+        self._resources.close()
