@@ -122,7 +122,7 @@ def _write_rows(stream: TextIO, runs: Sequence[Run], *, heading: bool) -> None:
                     simulated,
                     str(run.passed).lower(),
                     run.result["hash"] if run.result is not None else "",
-                    "; ".join(run.faults),
+                    "; ".join(run.errors),
                 ]
             )
 
