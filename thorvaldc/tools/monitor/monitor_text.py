@@ -1,4 +1,4 @@
-"""A bus monitor's summary as lines of text."""
+"""The summary of a bus monitor as lines of text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SHOWN_EMERGENCIES = 5
 
 
 def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Head, nodes, emergencies, what is not in the map, and the frames with their values."""
+    """Returns head line, nodes, EMCY messages, frames outside the map, and frames with values."""
     lines = [_head(summary), ""]
     lines += _nodes(summary["nodes"])
     lines += _emergencies(summary["emergencies"], summary["time"])
@@ -21,7 +21,7 @@ def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def page(lines: Sequence[str], height: int, first: int) -> list[str]:
-    """``height`` of the lines, from ``first`` on; the last says how many are left out."""
+    """Returns ``height`` lines from index ``first`` on; the last one shows the position."""
     height = max(height, 3)
     if len(lines) <= height:
         return list(lines)
@@ -40,9 +40,9 @@ def _head(summary: Mapping[str, Any]) -> str:
     ]
     controller = summary.get("controller", "")
     if controller not in ("", "error-active"):
-        parts.append(f"OUR CONTROLLER: {controller.upper()}")
+        parts.append(f"OWN CONTROLLER: {controller.upper()}")
     if summary.get("overruns"):
-        parts.append(f"{summary['overruns']} frames lost here")
+        parts.append(f"{summary['overruns']} frames lost by this program")
     return "  ".join(parts)
 
 
@@ -54,30 +54,33 @@ def _nodes(nodes: Sequence[Mapping[str, Any]]) -> list[str]:
             name.replace("_", " ") if state is None else f"{name} {state}"
             for name, state in node["drive"].items()
         )
-        state = node["nmt"] or ("-" if node["heard"] is not None else "never heard")
+        state = node["nmt"] or ("-" if node["heard"] is not None else "no frame yet")
         if node["silent"]:
             state += "  SILENT"
         lines.append(f"{node['name']:{width}} {node['id']:>3}  {state:17}  {drive}".rstrip())
     return lines
 
 
-def _emergencies(found: Sequence[Mapping[str, Any]], now: float) -> list[str]:
-    lines = [""] if found else []
-    for one in found[-SHOWN_EMERGENCIES:]:
-        what = "no error any more" if one["over"] else f"error {one['code']:#06x}"
-        register = "" if one["register"] is None else f" register {one['register']:#04x}"
-        data = f" data {one['data']}" if one["data"].strip("0") else ""
-        lines.append(f"EMCY {now - one['time']:.1f} s ago  {one['node']}: {what}{register}{data}")
+def _emergencies(emergencies: Sequence[Mapping[str, Any]], now: float) -> list[str]:
+    lines = [""] if emergencies else []
+    for emergency in emergencies[-SHOWN_EMERGENCIES:]:
+        text = "no error" if emergency["over"] else f"error {emergency['code']:#06x}"
+        register = (
+            "" if emergency["register"] is None else f" register {emergency['register']:#04x}"
+        )
+        data = f" data {emergency['data']}" if emergency["data"].strip("0") else ""
+        age = now - emergency["time"]
+        lines.append(f"EMCY {age:.1f} s ago  {emergency['node']}: {text}{register}{data}")
     return lines
 
 
-def _unknown(found: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [""] if found else []
-    for one in found:
-        name = f"{one['id']:08x}" if one["extended"] else f"{one['id']:03x}"
+def _unknown(frames: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = [""] if frames else []
+    for frame in frames:
+        name = f"{frame['id']:08x}" if frame["extended"] else f"{frame['id']:03x}"
         lines.append(
-            f"NOT IN THE MAP {name}  {one['count']} frames  {_time(one['period'])}  "
-            f"{_time(one['age'])} ago  {one['data']}".rstrip()
+            f"NOT IN THE MAP {name}  {frame['count']} frames  {_time(frame['period'])}  "
+            f"{_time(frame['age'])} ago  {frame['data']}".rstrip()
         )
     return lines
 
