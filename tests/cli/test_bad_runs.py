@@ -62,7 +62,7 @@ def test_faults_of_scenario_and_robot_are_told_at_once(thorvaldc: Command) -> No
     assert (done.status, done.out) == (1, "")
     assert "bad.yaml:" in done.err
     assert "`type` cannot be `swamp`" in done.err
-    assert "it is one of `plane`, `slope`, `rough`" in done.err
+    assert "allowed values are `plane`, `slope`, `rough`" in done.err
     assert not Path("r.mcap").exists()
 
 

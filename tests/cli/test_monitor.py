@@ -96,7 +96,7 @@ def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -
             process.terminate()
             person.process.wait(PATIENCE)
             assert person.end() == 3
-            assert "error: the bus is gone" in person.shown
+            assert "error: the CAN interface is lost" in person.shown
         finally:
             person.close()
 
@@ -105,7 +105,7 @@ def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -
     ("arguments", "status", "said"),
     [
         (("--bus", "sim:nobody"), 3, "no bus runs at"),
-        (("--bus", "virtual"), 2, "a virtual bus is the own process's alone"),
+        (("--bus", "virtual"), 2, "a virtual bus exists only in its own process"),
         (("--bus", "left=sim:x"), 3, "`left=sim:x`"),
         (("--bus", "sim:x", "--duration", "soon"), 2, "'--duration'"),
         (("--bus", "sim:x", "--interval", "0"), 2, "not between 0.05 and 86400 s"),
