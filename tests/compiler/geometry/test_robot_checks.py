@@ -10,7 +10,8 @@ import pytest
 from tests.examples import FOLDER, ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
 from tests.workshop import CART, Workshop
-from thorvaldc.compiler.geometry.robot_checks import check_robot, feasible_twists
+from thorvaldc.compiler.geometry.mobility_checks import feasible_twists
+from thorvaldc.compiler.geometry.robot_checks import check_robot
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Report

@@ -1,8 +1,8 @@
-"""Mesh files: found, checked and brought into a format that every target reads.
+"""Reads mesh files, checks them and converts them to a format that every target reads.
 
-STL and OBJ are what URDF readers and MuJoCo share, so they go along as they are
-(binary STL: MuJoCo does not read the text form).  Collada and what else trimesh
-reads becomes binary STL here, once, so that no backend has to convert.
+URDF readers and MuJoCo both read STL and OBJ: these files are copied unchanged, except that text
+STL becomes binary STL, because MuJoCo reads only that.  Other formats are converted to binary STL
+here, so that no backend has to.
 """
 
 from __future__ import annotations
@@ -20,92 +20,95 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Mesh, Vec3
 
-# MuJoCo's STL reader takes 1..200000 faces; more helps no viewer either.
+# Limit of MuJoCo's STL reader.
 MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
-# A part of a robot that is longer than this is a mesh in millimetres.
-MAX_EXTENT = 20.0
+MAX_EXTENT = 20.0  # m; a larger mesh is most likely in millimetres
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
 _RECORD = struct.Struct("<12xfffffffff2x")
-# Screens on the highest byte of a little-endian float: exponents of 1.7e38 and up
-# (with inf and nan), and magnitudes of 8 and up.
+# Fast tests of coordinates by the highest byte of a little-endian float32, for ``translate``:
+# bytes of numbers below 1.7e38 (above are also inf and nan), and of magnitudes below 8.
 _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
 _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 
 
-class _Fault(NamedTuple):
+class _MeshError(NamedTuple):
+    """An error of a mesh file; ``text`` continues "mesh file `x` ..."."""
+
     code: str
     text: str
     hint: str
 
 
-class _Loaded(NamedTuple):
+class _LoadedMesh(NamedTuple):
+    """A mesh in the format ``suffix``; ``is_large``: a coordinate may be 8 m or more."""
+
     mesh: Mesh
     suffix: str
-    large: bool  # some coordinate may be 8 m or more: worth measuring
+    is_large: bool
 
 
 def load_mesh(
     path: Path,
-    asked_by: Span,
+    span: Span,
     report: Report,
     *,
     display: str,
     scale: Vec3 = (1.0, 1.0, 1.0),
 ) -> Mesh | None:
-    """The mesh in the file at ``path``, or ``None`` with the reason in ``report``.
+    """Returns the mesh of the file at ``path``, or ``None`` if there are errors (reported).
 
-    ``asked_by`` is where the file is named, ``display`` how messages call it.
-    ``scale`` only serves to judge the size.  The name of the result is made of the
-    file's and of its contents' hash, so that two files of one name do not meet.
-    Files are read once per process as long as their size and time stay the same.
+    ``span`` is where the document names the file, ``display`` the file's name in messages.
+    ``scale`` is used only to check the size.  The name of the mesh contains a hash of its
+    content, so that files of equal names do not collide.  A file is read once per process unless
+    its size or time changes.
     """
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
         report.add(
             "mesh-format",
             f"mesh file `{display}` has the format `{suffix}`, which is not read",
-            asked_by,
-            hint=f"use one of {', '.join(FORMATS)}; STL and OBJ go along unchanged",
+            span,
+            hint=f"use one of {', '.join(FORMATS)}; STL and OBJ are copied unchanged",
         )
         return None
     try:
         status = path.stat()
-        missing = not path.is_file()
+        is_missing = not path.is_file()
     except (OSError, ValueError):
-        missing = True
-    if missing:
+        is_missing = True
+    if is_missing:
         report.add(
             "mesh-missing",
             f"mesh file `{display}` does not exist",
-            asked_by,
+            span,
             hint="paths are relative to the file that names them; check spelling and case",
         )
         return None
-    found = _read(path, status.st_mtime_ns, status.st_size)
-    if isinstance(found, _Fault):
-        report.add(found.code, f"mesh file `{display}` {found.text}", asked_by, hint=found.hint)
+    loaded = _read(path, status.st_mtime_ns, status.st_size)
+    if isinstance(loaded, _MeshError):
+        report.add(loaded.code, f"mesh file `{display}` {loaded.text}", span, hint=loaded.hint)
         return None
-    if found.large or max(map(abs, scale)) > 1.0:
-        size = _extent(found.mesh.data, found.suffix)
+    if loaded.is_large or max(map(abs, scale)) > 1.0:
+        size = _extent(loaded.mesh.data, loaded.suffix)
         largest = max(abs(size[i] * scale[i]) for i in range(3))
         if largest > MAX_EXTENT:
             report.add(
                 "mesh-size",
-                f"mesh file `{display}` is {largest:g} m long; over {MAX_EXTENT:g} m is "
-                "taken for a mistake",
-                asked_by,
-                hint="meshes are in metres; for one in millimetres say scale 0.001",
+                f"mesh file `{display}` is {largest:g} m long; at most {MAX_EXTENT:g} m are "
+                "plausible",
+                span,
+                hint="meshes are in metres; for a mesh in millimetres, set scale 0.001",
             )
-    return found.mesh
+    return loaded.mesh
 
 
 def binary_stl(triangles: Iterable[tuple[Vec3, Vec3, Vec3]]) -> bytes:
-    """Binary STL of triangles given by their corners in m, normals computed.
+    """Returns the binary STL of triangles with the given corners (m); computes the normals.
 
-    Raises ``OverflowError`` where a coordinate does not fit in 32 bits.
+    Raises ``OverflowError`` if a coordinate does not fit in a float32.
     """
     body = bytearray()
     count = 0
@@ -120,20 +123,20 @@ def binary_stl(triangles: Iterable[tuple[Vec3, Vec3, Vec3]]) -> bytes:
 
 
 @functools.lru_cache(maxsize=512)
-def _read(path: Path, mtime_ns: int, size: int) -> _Loaded | _Fault:
-    """Read, check and convert; ``mtime_ns`` and ``size`` only serve as the key."""
+def _read(path: Path, mtime_ns: int, size: int) -> _LoadedMesh | _MeshError:
+    """Reads, checks and converts a file; ``mtime_ns`` is only part of the cache key."""
     if size > MAX_FILE_BYTES:
         return _too_large(f"has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} are read")
     try:
         data = path.read_bytes()
-    except OSError as fault:
-        return _Fault(
+    except OSError as error:
+        return _MeshError(
             "mesh-missing",
-            f"cannot be read: {fault.strerror}",
+            f"cannot be read: {error.strerror}",
             "check the file's permissions",
         )
     if data.startswith(b"version https://git-lfs"):
-        return _invalid("is a pointer of Git LFS, not the mesh", "fetch it: git lfs pull")
+        return _invalid("is a Git LFS pointer, not the mesh", "fetch it: git lfs pull")
     suffix = path.suffix.lower().lstrip(".")
     if suffix == "stl":
         checked = _check_stl(data)
@@ -142,25 +145,30 @@ def _read(path: Path, mtime_ns: int, size: int) -> _Loaded | _Fault:
     else:
         checked = _convert(path, data, suffix)
         suffix = "stl"
-    if isinstance(checked, _Fault):
+    if isinstance(checked, _MeshError):
         return checked
-    data, large = checked
+    data, is_large = checked
     digest = hashlib.sha256(data).hexdigest()
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem).strip("_") or "mesh"
-    return _Loaded(Mesh(f"{stem}_{digest[:8]}.{suffix}", digest, data), suffix, large)
+    return _LoadedMesh(Mesh(f"{stem}_{digest[:8]}.{suffix}", digest, data), suffix, is_large)
 
 
-def _invalid(
-    text: str, hint: str = "export it again, as binary STL where there is a choice"
-) -> _Fault:
-    return _Fault("mesh-invalid", text, hint)
+def _invalid(text: str, hint: str = "export it again, if possible as binary STL") -> _MeshError:
+    return _MeshError("mesh-invalid", text, hint)
 
 
-def _too_large(text: str) -> _Fault:
-    return _Fault("mesh-large", text, "reduce it: a robot is seen well with some 10000 triangles")
+def _too_large(text: str) -> _MeshError:
+    return _MeshError(
+        "mesh-large", text, "reduce it: some 10000 triangles are enough for a picture of a robot"
+    )
 
 
-def _check_stl(data: bytes) -> tuple[bytes, bool] | _Fault:
+def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
+    """Returns the binary STL without trailing bytes, and whether it may be large.
+
+    Format: 80 bytes of header, the number of triangles (uint32), and 50 bytes per triangle:
+    normal and three corners (float32 each) and 2 bytes of attributes.
+    """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
     if count is None or len(data) != 84 + 50 * count:
         if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
@@ -169,24 +177,24 @@ def _check_stl(data: bytes) -> tuple[bytes, bool] | _Fault:
             return _invalid(f"has {len(data)} bytes, too few for an STL file")
         if len(data) < 84 + 50 * count:
             return _invalid(
-                f"is cut off: it announces {count} triangles, {84 + 50 * count} bytes, "
-                f"and has {len(data)} bytes"
+                f"is truncated: its header states {count} triangles, {84 + 50 * count} bytes, "
+                f"and it has {len(data)} bytes"
             )
         data = data[: 84 + 50 * count]
     if count < 2:
-        return _invalid(f"has {count} triangles, no body")
+        return _invalid(f"has {count} triangles and is not a solid")
     if count > MAX_TRIANGLES:
         return _too_large(f"has {count} triangles; at most {MAX_TRIANGLES} are read")
-    large = False
+    is_large = False
     for k in range(9):
-        high = data[84 + 12 + 4 * k + 3 :: 50]
-        if high.translate(None, _BELOW_HUGE):
+        high_bytes = data[84 + 12 + 4 * k + 3 :: 50]  # of the k-th coordinate of each triangle
+        if high_bytes.translate(None, _BELOW_HUGE):
             return _invalid("has a coordinate that is not a finite number")
-        large = large or bool(high.translate(None, _BELOW_8))
-    return data, large
+        is_large = is_large or bool(high_bytes.translate(None, _BELOW_8))
+    return data, is_large
 
 
-def _text_stl(data: bytes) -> tuple[bytes, bool] | _Fault:
+def _text_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
     words = data.split()
     numbers: list[float] = []
     try:
@@ -201,7 +209,7 @@ def _text_stl(data: bytes) -> tuple[bytes, bool] | _Fault:
     return _binary([(points[i], points[i + 1], points[i + 2]) for i in range(0, len(points), 3)])
 
 
-def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _Fault:
+def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _MeshError:
     if len(triangles) > MAX_TRIANGLES:
         return _too_large(f"has {len(triangles)} triangles; at most {MAX_TRIANGLES} are read")
     try:
@@ -210,15 +218,15 @@ def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _F
         return _invalid("has a coordinate that is not a finite number")
 
 
-def _check_obj(data: bytes) -> tuple[bytes, bool] | _Fault:
+def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
     vertices = faces = 0
     largest = 0.0
-    kept: list[bytes] = []
+    lines: list[bytes] = []
     for number, line in enumerate(data.split(b"\n"), start=1):
         word = line[:7].split(None, 1)[:1]
         if word in ([b"mtllib"], [b"usemtl"]):
-            continue  # the material file does not go along; colours come from the model
-        kept.append(line)
+            continue  # Material files are not copied: colours come from the model.
+        lines.append(line)
         if word == [b"f"]:
             faces += len(line.split()) - 3
         elif word == [b"v"]:
@@ -231,54 +239,53 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _Fault:
             if not math.isfinite(x + y + z):
                 return _invalid(f"has a coordinate that is not a finite number (line {number})")
     if vertices < 4 or faces < 2:
-        return _invalid(f"has {vertices} vertices and {faces} triangles, no body")
+        return _invalid(f"has {vertices} vertices and {faces} triangles and is not a solid")
     if faces > MAX_TRIANGLES:
         return _too_large(f"has {faces} triangles; at most {MAX_TRIANGLES} are read")
-    return b"\n".join(kept), largest >= 8.0
+    return b"\n".join(lines), largest >= 8.0
 
 
-def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Fault:
-    """Binary STL of another format, in m, z up; every instance in it, placed."""
-    # trimesh takes an interrupt for a package that cannot be imported, and goes on without it.
+def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
+    """Converts a scene of another format to one binary STL, in m and z up."""
+    # trimesh treats an interrupt as a missing package and continues without it.
     with uninterrupted():
-        return _converted(path, data, suffix)
+        return _convert_by_trimesh(path, data, suffix)
 
 
-def _converted(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Fault:
+def _convert_by_trimesh(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
     import logging
     import warnings
 
     try:
         import trimesh
     except ImportError:
-        return _Fault(
+        return _MeshError(
             "mesh-format",
-            f"has the format `{suffix}`, which needs trimesh, and that is not installed",
+            f"has the format `{suffix}`, which needs trimesh; it is not installed",
             "install trimesh and pycollada, or convert the mesh to STL",
         )
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            whole = trimesh.load_scene(str(path), file_type=suffix).to_mesh()
-            corners = whole.triangles
+            corners = trimesh.load_scene(str(path), file_type=suffix).to_mesh().triangles
             if suffix == "dae":
                 corners = corners @ _collada_axes(data)
             rows = corners.reshape(-1, 9).tolist()
-    except (AttributeError, TypeError, LookupError):  # a reader that finds something else
-        return _invalid(f"is no {suffix} file, or has nothing to show")
-    except Exception as fault:  # readers of eight formats raise what they like
-        reason = " ".join(str(fault).split())[:200] or type(fault).__name__
+    except (AttributeError, TypeError, LookupError):  # not of this format, or empty
+        return _invalid(f"is not a {suffix} file, or has no triangles")
+    except Exception as error:  # the readers raise exceptions of many types
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         return _invalid(f"cannot be read as {suffix}: {reason}")
     return _binary([((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8])) for r in rows])
 
 
 def _collada_axes(data: bytes) -> list[list[float]]:
-    """The matrix M for row vectors, ``p_z_up_in_m = p @ M``, of a Collada file's asset."""
+    """Returns the matrix M of a Collada file for row vectors: ``p_z_up_in_m = p @ M``."""
     from xml.etree import ElementTree
 
     root = ElementTree.fromstring(data)
-    unit, up = 1.0, "Y_UP"  # the standard's defaults
+    unit, up = 1.0, "Y_UP"  # defaults of Collada 1.4, element <asset>
     for element in root.iter():
         name = element.tag.rpartition("}")[2]
         if name == "unit":
@@ -297,7 +304,7 @@ def _collada_axes(data: bytes) -> list[list[float]]:
 
 @functools.lru_cache(maxsize=512)
 def _extent(data: bytes, suffix: str) -> Vec3:
-    """Edge lengths of the bounding box in the mesh's own unit."""
+    """Returns the edge lengths of the bounding box, in the unit of the mesh."""
     if suffix == "obj":
         points = [
             [float(n) for n in line.split()[1:4]]
