@@ -1,4 +1,4 @@
-"""The links and joints of extras, checked against the robot's and hung on them."""
+"""Checks the links and joints of extras and adds them to the tree of the robot."""
 
 from __future__ import annotations
 
@@ -14,36 +14,43 @@ from thorvaldc.model import Joint, Link, Mesh, Pose
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """Where something is mounted: ``pose`` on the link named ``link``."""
+    """A mounting position: ``pose`` in the frame of the link named ``link``."""
 
     link: str
     pose: Pose
 
 
-# The text of an entry's `parent` (None: not given, so the robot's root module)
-# to the place it means; None where there is no such place.
-Attach = Callable[[str | None], Attachment | None]
+# From the `parent` of an entry (None: the root module of the robot) to the mounting position;
+# None if the robot has no such module, port or link.
+FindAttachment = Callable[[str | None], Attachment | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Placing:
-    """Where an entry puts its file's roots.
+class Placement:
+    """Position of the root links of a file: parent and pose (xyz, rpy) of its entry.
 
-    ``span`` is the entry's, ``pose`` its xyz and rpy, ``placed`` the first of
-    parent, xyz and rpy that is given.
+    ``span`` is the span of the entry, ``pose_node`` the first of parent, xyz and rpy in it.
     """
 
     span: Span
     parent: Node | None
     pose: Pose
-    placed: Node | None
+    pose_node: Node | None
 
 
-class Joined:
-    """The robot's names and what the extras have added so far."""
+class ExtrasJoiner:
+    """Adds extras to a robot, one file after the other.
+
+    ``links`` and ``joints`` map all names so far to spans: those of the robot and of the
+    extras before.  An extra can therefore be mounted on an earlier one.
+    """
 
     def __init__(
-        self, links: dict[str, Span], joints: dict[str, Span], attach: Attach, report: Report
+        self,
+        links: dict[str, Span],
+        joints: dict[str, Span],
+        attach: FindAttachment,
+        report: Report,
     ) -> None:
         self.links = links
         self.joints = joints
@@ -54,56 +61,65 @@ class Joined:
         self.meshes: dict[str, Mesh] = {}
         self.extensions: list[str] = []
 
-    def add(self, entry: Placing, parts: UrdfParts) -> None:
-        """Check the parts of one file against the robot and hang them on it."""
-        own = self.own_links(parts.links)
-        parent_of = self.own_joints(parts.joints, own)
+    def add(self, entry: Placement, parts: UrdfParts) -> None:
+        """Checks the parts of one file and connects them to the robot."""
+        links = self.new_file_links(parts.links)
+        joint_to = self.joints_by_child(parts.joints, links)
         for mesh in parts.meshes:
             self.meshes.setdefault(mesh.name, mesh)
         self.extensions += parts.extensions
-        roots = [link for link in own.values() if link.name not in parent_of]
+        roots = [link for link in links.values() if link.name not in joint_to]
         mounts = self.mount(entry, roots)
         children: dict[str, list[Joint]] = {}
-        for joint in (*mounts, *parent_of.values()):
+        for joint in (*mounts, *joint_to.values()):
             children.setdefault(joint.parent, []).append(joint)
-        # Depth first, in file order, from the links of the robot.
-        waiting = [
-            j for name in reversed(children) if name not in own for j in reversed(children[name])
+        # Depth first in file order, from the links of the robot: parents precede children.
+        stack = [
+            joint
+            for parent in reversed(children)
+            if parent not in links
+            for joint in reversed(children[parent])
         ]
-        reached: dict[str, None] = {}
-        while waiting:
-            joint = waiting.pop()
-            reached[joint.child] = None
-            self.links[joint.child] = own[joint.child].span
+        reached: set[str] = set()
+        while stack:
+            joint = stack.pop()
+            reached.add(joint.child)
+            self.links[joint.child] = links[joint.child].span
             self.joints[joint.name] = joint.span
-            self.new_links.append(own[joint.child])
+            self.new_links.append(links[joint.child])
             self.new_joints.append(joint)
-            waiting += reversed(children.get(joint.child, []))
-        lost = [link for link in own.values() if link.name not in reached]
-        if lost and len(mounts) == len(roots):
-            self.report_cycle(lost[0], parent_of)
-        self.check_masses(own, children)
+            stack += reversed(children.get(joint.child, []))
+        unreached = [link for link in links.values() if link.name not in reached]
+        # If every root has a mount, only a cycle can be disconnected from the robot.
+        if unreached and len(mounts) == len(roots):
+            self.report_cycle(unreached[0], joint_to)
+        self.check_masses(links, children)
 
-    def own_links(self, links: Sequence[Link]) -> dict[str, Link]:
-        """The file's links by name, without those that stand for one of the robot's."""
-        own: dict[str, Link] = {}
+    def new_file_links(self, links: Sequence[Link]) -> dict[str, Link]:
+        """Returns the new links of a file by name.
+
+        An empty link with the name of a link of the robot is not new: it refers to that link.
+        """
+        new: dict[str, Link] = {}
         for link in links:
-            first = own[link.name].span if link.name in own else self.links.get(link.name)
+            first = new[link.name].span if link.name in new else self.links.get(link.name)
             if first is None:
-                own[link.name] = link
-            elif link.name in own or link.inertial or link.visuals or link.collisions:
+                new[link.name] = link
+            elif link.name in new or link.inertial or link.visuals or link.collisions:
                 self.report.add(
                     "extra-name-duplicate",
-                    f"there is already a link `{link.name}`",
+                    f"another link has the name `{link.name}`",
                     link.span,
                     hint="rename it; many macros have a parameter for the name or a prefix",
                     labels=[Label(first, "first defined here")],
                 )
-        return own
+        return new
 
-    def own_joints(self, joints: Sequence[Joint], own: Mapping[str, Link]) -> dict[str, Joint]:
-        """The file's joints by their child."""
-        parent_of: dict[str, Joint] = {}
+    def joints_by_child(
+        self, joints: Sequence[Joint], links: Mapping[str, Link]
+    ) -> dict[str, Joint]:
+        """Returns the valid joints of a file by their child link.  ``links``: its new links."""
+        joint_to: dict[str, Joint] = {}
         names: dict[str, Span] = {}
         for joint in joints:
             first = names.get(joint.name) or self.joints.get(joint.name)
@@ -111,60 +127,60 @@ class Joined:
             if first is not None:
                 self.report.add(
                     "extra-name-duplicate",
-                    f"there is already a joint `{joint.name}`",
+                    f"another joint has the name `{joint.name}`",
                     joint.span,
                     hint="rename it; many macros have a parameter for the name or a prefix",
                     labels=[Label(first, "first defined here")],
                 )
                 continue
-            known = True
+            ends_exist = True
             for end, name in (("parent", joint.parent), ("child", joint.child)):
-                if name not in own and name not in self.links:
-                    known = False
+                if name not in links and name not in self.links:
+                    ends_exist = False
                     self.report.add(
                         "extra-link-unknown",
                         f"joint `{joint.name}` names the {end} link `{name}`, which does not exist",
                         joint.span,
-                        hint=did_you_mean(name, [*own, *self.links])
-                        or "the robot's links are named <module>_<link>, as frame_body",
+                        hint=did_you_mean(name, [*links, *self.links])
+                        or "links of the robot have names such as frame_body: <module>_<link>",
                     )
-            if not known:
+            if not ends_exist:
                 continue
-            other = parent_of[joint.child].span if joint.child in parent_of else None
-            if joint.child not in own:
-                other = self.links[joint.child]
-            if other is not None:
+            first_parent = joint_to[joint.child].span if joint.child in joint_to else None
+            if joint.child not in links:
+                first_parent = self.links[joint.child]
+            if first_parent is not None:
                 self.report.add(
                     "extra-two-parents",
                     f"joint `{joint.name}` gives link `{joint.child}` a second parent",
                     joint.span,
-                    hint="a link hangs on one joint; a robot is a tree",
-                    labels=[Label(other, "its first is here")],
+                    hint="a robot is a tree: one joint connects a link to its parent",
+                    labels=[Label(first_parent, "the first parent is defined here")],
                 )
                 continue
-            parent_of[joint.child] = joint
-        return parent_of
+            joint_to[joint.child] = joint
+        return joint_to
 
-    def mount(self, entry: Placing, roots: Sequence[Link]) -> list[Joint]:
-        """Fixed joints that hang the file's roots where the entry says."""
+    def mount(self, entry: Placement, roots: Sequence[Link]) -> list[Joint]:
+        """Returns fixed joints that mount the root links of a file as its entry requests."""
         if not roots:
-            if entry.placed is not None:
+            if entry.pose_node is not None:
                 self.report.add(
                     "extra-placement-unused",
-                    "the xacro file hangs its links on the robot itself: "
+                    "the joints of the xacro file connect all its links to the robot: "
                     "parent, xyz and rpy have no effect",
-                    entry.placed.where,
-                    hint="take them out, or hand them over as args where the file asks for them",
+                    entry.pose_node.where,
+                    hint="remove them, or pass them as args if the file has such arguments",
                 )
             return []
         text = str(entry.parent.value) if entry.parent is not None else None
-        place = self.attach(text)
-        if place is None and text is not None and text in self.links:
-            place = Attachment(text, Pose())
-        if place is None:
+        attachment = self.attach(text)
+        if attachment is None and text is not None and text in self.links:
+            attachment = Attachment(text, Pose())
+        if attachment is None:
             self.report.add(
                 "extra-parent",
-                f"`{text}` is no module, port or link of the robot",
+                f"the robot has no module, port or link `{text}`",
                 entry.parent.span if entry.parent is not None else entry.span,
                 hint=did_you_mean(text or "", list(self.links)),
             )
@@ -175,38 +191,39 @@ class Joined:
             if name in self.joints:
                 self.report.add(
                     "extra-name-duplicate",
-                    f"there is already a joint `{name}`, the name of this link's mount",
+                    f"another joint has the name `{name}`, which the mount of this link needs",
                     link.span,
                     labels=[Label(self.joints[name], "first defined here")],
                 )
                 continue
-            pose = (place.pose * entry.pose).clean()
+            pose = (attachment.pose * entry.pose).clean()
             mounts.append(
-                Joint(name, link.module, "fixed", place.link, link.name, pose, entry.span)
+                Joint(name, link.module, "fixed", attachment.link, link.name, pose, entry.span)
             )
         return mounts
 
-    def report_cycle(self, link: Link, parent_of: Mapping[str, Joint]) -> None:
+    def report_cycle(self, link: Link, joint_to: Mapping[str, Joint]) -> None:
+        """Reports the cycle that is reached from ``link`` towards the parents."""
         path = [link.name]
         while path[-1] not in path[:-1]:
-            path.append(parent_of[path[-1]].parent)
+            path.append(joint_to[path[-1]].parent)
         path = path[path.index(path[-1]) :]
         self.report.add(
             "extra-cycle",
-            f"the links {' -> '.join(reversed(path))} hang on one another",
-            parent_of[path[0]].span,
-            hint="one of these joints must go, or hang on another link",
+            f"the joints of the links {' -> '.join(reversed(path))} form a cycle",
+            joint_to[path[0]].span,
+            hint="remove one of these joints, or connect it to another link",
         )
 
-    def check_masses(self, own: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
-        """A link that moves needs a mass, its own or that of what is fixed to it."""
+    def check_masses(self, links: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
+        """Checks that each moving link has a mass, or a link fixed to it has one."""
 
-        def mass(name: str, seen: tuple[str, ...]) -> float:
-            inertial = own[name].inertial
+        def mass(name: str, visited: tuple[str, ...]) -> float:
+            inertial = links[name].inertial
             total = inertial.mass if inertial is not None else 0.0
             for joint in children.get(name, []):
-                if joint.type == "fixed" and joint.child not in seen:
-                    total += mass(joint.child, (*seen, joint.child))
+                if joint.type == "fixed" and joint.child not in visited:
+                    total += mass(joint.child, (*visited, joint.child))
             return total
 
         for joints in children.values():
@@ -215,12 +232,13 @@ class Joined:
                     self.report.add(
                         "extra-massless",
                         f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
-                        own[joint.child].span,
+                        links[joint.child].span,
                         hint="give it an <inertial>, or make the joint fixed",
                         labels=[Label(joint.span, "the joint")],
                     )
 
     def check_mimics(self) -> None:
+        """Checks that the leaders of mimic joints exist; call it after the last file."""
         for joint in self.new_joints:
             if joint.mimic is not None and joint.mimic.joint not in self.joints:
                 self.report.add(

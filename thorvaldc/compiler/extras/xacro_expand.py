@@ -1,4 +1,14 @@
-"""Expansion of xacro files through the worker process, as elements that know their place."""
+"""Expands xacro files in a worker process; the resulting elements have source spans.
+
+Protocol with ``xacro_worker``:
+
+    compiler                                worker
+       | -- stdin: one JSON request, EOF ---> |
+       | <--- stdout: one JSON line per file- |  at most WALL_SECONDS per line
+       | -- SIGKILL ------------------------> |  if a line is late or too long
+
+After a failure, another worker expands the remaining files.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +29,15 @@ from thorvaldc.compiler.extras import xacro_worker
 from thorvaldc.diagnostics import Span
 
 WALL_SECONDS = 20.0
-MAX_ANSWER_BYTES = 64 << 20
+MAX_LINE_BYTES = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Element:
     """An XML element of the expanded file.
 
-    ``calls`` are the macro calls it came through, the innermost first.  ``xml`` is
-    its own text where it is not read further (``<gazebo>`` and the like).
+    ``calls`` are the spans of the macro calls that created it, the innermost first.
+    ``xml`` is its XML text if its content is not read (``<gazebo>`` and other extensions).
     """
 
     tag: str
@@ -40,23 +50,26 @@ class Element:
     xml: str = ""
 
     def find(self, tag: str) -> Element | None:
-        """The first child of that tag."""
+        """Returns the first child with this tag."""
         return next((child for child in self.children if child.tag == tag), None)
 
 
 @dataclass(frozen=True, slots=True)
 class Macro:
-    """A macro that a file defines; ``needed`` are its parameters without a default."""
+    """A macro that a file defines; ``required`` are its parameters without a default."""
 
     name: str
-    needed: tuple[str, ...]
+    required: tuple[str, ...]
     span: Span | None
     called: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
-    """Why a file could not be expanded.  ``kind``: see ``xacro_worker``."""
+class ExpansionFailure:
+    """The reason why a file cannot be expanded.  ``kind``: see ``xacro_worker.ExpansionError``.
+
+    ``trail`` lists the includes, calls and definitions that led to it.
+    """
 
     kind: str
     text: str
@@ -65,26 +78,26 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
-class Expanded:
-    """What came out of one file.
+class ExpandedFile:
+    """The result of the expansion of one file.
 
-    ``packages`` are the ROS packages that it asked for, ``files`` all files that were
-    read, by the names that spans have for them.
+    ``packages`` maps the ROS packages that it used to folders.  ``files`` maps the names of
+    all files that were read, as in spans, to paths.
     """
 
-    fault: Fault | None
+    failure: ExpansionFailure | None
     elements: tuple[Element, ...]
     macros: tuple[Macro, ...]
     warnings: tuple[tuple[str, Span | None], ...]
     unused_arguments: tuple[str, ...]
     known_arguments: tuple[str, ...]
     packages: dict[str, str]
-    shown: Shown
+    paths: DisplayPaths
     files: dict[str, Path]
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ExpansionRequest:
     """A file to expand, all paths absolute; ``packages`` maps a ROS package to its folder."""
 
     file: Path
@@ -93,11 +106,12 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """How messages and outputs call files, whatever folder the whole lies in.
+class DisplayPaths:
+    """Converts absolute paths to the names in messages and outputs.
 
-    Relative to ``folder``, that of the robot's file, which spans call ``display``;
-    a file of an installed package (``installed``: name to folder) by its package.
+    Names are relative to ``folder``, the folder of the robot file, whose name in spans is
+    ``display``.  Files of an installed package (``installed``: name to folder) are named
+    ``package://...``.  So names do not depend on the folder of a checkout.
     """
 
     folder: Path
@@ -105,6 +119,7 @@ class Shown:
     installed: dict[str, str]
 
     def name(self, file: str) -> str:
+        """Returns the name of a file."""
         for package, folder in self.installed.items():
             if file.startswith(os.path.join(folder, "")):
                 return f"package://{package}/{os.path.relpath(file, folder)}".replace(os.sep, "/")
@@ -112,7 +127,7 @@ class Shown:
         return os.path.normpath(os.path.join(self.display, relative)).replace(os.sep, "/")
 
     def text(self, message: str) -> str:
-        """A message, or any text, with absolute paths named as ``name`` does."""
+        """Replaces the absolute paths in a text by the names that ``name`` returns."""
         for package, folder in self.installed.items():
             message = message.replace(os.path.join(folder, ""), f"package://{package}/")
         prefix = os.path.join(self.display, "") if self.display else ""
@@ -120,7 +135,7 @@ class Shown:
 
 
 def search_paths() -> dict[str, Sequence[str]]:
-    """Where ROS packages lie by the environment."""
+    """Returns the search paths of ROS packages from the environment."""
     return {
         "ament": _split(os.environ.get("AMENT_PREFIX_PATH", "")),
         "ros": _split(os.environ.get("ROS_PACKAGE_PATH", "")),
@@ -131,8 +146,8 @@ def _split(paths: str) -> list[str]:
     return [path for path in paths.split(os.pathsep) if path]
 
 
-def expand(requests: Sequence[Request], shown: Shown) -> list[Expanded]:
-    """Expand each file, in order, in one worker process (another after a failure)."""
+def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[ExpandedFile]:
+    """Expands files in their order, in one worker process unless it fails."""
     search = search_paths()
     entries = [
         {"file": str(r.file), "args": r.args, "packages": r.packages, "search": search}
@@ -140,24 +155,24 @@ def expand(requests: Sequence[Request], shown: Shown) -> list[Expanded]:
     ]
     answers: list[dict[str, Any]] = []
     while len(answers) < len(entries):
-        answers += _work(entries[len(answers) :])
+        answers += _run_worker(entries[len(answers) :])
     roots = [*search["ament"], *search["ros"]]
-    done: list[Expanded] = []
+    expanded_files: list[ExpandedFile] = []
     for answer, request in zip(answers, requests, strict=True):
         installed = {
             name: folder
             for name, folder in answer.get("packages", {}).items()
             if name not in request.packages and folder.startswith(tuple(roots))
         }
-        done.append(_expanded(answer, replace(shown, installed=installed)))
-    return done
+        expanded_files.append(_decode(answer, replace(paths, installed=installed)))
+    return expanded_files
 
 
-def _work(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The answers of one worker; the last one is a fault where it did not live to the end."""
+def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Returns the answers of one worker; the last is a failure if the worker was ended early."""
     if find_spec("xacro") is None:
         text = "the package xacro is not installed"
-        return [{"fault": {"kind": "expression", "text": text}} for _ in entries]
+        return [{"failure": {"kind": "expression", "text": text}} for _ in entries]
     path = [
         str(Path(spec.origin).parent.parent)
         for spec in (find_spec("xacro"), find_spec("yaml"))
@@ -166,24 +181,24 @@ def _work(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     request = json.dumps({"path": path, "entries": entries}).encode()
     answers: list[dict[str, Any]] = []
     environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
-    if "SYSTEMROOT" in os.environ:  # Windows starts nothing without it
+    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without it
         environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
     process = subprocess.Popen(
-        # no site, no user folder, no path of the caller's, no .pyc files
+        # no site packages, no user folder, no script folder on the path, no .pyc files
         [sys.executable, "-s", "-S", "-P", "-B", xacro_worker.__file__],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=environment,
-        start_new_session=True,  # Ctrl-C reaches us, and we end it
+        start_new_session=True,  # Ctrl-C goes to this process only, which then ends the worker
     )
     stdin, stdout = process.stdin, process.stdout
     if stdin is None or stdout is None:
         raise OSError("the xacro worker has no pipes")
-    late = threading.Event()
+    timed_out = threading.Event()
 
     def stop() -> None:
-        late.set()
+        timed_out.set()
         _kill(process)
 
     try:
@@ -195,12 +210,12 @@ def _work(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
             timer.daemon = True
             timer.start()
             try:
-                line = stdout.readline(MAX_ANSWER_BYTES)
+                line = stdout.readline(MAX_LINE_BYTES)
             finally:
                 timer.cancel()
             if not line.endswith(b"\n"):
                 _kill(process)
-                answers.append(_died(len(line), late.is_set(), process.wait()))
+                answers.append(_death_answer(len(line), timed_out.is_set(), process.wait()))
                 break
             answers.append(json.loads(line))
     finally:
@@ -213,7 +228,7 @@ def _work(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the worker and whatever it started."""
+    """Ends the worker and its child processes."""
     if process.poll() is not None:
         return
     with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -223,65 +238,67 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
             process.kill()
 
 
-def _died(received: int, late: bool, status: int) -> dict[str, Any]:
-    if late:
+def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]:
+    """Returns the failure of a worker that ended, from the bytes it sent and its exit status."""
+    if timed_out:
         text = f"its expansion took longer than {WALL_SECONDS:g} s"
-    elif received >= MAX_ANSWER_BYTES:
-        text = f"it expands to more than {MAX_ANSWER_BYTES >> 20} MB"
+    elif received >= MAX_LINE_BYTES:
+        text = f"it expands to more than {MAX_LINE_BYTES >> 20} MB"
     elif status == -getattr(signal, "SIGXCPU", 24):
         text = f"its expansion took longer than {xacro_worker.CPU_SECONDS} s of processor time"
     else:
-        text = f"its expansion ended the process (status {status})"
-    return {"fault": {"kind": "limit", "text": text}}
+        text = f"its expansion ended the worker process (exit status {status})"
+    return {"failure": {"kind": "limit", "text": text}}
 
 
-def _expanded(answer: dict[str, Any], shown: Shown) -> Expanded:
+def _decode(answer: dict[str, Any], paths: DisplayPaths) -> ExpandedFile:
+    """Converts an answer of the worker."""
     files: list[str] = answer.get("files", [])
 
-    def span(place: list[int] | None, length: int = 1) -> Span | None:
-        if place is None:
+    def span(position: list[int] | None, length: int = 1) -> Span | None:
+        if position is None:
             return None
-        number, line, column = place
-        return Span(shown.name(files[number]), line, column, line, column + length)
+        file_index, line, column = position
+        return Span(paths.name(files[file_index]), line, column, line, column + length)
 
-    def spans(places: list[list[int]]) -> tuple[Span, ...]:
-        return tuple(s for s in map(span, places) if s is not None)
+    def spans(positions: list[list[int]]) -> tuple[Span, ...]:
+        return tuple(s for s in map(span, positions) if s is not None)
 
     def element(raw: dict[str, Any]) -> Element:
-        place = raw["place"] or [0, 1, 1]
+        position = raw["position"] or [0, 1, 1]
         return Element(
             raw["tag"],
             raw["attributes"],
             tuple(element(child) for child in raw.get("children", ())),
             raw.get("text", ""),
-            span(place, len(raw["tag"]) + 1) or Span(""),
+            span(position, len(raw["tag"]) + 1) or Span(""),
             spans(raw["calls"]),
-            Path(files[place[0]]),
+            Path(files[position[0]]),
             raw.get("xml", ""),
         )
 
-    fault = None
-    if "fault" in answer:
-        raw = answer["fault"]
-        trail = ((span(place), text) for place, text in answer.get("trail", ()))
-        fault = Fault(
+    failure = None
+    if "failure" in answer:
+        raw = answer["failure"]
+        trail = ((span(position), text) for position, text in answer.get("trail", ()))
+        failure = ExpansionFailure(
             raw["kind"],
-            shown.text(raw["text"]),
-            span(raw.get("place")),
+            paths.text(raw["text"]),
+            span(raw.get("position")),
             tuple((s, text) for s, text in trail if s is not None),
         )
     called = answer.get("called", [])
-    return Expanded(
-        fault,
+    return ExpandedFile(
+        failure,
         tuple(element(raw) for raw in answer.get("elements", ())),
         tuple(
-            Macro(name, tuple(needed), span(place), name in called)
-            for name, needed, place in answer.get("macros", ())
+            Macro(name, tuple(required), span(position), name in called)
+            for name, required, position in answer.get("macros", ())
         ),
-        tuple((shown.text(text), span(place)) for text, place in answer.get("warnings", ())),
+        tuple((paths.text(text), span(position)) for text, position in answer.get("warnings", ())),
         tuple(answer.get("unused", ())),
-        tuple(answer.get("asked", ())),
+        tuple(answer.get("known", ())),
         answer.get("packages", {}),
-        shown,
-        {shown.name(file): Path(file) for file in files},
+        paths,
+        {paths.name(file): Path(file) for file in files},
     )

@@ -1,15 +1,16 @@
-"""Expands xacro files in a process of its own, under limits.
+"""Expands xacro files in a separate process with limits.
 
-A xacro file is code: it evaluates Python and reads what it likes.  So the compiler
-never expands one itself; it starts this file with an empty environment, limits
-on time and memory and no right to write files, hands over the work as JSON on
-stdin and reads one line of JSON per file.  The module stands alone (standard
-library and xacro), because it runs without the package on its path.
+A xacro file is code: it evaluates Python and can read any file.  The compiler therefore
+starts this file as a process with an empty environment, limits on time and memory, and no
+right to write files.  It sends one JSON request to stdin and reads one line of JSON per file
+from stdout.  This module imports only the standard library and xacro, because the package is
+not on the path of the process; for the same reason it is one file.
 
-xacro keeps no line numbers.  Here every element of a source file carries its place
-as DOM user data, which cloning hands on, so that whatever comes out of macros,
-blocks and includes still knows the line that it was written on and the calls that
-it came through.
+xacro does not keep line numbers.  ``_Builder`` therefore stores the position of each element
+of a source file as DOM user data, and cloning copies it.  ``Expansion.patches`` replaces
+functions of xacro by wrappers that use it: every element that comes from macros, blocks and
+includes then has the line where it was written and the macro calls that created it, and every
+error has the element where it occurred.
 """
 
 from __future__ import annotations
@@ -25,22 +26,25 @@ from typing import Any
 from xml.dom import expatbuilder
 from xml.parsers.expat import ExpatError
 
-Place = tuple[int, int, int]  # number of the file, line, column
+Position = tuple[int, int, int]  # index of the file, line, column
 
 CPU_SECONDS = 10
 MEMORY_BYTES = 1 << 30
 MAX_SOURCE_BYTES = 8 << 20
 MAX_ELEMENTS = 100_000
-_KEY = "place"
+_KEY = "position"
 
 
-class Refused(Exception):
-    """Why an expansion ends: ``kind`` selects the diagnostic."""
+class ExpansionError(Exception):
+    """The expansion is not possible.
 
-    def __init__(self, kind: str, text: str, place: Place | None = None) -> None:
+    ``kind`` selects the diagnostic: xml, root, limit, argument, package or expression.
+    """
+
+    def __init__(self, kind: str, text: str, position: Position | None = None) -> None:
         super().__init__(text)
         self.kind = kind
-        self.place = place
+        self.position = position
 
 
 def find_package(
@@ -49,12 +53,11 @@ def find_package(
     search: dict[str, Sequence[str]],
     near: str,
 ) -> str | None:
-    """The folder of a ROS package, or ``None``.
+    """Returns the folder of a ROS package, or ``None``.
 
-    Looks in the entry's own ``packages``, then under ``search["ament"]`` (prefixes,
-    ``share/<name>``), ``search["ros"]`` (folders of packages, or packages), then at
-    the folders above ``near`` and beside them: one that is called so, or whose
-    ``package.xml`` says so.
+    Searches in this order: ``packages`` of the entry; ``share/<name>`` in the prefixes
+    ``search["ament"]``; ``search["ros"]`` (packages or folders of packages); the parent
+    folders of ``near`` and their subfolders, by folder name or by ``package.xml``.
     """
     if name in packages:
         return packages[name]
@@ -81,68 +84,68 @@ def find_package(
     return None
 
 
-class _PlaceKeeper:
-    """The DOM's handler of user data: a clone stands where its original stood."""
+class _PositionKeeper:
+    """Handler of DOM user data: a clone keeps the position of its original."""
 
     def handle(self, operation: int, key: str, data: Any, source: Any, clone: Any) -> None:
         clone.setUserData(key, data, self)
 
 
-_KEEPER = _PlaceKeeper()
+_KEEPER = _PositionKeeper()
 
 
 class _Builder(expatbuilder.ExpatBuilderNS):
-    """minidom's own builder, which notes where each element starts."""
+    """The builder of minidom, extended to store the start position of each element."""
 
-    def __init__(self, file: int) -> None:
+    def __init__(self, file_index: int) -> None:
         super().__init__()
-        self.file = file
+        self.file_index = file_index
 
     def start_element_handler(self, name: str, attributes: Any) -> None:
         super().start_element_handler(name, attributes)
         parser = self.getParser()
-        place = (self.file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
-        self.curNode.setUserData(_KEY, (place, ()), _KEEPER)
+        position = (self.file_index, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
+        self.curNode.setUserData(_KEY, (position, ()), _KEEPER)  # with no macro calls yet
 
 
 class _Arguments(dict[str, str]):
-    """xacro's arguments; remembers which were asked for."""
+    """The arguments of a file; records the names that the file uses."""
 
-    def __init__(self, given: dict[str, str]) -> None:
-        super().__init__(given)
-        self.asked: dict[str, None] = {}
+    def __init__(self, arguments: dict[str, str]) -> None:
+        super().__init__(arguments)
+        self.used: dict[str, None] = {}
 
     def __getitem__(self, name: str) -> str:
-        self.asked[name] = None
+        self.used[name] = None
         return super().__getitem__(name)
 
     def __contains__(self, name: object) -> bool:
-        self.asked[str(name)] = None
+        self.used[str(name)] = None
         return super().__contains__(name)
 
 
-def _place(node: Any) -> Place | None:
+def _position(node: Any) -> Position | None:
     data = node.getUserData(_KEY) if node.nodeType == node.ELEMENT_NODE else None
     return data[0] if data is not None else None
 
 
 class Expansion:
-    """One file's expansion: patches the places xacro offers, runs it, collects."""
+    """The expansion of one file: patches xacro, runs it and collects the results."""
 
     def __init__(self, xacro: Any, entry: dict[str, Any]) -> None:
         self.xacro = xacro
         self.entry = entry
         self.files: list[str] = []
-        self.warnings: list[tuple[str, Place | None]] = []
-        self.macros: dict[str, tuple[list[str], Place | None]] = {}
+        self.warnings: list[tuple[str, Position | None]] = []
+        self.macros: dict[str, tuple[list[str], Position | None]] = {}
         self.called: dict[str, None] = {}
-        self.properties: dict[str, Place | None] = {}
+        self.properties: dict[str, Position | None] = {}
         self.packages: dict[str, str] = {}
-        self.fault: Place | None = None
-        self.trail: list[tuple[Place, str]] = []
-        self.visited: Any = None
+        self.error_position: Position | None = None
+        self.trail: list[tuple[Position, str]] = []  # includes, calls, definitions to an error
+        self.current: Any = None  # the element whose attributes xacro reads
 
-    # -- what replaces xacro's own functions -----------------------------------
+    # -- replacements of functions of xacro --------------------------------------
 
     def parse(self, inp: Any, filename: str | None = None) -> Any:
         if inp is not None or filename is None:
@@ -150,38 +153,40 @@ class Expansion:
         try:
             with open(filename, "rb") as file:
                 data = file.read(MAX_SOURCE_BYTES + 1)
-        except OSError as fault:
-            self.xacro.filestack.pop()  # as xacro does: the fault is the includer's
-            text = f"file `{filename}` cannot be read: {fault.strerror}"
-            # xacro looks for an OSError (an include may be optional) and prints it.
-            raise self.xacro.XacroException(exc=OSError(text)) from fault
+        except OSError as error:
+            self.xacro.filestack.pop()  # as in xacro: the error is in the including file
+            text = f"file `{filename}` cannot be read: {error.strerror}"
+            # For optional includes, xacro expects an OSError inside its exception.
+            raise self.xacro.XacroException(exc=OSError(text)) from error
         if len(data) > MAX_SOURCE_BYTES:
-            raise Refused("limit", f"file `{filename}` has over {MAX_SOURCE_BYTES >> 20} MB")
+            raise ExpansionError(
+                "limit", f"file `{filename}` is larger than {MAX_SOURCE_BYTES >> 20} MB"
+            )
         if filename not in self.files:
             self.files.append(filename)
-        number = self.files.index(filename)
+        index = self.files.index(filename)
         try:
-            return _Builder(number).parseString(data)
-        except ExpatError as fault:
-            text = str(fault).partition(": line")[0]
-            raise Refused("xml", text, (number, fault.lineno, fault.offset + 1)) from fault
+            return _Builder(index).parseString(data)
+        except ExpatError as error:
+            text = str(error).partition(": line")[0]
+            raise ExpansionError("xml", text, (index, error.lineno, error.offset + 1)) from error
 
     def located(self, function: Callable[..., Any], label: str = "") -> Callable[..., Any]:
-        """``function`` (of an element first), noting the element at which it failed."""
+        """Wraps a function of an element; on an exception, stores the position of the element."""
 
         def call(node: Any, *rest: Any) -> Any:
             try:
                 result = function(node, *rest)
             except Exception:
-                place = _place(node)
-                if self.fault is None:
-                    last = self.visited
-                    inner = last is not None and last.parentNode is node
-                    self.fault = (_place(last) if inner else None) or place
-                elif label and place is not None and place != self.fault:
-                    self.trail.append((place, label))
+                position = _position(node)
+                if self.error_position is None:
+                    child = self.current
+                    is_child = child is not None and child.parentNode is node
+                    self.error_position = (_position(child) if is_child else None) or position
+                elif label and position is not None and position != self.error_position:
+                    self.trail.append((position, label))
                 raise
-            self.fault = None  # an optional include swallows its fault
+            self.error_position = None  # the error was that of an optional include
             self.trail.clear()
             return result
 
@@ -189,28 +194,29 @@ class Expansion:
 
     def required(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(node: Any, names: Any) -> Any:
-            self.visited = node
+            self.current = node
             return function(node, names)
 
         return call
 
     def replaced(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``replace_node``, which tells the inserted elements of the call they came by."""
+        """Wraps ``replace_node``; adds the macro call to the elements that it inserts."""
 
         def call(node: Any, by: Any, content_only: bool = False) -> None:
-            called = _place(node)
+            call_position = _position(node)
             if isinstance(by, xml.dom.minidom.Element) and by.tagName == "xacro:macro":
                 for element in by.getElementsByTagName("*"):
                     data = element.getUserData(_KEY)
-                    if data is not None and called is not None:
-                        element.setUserData(_KEY, (data[0], (*data[1], called)), _KEEPER)
+                    if data is not None and call_position is not None:
+                        calls = (*data[1], call_position)
+                        element.setUserData(_KEY, (data[0], calls), _KEEPER)
             function(node, by, content_only)
 
         return call
 
     def grab_property(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(node: Any, table: Any) -> Any:
-            self.properties[node.getAttribute("name")] = _place(node)
+            self.properties[node.getAttribute("name")] = _position(node)
             return function(node, table)
 
         return self.located(call)
@@ -220,8 +226,8 @@ class Expansion:
             name = node.getAttribute("name").removeprefix("xacro:")
             result = function(node, macros)
             macro = macros[name]
-            needed = [p for p in macro.params if p not in macro.defaultmap]
-            self.macros[name] = (needed, _place(node))
+            required = [p for p in macro.params if p not in macro.defaultmap]
+            self.macros[name] = (required, _position(node))
             return result
 
         return self.located(call)
@@ -238,9 +244,9 @@ class Expansion:
             try:
                 return function(table, key)
             except Exception:
-                place = self.properties.get(key)
-                if place is not None:
-                    self.trail.append((place, f"property `{key}` is defined here"))
+                position = self.properties.get(key)
+                if position is not None:
+                    self.trail.append((position, f"property `{key}` is defined here"))
                 raise
 
         return call
@@ -249,7 +255,7 @@ class Expansion:
         near = self.xacro.filestack[-1] or self.entry["file"]
         folder = find_package(name, self.entry["packages"], self.entry["search"], near)
         if folder is None:
-            raise Refused("package", name)
+            raise ExpansionError("package", name)
         self.packages[name] = folder
         return folder
 
@@ -264,7 +270,7 @@ class Expansion:
 
     def extension(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def environment(name: str) -> str:
-            raise Refused("expression", f"$(env {name}): the environment is not passed on")
+            raise ExpansionError("expression", f"$(env {name}): the environment is not passed on")
 
         def call(text: str) -> Any:
             from xacro import substitution_args
@@ -274,11 +280,11 @@ class Expansion:
             substitution_args._eval_dict.update(find=self.find, env=environment)
             try:
                 return function(text)
-            except self.xacro.XacroException as fault:
-                if isinstance(fault.exc, Refused):
-                    raise fault.exc from fault
-                if isinstance(fault.exc, substitution_args.ArgException):
-                    raise Refused("argument", str(fault.exc)) from fault
+            except self.xacro.XacroException as error:
+                if isinstance(error.exc, ExpansionError):
+                    raise error.exc from error
+                if isinstance(error.exc, substitution_args.ArgException):
+                    raise ExpansionError("argument", str(error.exc)) from error
                 raise
 
         return call
@@ -286,7 +292,7 @@ class Expansion:
     def warn(self, *words: Any, **_: Any) -> str:
         text = " ".join(str(w) for w in words)
         if "deprecated" not in text:
-            self.warnings.append((text, _place(self.visited) if self.visited else None))
+            self.warnings.append((text, _position(self.current) if self.current else None))
         return ""
 
     # -- the run -----------------------------------------------------------------
@@ -315,93 +321,98 @@ class Expansion:
         document = self.parse(None, path)
         root = document.documentElement
         if root.tagName != "robot":
-            raise Refused("root", f"<{root.tagName}>", _place(root))
+            raise ExpansionError("root", f"<{root.tagName}>", _position(root))
         plain = path.lower().endswith(".urdf") and not root.hasAttribute("xmlns:xacro")
         if not plain:
             self.xacro.process_doc(document, mappings=arguments)
         children = [c for c in root.childNodes if c.nodeType == c.ELEMENT_NODE]
         if sum(1 for _ in _walk(root)) > MAX_ELEMENTS:
-            raise Refused("limit", f"the expanded file has over {MAX_ELEMENTS} elements")
+            raise ExpansionError(
+                "limit", f"the expanded file has more than {MAX_ELEMENTS} elements"
+            )
         return {
             "elements": [_encode(child, root) for child in children],
-            "unused": [name for name in self.entry["args"] if name not in arguments.asked],
-            "asked": list(arguments.asked),
+            "unused": [name for name in self.entry["args"] if name not in arguments.used],
+            "known": list(arguments.used),
         }
 
     def answer(self) -> dict[str, Any]:
-        """The expansion or its fault, with the files that places refer to."""
+        """Returns the expansion or its failure, with the files that positions refer to."""
         x = self.xacro
         resolve, evaluate = x.Table._resolve_, x.safe_eval
         patches = self.patches()
-        kept = {name: getattr(x, name) for name in patches}
+        originals = {name: getattr(x, name) for name in patches}
         try:
             for name, value in patches.items():
                 setattr(x, name, value)
             x.Table._resolve_ = self.resolved(resolve)
-            x.safe_eval = _evaluate(evaluate)
-            tools = x._global_symbols["xacro"]
+            x.safe_eval = _with_syntax_errors(evaluate)
+            # Functions that expressions can call as xacro.warning(...) and so on.
+            functions = x._global_symbols["xacro"]
             for name in ("warning", "error", "message"):
-                dict.__setitem__(tools, name, self.warn if name != "message" else _silent)
+                function = self.warn if name != "message" else _ignore
+                dict.__setitem__(functions, name, function)
             answer = self.run()
-        except Exception as fault:
-            answer = {"fault": self.describe(fault)}
+        except Exception as error:
+            answer = {"failure": self.describe(error)}
         finally:
-            for name, value in kept.items():
+            for name, value in originals.items():
                 setattr(x, name, value)
             x.Table._resolve_, x.safe_eval = resolve, evaluate
-        trail = [(place, text) for place, text in self.trail if place != self.fault]
+        trail = [
+            (position, text) for position, text in self.trail if position != self.error_position
+        ]
         return answer | {
             "files": self.files,
             "warnings": self.warnings,
-            "macros": [(name, *about) for name, about in self.macros.items()],
+            "macros": [(name, *macro) for name, macro in self.macros.items()],
             "called": list(self.called),
             "packages": self.packages,
-            "trail": trail[:6] if "fault" in answer else [],
+            "trail": trail[:6] if "failure" in answer else [],
         }
 
-    def describe(self, fault: Exception) -> dict[str, Any]:
-        refused = _first(fault, Refused)
-        if refused is not None:
-            return {
-                "kind": refused.kind,
-                "text": str(refused),
-                "place": refused.place or self.fault,
-            }
-        if _first(fault, MemoryError) is not None:
-            text = f"it needs over {MEMORY_BYTES >> 30} GB of memory"
-            return {"kind": "limit", "text": text, "place": self.fault}
-        if _first(fault, RecursionError) is not None:
-            text = "it calls itself without an end (a macro, a property or an include)"
-            return {"kind": "expression", "text": text, "place": self.fault}
-        text = re.sub(r"\s*\n\s*when", ", when", str(fault)) or type(fault).__name__
-        return {"kind": "expression", "text": " ".join(text.split()), "place": self.fault}
+    def describe(self, error: Exception) -> dict[str, Any]:
+        """Returns the failure of the answer for an exception of ``run``."""
+        kind, position = "expression", self.error_position
+        expansion_error = _find_cause(error, ExpansionError)
+        if expansion_error is not None:
+            kind, text = expansion_error.kind, str(expansion_error)
+            position = expansion_error.position or position
+        elif _find_cause(error, MemoryError) is not None:
+            kind, text = "limit", f"it needs more than {MEMORY_BYTES >> 30} GB of memory"
+        elif _find_cause(error, RecursionError) is not None:
+            text = "it calls itself without end (a macro, a property or an include)"
+        else:
+            text = re.sub(r"\s*\n\s*when", ", when", str(error)) or type(error).__name__
+            text = " ".join(text.split())
+        return {"kind": kind, "text": text, "position": position}
 
 
-def _silent(*_: Any, **__: Any) -> str:
+def _ignore(*_: Any, **__: Any) -> str:
     return ""
 
 
-def _evaluate(function: Callable[..., Any]) -> Callable[..., Any]:
-    """xacro's ``safe_eval``; a power or a repetition too large for memory stays a fault."""
+def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Wraps ``safe_eval`` of xacro: a syntax error becomes an exception that names the text."""
 
     def call(expression: str, symbols: Any, more: Any = None) -> Any:
         try:
             return function(expression, symbols, more)
-        except SyntaxError as fault:
-            raise ValueError(f"`{expression}` is not an expression: {fault.msg}") from fault
+        except SyntaxError as error:
+            raise ValueError(f"`{expression}` is not an expression: {error.msg}") from error
 
     return call
 
 
-def _first(fault: BaseException | None, kind: type[Any]) -> Any:
-    """The exception of that kind in the chain of causes and contexts, if any."""
-    seen = 0
-    while fault is not None and seen < 50:
-        if isinstance(fault, kind):
-            return fault
-        inner = getattr(fault, "exc", None)
-        fault = inner if isinstance(inner, BaseException) else fault.__cause__ or fault.__context__
-        seen += 1
+def _find_cause(error: BaseException | None, type_: type[Any]) -> Any:
+    """Returns the first exception of a type among the causes of an exception, or ``None``."""
+    count = 0
+    while error is not None and count < 50:
+        if isinstance(error, type_):
+            return error
+        inner = getattr(error, "exc", None)  # of XacroException
+        error = inner if isinstance(inner, BaseException) else error.__cause__ or error.__context__
+        count += 1
     return None
 
 
@@ -413,11 +424,12 @@ def _walk(node: Any) -> Iterator[Any]:
 
 
 def _encode(node: Any, root: Any) -> dict[str, Any]:
-    place, calls = node.getUserData(_KEY) or (None, ())
-    found = {
+    """Converts an element for the answer; an extension becomes XML text."""
+    position, calls = node.getUserData(_KEY) or (None, ())
+    element = {
         "tag": node.tagName,
         "attributes": dict(node.attributes.items()),
-        "place": place,
+        "position": position,
         "calls": calls,
     }
     if node.parentNode is root and node.tagName not in ("link", "joint", "material"):
@@ -425,30 +437,33 @@ def _encode(node: Any, root: Any) -> dict[str, Any]:
             if name.startswith("xmlns:") and not node.hasAttribute(name):
                 prefix = name.removeprefix("xmlns:") + ":"
                 if any(
-                    n.startswith(prefix)
-                    for element in (node, *_walk(node))
-                    for n in (element.tagName, *element.attributes.keys())
+                    used_name.startswith(prefix)
+                    for inner in (node, *_walk(node))
+                    for used_name in (inner.tagName, *inner.attributes.keys())
                 ):
                     node.setAttribute(name, value)
-        return found | {"xml": node.toxml()}
+        return element | {"xml": node.toxml()}
     texts = [
         c.data
         for c in node.childNodes
         if c.nodeType in (c.TEXT_NODE, c.CDATA_SECTION_NODE) and c.data.strip()
     ]
     children = [_encode(c, root) for c in node.childNodes if c.nodeType == c.ELEMENT_NODE]
-    return found | {"children": children, "text": " ".join(texts).strip()}
+    return element | {"children": children, "text": " ".join(texts).strip()}
 
 
-def _limit() -> None:
-    """Limits that hold whatever the file does; where the system has none, the caller's clock."""
+def _set_limits() -> None:
+    """Sets the limits of this process.
+
+    Systems without the module ``resource`` have only the time-out of the compiler.
+    """
     try:
         import resource
     except ImportError:
         return
     for name, value in (
         ("RLIMIT_AS", MEMORY_BYTES),
-        ("RLIMIT_FSIZE", 0),  # no file can be written
+        ("RLIMIT_FSIZE", 0),  # prevents writing to files
         ("RLIMIT_CORE", 0),
         ("RLIMIT_NOFILE", 128),
     ):
@@ -458,8 +473,8 @@ def _limit() -> None:
             continue
 
 
-def _limit_cpu() -> None:
-    """``CPU_SECONDS`` more from now on."""
+def _set_cpu_limit() -> None:
+    """Limits the processor time from now on to ``CPU_SECONDS``."""
     try:
         import resource
 
@@ -471,9 +486,9 @@ def _limit_cpu() -> None:
 
 
 def main() -> None:
-    """One JSON request on stdin, one line of JSON per entry on stdout."""
+    """Reads one JSON request from stdin and writes one line of JSON per entry to stdout."""
     answers = os.fdopen(os.dup(1), "wb")
-    # What a file prints must not mix with the answers.
+    # Output of a xacro file must not mix with the answers.
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
     os.dup2(null, 2)
@@ -481,16 +496,16 @@ def main() -> None:
     sys.path.extend(p for p in request["path"] if p not in sys.path)
     import xacro
 
-    _limit()
+    _set_limits()
     for entry in request["entries"]:
-        _limit_cpu()
+        _set_cpu_limit()
         os.chdir(os.path.dirname(entry["file"]))
         answer = Expansion(xacro, entry).answer()
         try:
             line = json.dumps(answer, allow_nan=False)
         except (RecursionError, MemoryError, ValueError):
-            fault = {"kind": "limit", "text": "the expanded file is nested too deeply"}
-            line = json.dumps({"fault": fault, "files": [], "trail": []})
+            failure = {"kind": "limit", "text": "the expanded file is nested too deeply"}
+            line = json.dumps({"failure": failure, "files": [], "trail": []})
         answers.write(line.encode() + b"\n")
         answers.flush()
 

@@ -31,7 +31,7 @@ def add_extras(
     extras = document.get("extras")
     if extras is None or not isinstance(extras.value, tuple):
         return ()
-    from thorvaldc.compiler.extras.extras import Attachment, load_extras  # loads xacro
+    from thorvaldc.compiler.extras.load_extras import Attachment, load_extras  # loads xacro
 
     finder = _AttachmentFinder(document, robot, hardware, parts)
 

@@ -1,0 +1,348 @@
+"""Loads extras: xacro files whose links and joints are added to the robot.
+
+``xacro_expand`` expands the files, ``urdf_reader`` converts them, ``join_extras`` adds the
+results to the robot.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from thorvaldc.compiler.extras.join_extras import (
+    Attachment,
+    ExtrasJoiner,
+    FindAttachment,
+    Placement,
+)
+from thorvaldc.compiler.extras.urdf_elements import call_labels
+from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
+from thorvaldc.compiler.extras.xacro_expand import (
+    DisplayPaths,
+    Element,
+    ExpandedFile,
+    ExpansionFailure,
+    ExpansionRequest,
+    Macro,
+    expand,
+    search_paths,
+)
+from thorvaldc.compiler.extras.xacro_worker import find_package
+from thorvaldc.compiler.geometry.meshes import load_mesh
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.units import UnitError, parse_quantity
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model import Joint, Link, Mesh, Pose, Vec3
+
+__all__ = ["Attachment", "ExtraParts", "load_extras"]
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraParts:
+    """Links, joints and meshes of the extras; a parent link comes before its children.
+
+    ``files`` maps the names of the files in spans to paths, which start with ``base_dir``.
+    """
+
+    links: tuple[Link, ...] = ()
+    joints: tuple[Joint, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    urdf_extensions: tuple[str, ...] = ()
+    files: dict[str, Path] = field(default_factory=dict)
+
+
+def load_extras(
+    entries: Sequence[Node],
+    base_dir: Path,
+    *,
+    links: Mapping[str, Span],
+    joints: Mapping[str, Span],
+    attach: FindAttachment,
+    report: Report,
+) -> ExtraParts:
+    """Loads the entries of ``extras`` of a robot file.
+
+    ``base_dir`` is the folder of the robot file; ``links`` and ``joints`` map the names of
+    the robot's links and joints to their spans.  ``attach`` finds the parent of an entry.
+    After errors, which go to ``report``, the result is incomplete.  Without entries, no
+    process is started.
+    """
+    if not entries:
+        return ExtraParts()
+    relative_dir, base_dir = base_dir, base_dir.absolute()
+    display = str(Path(entries[0].span.file).parent)
+    paths = DisplayPaths(base_dir, "" if display == "." else display, {})
+    all_entries = [_Entry.read(node, base_dir, paths, report) for node in entries]
+    valid_entries = [entry for entry in all_entries if entry is not None]
+    joiner = ExtrasJoiner(dict(links), dict(joints), attach, report)
+    requests = [ExpansionRequest(e.file, e.args, e.packages) for e in valid_entries]
+    files: dict[str, Path] = {}
+    for entry, expanded_file in zip(valid_entries, expand(requests, paths), strict=True):
+        for name, file in expanded_file.files.items():
+            installed = name.startswith("package://")
+            files[name] = file if installed else relative_dir / os.path.relpath(file, base_dir)
+        parts = _read_parts(entry, expanded_file, report)
+        if parts is not None:
+            joiner.add(entry.placement(), parts)
+    joiner.check_mimics()
+    return ExtraParts(
+        tuple(joiner.new_links),
+        tuple(joiner.new_joints),
+        tuple(joiner.meshes.values()),
+        tuple(joiner.extensions),
+        files,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """An entry of ``extras``."""
+
+    node: Node
+    file: Path
+    args: dict[str, str]
+    packages: dict[str, str]
+    parent: Node | None
+    pose: Pose
+    pose_node: Node | None  # the first of parent, xyz and rpy in the entry
+
+    @property
+    def span(self) -> Span:
+        file_node = self.node.get("xacro")
+        return file_node.span if file_node is not None else self.node.span
+
+    def placement(self) -> Placement:
+        return Placement(self.span, self.parent, self.pose, self.pose_node)
+
+    @staticmethod
+    def read(node: Node, base_dir: Path, paths: DisplayPaths, report: Report) -> _Entry | None:
+        file_node = node.get("xacro")
+        if file_node is None or not isinstance(file_node.value, str):
+            return None  # reported by the schema check
+        file = base_dir / file_node.value
+        try:
+            exists = file.is_file()
+        except (OSError, ValueError):
+            exists = False
+        if not exists:
+            report.add(
+                "extra-missing",
+                f"xacro file `{paths.name(str(file))}` does not exist",
+                file_node.span,
+                hint="the path is relative to the robot file",
+            )
+            return None
+        args = node.get("args")
+        packages = node.get("packages")
+        return _Entry(
+            node,
+            file,
+            {k: _text(v) for k, v in args.value.items()}
+            if args is not None and isinstance(args.value, dict)
+            else {},
+            _package_folders(packages, base_dir, paths, report),
+            node.get("parent"),
+            Pose.from_xyz_rpy(
+                _vector(node.get("xyz"), "length", report),
+                _vector(node.get("rpy"), "angle", report),
+            ).clean(),
+            node.get("parent") or node.get("xyz") or node.get("rpy"),
+        )
+
+
+def _package_folders(
+    packages: Node | None, base_dir: Path, paths: DisplayPaths, report: Report
+) -> dict[str, str]:
+    if packages is None or not isinstance(packages.value, dict):
+        return {}
+    folders: dict[str, str] = {}
+    for name, folder in packages.value.items():
+        path = base_dir / str(folder.value)
+        if not path.is_dir():
+            report.add(
+                "extra-package",
+                f"the folder `{paths.name(str(path))}` of package `{name}` does not exist",
+                folder.span,
+                hint="the path is relative to the robot file",
+            )
+        folders[name] = str(path)
+    return folders
+
+
+def _text(node: Node) -> str:
+    """Formats an argument as xacro expects it."""
+    if isinstance(node.value, bool):
+        return "true" if node.value else "false"
+    return "" if node.value is None else str(node.value)
+
+
+def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
+    """Returns three numbers or quantities in SI; zeros if the node is missing."""
+    if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
+        return (0.0, 0.0, 0.0)
+    values: list[float] = []
+    for item in node.value:
+        if isinstance(item.value, str):
+            try:
+                values.append(parse_quantity(item.value, quantity))
+            except UnitError as error:
+                report.add(error.code, error.message, item.span, hint=error.hint)
+                values.append(0.0)
+        elif isinstance(item.value, (int, float)):
+            values.append(float(item.value))
+    return (values[0], values[1], values[2]) if len(values) == 3 else (0.0, 0.0, 0.0)
+
+
+# -- from an expanded file to parts -------------------------------------------------
+
+# Kind of failure of ``xacro_worker`` -> code, message, hint.
+_FAILURES = {
+    "xml": ("extra-xml", "xacro file is not well-formed XML: {text}", None),
+    "root": ("extra-xml", "the root element of a xacro file must be <robot>, not {text}", None),
+    "limit": (
+        "extra-limit",
+        "the expansion of the xacro file was stopped: {text}",
+        "look for an endless loop or a very long list in an expression, or use a smaller file",
+    ),
+    "argument": (
+        "extra-argument",
+        "the xacro file requires the argument `{text}`, which is not set",
+        "add it to the entry: args: {{{text}: ...}}, or define a default: "
+        '<xacro:arg name="{text}" default="..."/>',
+    ),
+    "package": (
+        "extra-package",
+        "the package `{text}` cannot be found",
+        "set its folder in the extras entry: packages: {{{text}: path/to/{text}}}",
+    ),
+    "expression": ("extra-expansion", "xacro: {text}", None),
+}
+
+
+def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfParts | None:
+    file_label = Label(entry.span, "the file is named here")
+    paths = expanded.paths
+    if expanded.failure is not None:
+        _report_failure(entry, expanded, expanded.failure, report)
+        return None
+    for text, span in expanded.warnings:
+        report.add("extra-warning", f"xacro: {text}", span or entry.span, labels=[file_label])
+    for name in expanded.unused_arguments:
+        args = entry.node.get("args")
+        argument = args.get(name) if args is not None else None
+        known = expanded.known_arguments
+        report.add(
+            "extra-argument-unused",
+            f"the xacro file does not use the argument `{name}`",
+            argument.where if argument is not None else entry.span,
+            hint=did_you_mean(name, [a for a in known if a not in entry.args])
+            or "its arguments are " + (", ".join(f"`{a}`" for a in known) or "none"),
+        )
+    if not any(element.tag != "material" for element in expanded.elements):
+        _report_empty(entry, expanded.macros, report)
+        return None
+    stem = re.sub(r"\W+", "_", entry.file.name.split(".")[0].lower())
+    search = search_paths()
+
+    def load(name: str, element: Element, scale: Vec3) -> Mesh | None:
+        path = _mesh_path(name, element, entry, search, report)
+        if path is None:
+            return None
+        return load_mesh(path, element.span, report, display=paths.name(str(path)), scale=scale)
+
+    macros = [macro.name for macro in expanded.macros]
+    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros)
+    folders = {**expanded.packages, **entry.packages}
+    extensions = tuple(_without_folders(xml, folders, paths) for xml in parts.extensions)
+    return replace(parts, extensions=extensions)
+
+
+def _report_failure(
+    entry: _Entry, expanded: ExpandedFile, failure: ExpansionFailure, report: Report
+) -> None:
+    code, message, hint = _FAILURES[failure.kind]
+    labels = [Label(span, text) for span, text in failure.trail]
+    report.add(
+        code,
+        message.format(text=failure.text),
+        failure.span or Span(expanded.paths.name(str(entry.file))),
+        hint=hint.format(text=failure.text)
+        if hint is not None
+        else _expression_hint(failure.text, expanded.macros),
+        labels=[*labels, Label(entry.span, "the file is named here")],
+    )
+
+
+def _without_folders(xml: str, packages: Mapping[str, str], paths: DisplayPaths) -> str:
+    """Replaces absolute package folders in an extension by ``package://``."""
+    for name in sorted(packages, key=lambda n: -len(packages[n])):
+        for folder in (f"file://{packages[name]}", packages[name]):
+            xml = re.sub(re.escape(folder.rstrip("/")) + r"(?=[/\"'<\s])", f"package://{name}", xml)
+    return paths.text(xml)
+
+
+def _mesh_path(
+    name: str, element: Element, entry: _Entry, search: dict[str, Sequence[str]], report: Report
+) -> Path | None:
+    scheme, separator, rest = name.partition("://")
+    if not separator:
+        return element.file.parent / name
+    if scheme == "file":
+        return element.file.parent / rest
+    if scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        folder = find_package(package, entry.packages, search, str(element.file))
+        if folder is not None:
+            return Path(folder) / inside
+        code, message, hint = _FAILURES["package"]
+        report.add(
+            code,
+            message.format(text=package),
+            element.span,
+            hint=(hint or "").format(text=package),
+            labels=[*call_labels(element), Label(entry.span, "the file is named here")],
+        )
+        return None
+    report.add(
+        "mesh-missing",
+        f"mesh file `{name}`: the URL scheme `{scheme}` is not supported",
+        element.span,
+        hint="use a path relative to the xacro file, package:// or file://",
+    )
+    return None
+
+
+def _expression_hint(text: str, macros: Sequence[Macro]) -> str | None:
+    unknown = re.search(r"unknown macro name: xacro:(\S+)", text)
+    if unknown is None:
+        return None
+    names = [macro.name for macro in macros]
+    if names:
+        return did_you_mean(unknown[1], names) or f"the macros are {', '.join(names)}"
+    return "no macro is defined; include the file that defines it first"
+
+
+def _report_empty(entry: _Entry, macros: Sequence[Macro], report: Report) -> None:
+    uncalled = [macro for macro in macros if not macro.called]
+    if not uncalled:
+        report.add("extra-empty", "the xacro file adds no links and no joints", entry.span)
+        return
+    macro = uncalled[-1]
+    values = "".join(f' {p}="..."' for p in macro.required if not p.startswith("*"))
+    blocks = [p.lstrip("*") for p in macro.required if p.startswith("*")]
+    call = f"<xacro:{macro.name}{values}"
+    call += f">{''.join(f'<{b} .../>' for b in blocks)}</xacro:{macro.name}>" if blocks else "/>"
+    names = ", ".join(f"`{m.name}`" for m in uncalled)
+    labels = [Label(macro.span, "defined here")] if macro.span is not None else []
+    report.add(
+        "extra-empty",
+        f"the xacro file defines the macro{'s' * (len(uncalled) > 1)} {names} but calls none: "
+        "it adds nothing to the robot",
+        entry.span,
+        hint=f"name a file that includes it and contains {call}",
+        labels=labels,
+    )
