@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.robots import SPAN
 from thorvaldc.compiler.geometry.static_loads import Pivot, static_loads
 from thorvaldc.compiler.geometry.wheel_geometry import lowest_point
-from thorvaldc.model import Inertial, Joint, Link, Pose
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model import Inertial
 
 G = 9.81
 coordinate = st.floats(-3.0, 3.0).map(lambda v: round(v, 3))
@@ -140,33 +137,3 @@ def test_the_lowest_point_is_on_the_middle_circle(yaw: float, camber: float, rad
     for angle in np.linspace(0, 2 * math.pi, 60):
         other = math.cos(angle) * found + math.sin(angle) * across
         assert other[2] >= found[2] - 1e-9
-
-
-# -- the tree --------------------------------------------------------------------------------
-
-
-def chain(*links: str) -> JointTree:
-    """Links one metre above one another, each of 1 kg."""
-    own = Inertial(1.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.0, 0.0, 0.0))
-    return JointTree(
-        [Link(name, "m", own, (), (), SPAN) for name in links],
-        [
-            Joint(f"{b}_j", "m", "fixed", a, b, Pose((0.0, 0.0, 1.0)), SPAN)
-            for a, b in pairwise(links)
-        ],
-    )
-
-
-def test_a_tree_knows_what_is_above_and_below() -> None:
-    tree = chain("a", "b", "c", "d")
-    assert tree.pose["d"].xyz == (0.0, 0.0, 3.0)
-    assert [j.child for j in tree.joints_above("c")] == ["c", "b"]
-    assert tree.links_below("b") == ["b", "c", "d"]
-
-
-def test_the_mass_of_some_links_and_of_all() -> None:
-    tree = chain("a", "b", "c")
-    assert tree.inertial().mass == 3.0
-    assert tree.inertial().com == (0.0, 0.0, 1.0)
-    assert tree.inertial(["b", "c"]).com == (0.0, 0.0, 1.5)
-    assert tree.inertial(["b", "c"]).inertia[0] == pytest.approx(0.2 + 2 * 0.25)
