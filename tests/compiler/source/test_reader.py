@@ -1,4 +1,4 @@
-"""What a text means, where its values stand, and what is refused."""
+"""Tests of the YAML reader: values, spans, errors and limits."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ def read(text: str | bytes) -> tuple[Node | None, Report]:
     return read_text(data, "f.yaml", report), report
 
 
-def good(text: str) -> Node:
+def read_valid(text: str) -> Node:
     node, report = read(text)
     assert list(report) == []
     assert node is not None
     return node
 
 
-def fault(text: str | bytes) -> tuple[str, str]:
-    """Code and place of the only fault."""
+def only_error(text: str | bytes) -> tuple[str, str]:
+    """Returns the code and the span of the only diagnostic."""
     _, report = read(text)
-    (found,) = report
-    return found.code.name, str(found.span)
+    (diagnostic,) = report
+    return diagnostic.code.name, str(diagnostic.span)
 
 
 @pytest.mark.parametrize(
@@ -66,15 +66,15 @@ def fault(text: str | bytes) -> tuple[str, str]:
         ("nope", "nope"),
     ],
 )
-def test_scalars_mean_what_yaml_1_2_says(text: str, value: Any) -> None:
-    node = good(f"a: {text}\n").get("a")
+def test_scalars_follow_yaml_1_2(text: str, value: Any) -> None:
+    node = read_valid(f"a: {text}\n").get("a")
     assert node is not None
     assert node.value == value
     assert type(node.value) is type(value)
 
 
-def test_quoted_numbers_are_text_and_say_so() -> None:
-    node = good("a: '3'\nb: 3\nc: |\n  3\n")
+def test_quoted_numbers_are_text() -> None:
+    node = read_valid("a: '3'\nb: 3\nc: |\n  3\n")
     assert [node.value[k].quoted for k in "abc"] == [True, False, True]
 
 
@@ -82,11 +82,11 @@ def test_quoted_numbers_are_text_and_say_so() -> None:
     "word", [*("on", "off", "yes", "no", "y", "n"), *("ON", "Off", "Yes", "N")]
 )
 def test_ambiguous_words_are_refused_as_values_only(word: str) -> None:
-    assert fault(f"a: {word}\n") == ("yaml-ambiguous-word", "f.yaml:1:4")
-    assert good(f"{word}: 1\n").get(word) is not None
+    assert only_error(f"a: {word}\n") == ("yaml-ambiguous-word", "f.yaml:1:4")
+    assert read_valid(f"{word}: 1\n").get(word) is not None
 
 
-def test_a_run_shows_every_fault_in_scalars() -> None:
+def test_one_run_reports_all_errors_in_scalars() -> None:
     node, report = read("a: on\nb: 010\nc: .inf\nd: 1e999\ne: 99999999999999999999\nf: !!str 3\n")
     assert [(d.code.name, d.span.line) for d in report if d.span] == [
         ("yaml-ambiguous-word", 1),
@@ -97,17 +97,17 @@ def test_a_run_shows_every_fault_in_scalars() -> None:
         ("yaml-tag", 6),
     ]
     assert node is not None
-    assert node.plain()["b"] == 10  # goes on with what was probably meant
+    assert node.plain()["b"] == 10  # continues with the most likely value
 
 
-def test_digits_without_end_are_refused() -> None:
-    assert fault("a: " + "9" * 5000)[0] == "yaml-number-range"
-    assert fault("a: 0" + "9" * 5000)[0] == "yaml-leading-zero"
-    assert fault("a: 0x" + "f" * 5000)[0] == "yaml-number-range"
+def test_very_long_numbers_are_errors() -> None:
+    assert only_error("a: " + "9" * 5000)[0] == "yaml-number-range"
+    assert only_error("a: 0" + "9" * 5000)[0] == "yaml-leading-zero"
+    assert only_error("a: 0x" + "f" * 5000)[0] == "yaml-number-range"
 
 
 def test_spans_count_characters() -> None:
-    node = good("ä: éè  # c\nb: {日本: x, '😀': 12}\n")
+    node = read_valid("ä: éè  # c\nb: {日本: x, '😀': 12}\n")
     inner = node.get("b")
     assert inner is not None
     first, second = inner.value["日本"], inner.value["😀"]
@@ -120,34 +120,34 @@ def test_spans_count_characters() -> None:
 
 
 def test_a_block_ends_with_its_last_value() -> None:
-    node = good("a:\n  b: 1\n  c: [2,\n    3]\n\n# end\nd: 4\n").get("a")
+    node = read_valid("a:\n  b: 1\n  c: [2,\n    3]\n\n# end\nd: 4\n").get("a")
     assert node is not None
     assert node.span == ("f.yaml", 2, 3, 4, 7)
 
 
 def test_line_ends_and_byte_order_mark_do_not_move_spans() -> None:
-    assert fault("\ufeffa: on\n") == ("yaml-ambiguous-word", "f.yaml:1:4")
-    assert fault("a: 1\r\nb: on\r\n") == ("yaml-ambiguous-word", "f.yaml:2:4")
-    assert fault("a: 1\rb: on\r") == ("yaml-ambiguous-word", "f.yaml:2:4")
+    assert only_error("\ufeffa: on\n") == ("yaml-ambiguous-word", "f.yaml:1:4")
+    assert only_error("a: 1\r\nb: on\r\n") == ("yaml-ambiguous-word", "f.yaml:2:4")
+    assert only_error("a: 1\rb: on\r") == ("yaml-ambiguous-word", "f.yaml:2:4")
 
 
 def test_aliases_share_a_value_under_their_own_keys() -> None:
-    node = good("a: &x {b: 1}\nc: *x\nd: [*x, *x]\n")
+    node = read_valid("a: &x {b: 1}\nc: *x\nd: [*x, *x]\n")
     assert node.plain() == {"a": {"b": 1}, "c": {"b": 1}, "d": [{"b": 1}, {"b": 1}]}
     assert node.get("c").key_span.line == 2  # type: ignore[union-attr]
     assert node.span.end_line == 3
 
 
-def test_billion_laughs_are_cut_short() -> None:
+def test_billion_laughs_document_is_an_error() -> None:
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)]
     began = time.perf_counter()
-    assert fault("\n".join(lines))[0] == "yaml-too-many-values"
+    assert only_error("\n".join(lines))[0] == "yaml-too-many-values"
     assert time.perf_counter() - began < 2
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "place"),
+    ("text", "code", "span"),
     [
         ("", "yaml-empty", "f.yaml:1:1"),
         ("# only this\n", "yaml-empty", "f.yaml:1:1"),
@@ -176,15 +176,15 @@ def test_billion_laughs_are_cut_short() -> None:
         ("a: b".encode("utf-16"), "yaml-encoding", "f.yaml:1:1"),
     ],
 )
-def test_refused(text: str | bytes, code: str, place: str) -> None:
-    assert fault(text) == (code, place)
+def test_refused(text: str | bytes, code: str, span: str) -> None:
+    assert only_error(text) == (code, span)
 
 
-def test_an_expression_in_braces_is_told_to_be_quoted() -> None:
+def test_the_hint_for_an_expression_in_braces_is_to_quote_it() -> None:
     _, report = read("a: {x: ${y}, z: 1}\n")
-    (found,) = report
-    assert found.hint is not None
-    assert "quoted" in found.hint
+    (diagnostic,) = report
+    assert diagnostic.hint is not None
+    assert "quoted" in diagnostic.hint
 
 
 @pytest.mark.parametrize("opener", ["[", "{a: ", "- ", "? ", "- ? "])
@@ -195,7 +195,7 @@ def test_deep_nesting_is_refused_without_exhausting_the_stack(opener: str) -> No
 
 
 def test_more_than_a_megabyte_is_not_read() -> None:
-    assert fault("#" * (reader.MAX_BYTES + 1))[0] == "yaml-file-too-large"
+    assert only_error("#" * (reader.MAX_BYTES + 1))[0] == "yaml-file-too-large"
 
 
 @pytest.mark.parametrize(
@@ -223,10 +223,10 @@ def test_files(tmp_path: Path) -> None:
     def code(path: Path) -> str:
         report = Report()
         assert read_file(path, "shown", report) is None
-        (found,) = report
-        assert found.span is not None
-        assert found.span.file == "shown"
-        return found.code.name
+        (diagnostic,) = report
+        assert diagnostic.span is not None
+        assert diagnostic.span.file == "shown"
+        return diagnostic.code.name
 
     assert code(tmp_path / "missing.yaml") == "file-not-found"
     assert code(tmp_path) == "file-is-a-directory"

@@ -1,4 +1,4 @@
-"""The document as a tree of values that know where they stand."""
+"""The tree of YAML values with their source spans."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ Value = None | bool | int | float | str | tuple["Node", ...] | dict[str, "Node"]
 
 
 class Node(NamedTuple):
-    """A YAML value with its span; ``key_span`` is that of its key in a mapping.
+    """A YAML value with its span; ``key_span`` is the span of its key in a mapping.
 
-    ``quoted`` tells ``"3"`` from ``3``: a quoted scalar is always text.
+    ``quoted`` distinguishes ``"3"`` (text) from ``3`` (a number).
     """
 
     value: Value
@@ -21,11 +21,11 @@ class Node(NamedTuple):
     quoted: bool = False
 
     def get(self, key: str) -> Node | None:
-        """The entry of a mapping, or ``None`` (also where this is no mapping)."""
+        """Returns the entry of a mapping; ``None`` if it is missing, or this is no mapping."""
         return self.value.get(key) if isinstance(self.value, dict) else None
 
     def plain(self) -> Any:
-        """Plain dicts, lists and scalars, without spans."""
+        """Returns the value as dicts, lists and scalars without spans."""
         if isinstance(self.value, dict):
             return {key: node.plain() for key, node in self.value.items()}
         if isinstance(self.value, tuple):
@@ -34,5 +34,5 @@ class Node(NamedTuple):
 
     @property
     def where(self) -> Span:
-        """The key's span where there is one, else the value's."""
+        """Span of the key if there is one, else of the value."""
         return self.key_span or self.span

@@ -1,9 +1,8 @@
-"""YAML text to a tree of nodes with spans.
+"""Reads YAML text to a tree of nodes with spans.
 
-PyYAML composes the tree; what a plain scalar means is decided here, by YAML
-1.2's core schema, with an error where YAML readers differ (``on``, ``010``).
-A fault in a single value does not end the reading: the value gets the most
-likely meaning, so that the faults of later stages are found in the same run.
+PyYAML composes the tree.  ``scalars`` resolves plain scalars by the core schema of YAML 1.2
+and reports values that YAML readers disagree on (``on``, ``010``).  After an error in a
+value, the most likely value is used: one run then also reports the errors of later stages.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from typing import Any
 import yaml
 
 from thorvaldc.compiler.source import yaml_errors
+from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.scalars import key_kind, plain_scalar
 from thorvaldc.diagnostics import Label, Report, Span
@@ -25,51 +25,38 @@ MAX_DEPTH = 50
 
 
 def read_file(path: Path, display: str, report: Report) -> Node | None:
-    """The document in ``path``, called ``display`` in messages; ``None`` if there is none."""
-    try:
-        with path.open("rb") as file:
-            # One byte more than allowed tells "too large" without reading all of it.
-            data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        report.add("file-not-found", f"`{display}` does not exist", Span(display))
-        return None
-    except IsADirectoryError:
-        report.add(
-            "file-is-a-directory",
-            f"`{display}` is a folder; a file is wanted",
-            Span(display),
-            hint="name the file in it, such as `robot.yaml`",
-        )
-        return None
-    except (OSError, ValueError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        report.add("file-unreadable", f"`{display}` cannot be read: {reason}", Span(display))
+    """Reads a document, named ``display`` in messages; ``None`` if it is not readable."""
+    # One byte more than allowed: `read_text` then reports the size without reading all.
+    hint = "name the file in it, such as `robot.yaml`"
+    data = read_bytes(path, display, report, limit=MAX_BYTES + 1, folder_hint=hint)
+    if data is None:
         return None
     return read_text(data, display, report)
 
 
 def read_text(data: bytes, file: str, report: Report) -> Node | None:
-    """The document in ``data``; ``None`` where it is no YAML document at all.
+    """Reads a document; ``None`` if ``data`` is not a YAML document.
 
-    ``file`` is the name for spans.  Faults go to ``report``; a node may come
-    back although there were some.
+    ``file`` is the file name for spans.  Errors go to ``report``; after errors in single
+    values, the rest of the document is returned.
     """
     root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
     if root is None:
         return None
     try:
         return _Reader(file, report, b"&" in data).node(root, None)
-    except _Refused as refused:
-        report.add(refused.code, refused.message, _point(refused.mark, file), hint=refused.hint)
+    except _YamlError as error:
+        report.add(error.code, error.message, _character_span(error.mark, file), hint=error.hint)
         return None
 
 
 def compose(
     data: bytes, file: str, report: Report, *, hint_if_empty: str | None = None
 ) -> Any | None:
-    """PyYAML's tree of the document in ``data``, within bounds; ``None`` with the fault reported.
+    """Returns PyYAML's tree of a document; ``None`` on an error, which goes to ``report``.
 
-    What the scalars mean is left to the caller: only explicit tags are set.
+    Size and depth are limited.  Scalars are not resolved: a node has a tag only if the text
+    has an explicit tag.
     """
     text = _decode(data, file, report)
     if text is None:
@@ -80,8 +67,8 @@ def compose(
     except yaml.MarkedYAMLError as error:
         yaml_errors.explain(error, text, file, report)
         return None
-    except _Refused as refused:
-        report.add(refused.code, refused.message, _point(refused.mark, file), hint=refused.hint)
+    except _YamlError as error:
+        report.add(error.code, error.message, _character_span(error.mark, file), hint=error.hint)
         return None
     finally:
         loader.dispose()
@@ -91,12 +78,12 @@ def compose(
     return root
 
 
-_EMPTY_HINT = "a document begins with `thorvaldc: 1`"
+_EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 # -- characters -------------------------------------------------------------------
 
-# C0 and C1 controls, the line breaks that only YAML 1.1 knows (U+0085, U+2028, U+2029:
-# editors do not count them), surrogates, a byte order mark inside, and non-characters.
+# C0 and C1 controls; line breaks of YAML 1.1 only (U+0085, U+2028, U+2029), which editors
+# do not count as lines; surrogates; a byte order mark inside the text; non-characters.
 _FORBIDDEN = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]"
 )
@@ -110,12 +97,13 @@ _CHARACTER_NAMES = {
 
 
 def _decode(data: bytes, file: str, report: Report) -> str | None:
+    """Returns the text of a document if its size, encoding and characters are allowed."""
     if len(data) > MAX_BYTES:
         report.add(
             "yaml-file-too-large",
-            f"`{file}` is larger than {MAX_BYTES} bytes, the most that a document may have",
+            f"`{file}` is larger than the limit of {MAX_BYTES} bytes for a document",
             Span(file),
-            hint="meshes and other data belong in files of their own",
+            hint="move meshes and other data to separate files",
         )
         return None
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -124,22 +112,22 @@ def _decode(data: bytes, file: str, report: Report) -> str | None:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        before = data[: error.start].decode("utf-8-sig", "replace")
+        valid_text = data[: error.start].decode("utf-8-sig", "replace")
         report.add(
             "yaml-encoding",
             f"the byte 0x{data[error.start]:02x} is not UTF-8",
-            _at(before, len(before), file),
+            _span_at(valid_text, len(valid_text), file),
             hint="save the file as UTF-8",
         )
         return None
-    found = _FORBIDDEN.search(text)
-    if found:
-        name = _CHARACTER_NAMES.get(found[0], "a control character")
+    match = _FORBIDDEN.search(text)
+    if match:
+        name = _CHARACTER_NAMES.get(match[0], "a control character")
         report.add(
             "yaml-character",
-            f"{name} (U+{ord(found[0]):04X}) is not allowed in YAML",
-            _at(text, found.start(), file),
-            hint="remove it; in double quotes it can be written as an escape",
+            f"{name} (U+{ord(match[0]):04X}) is not allowed in YAML",
+            _span_at(text, match.start(), file),
+            hint="remove it, or write it as an escape in double quotes",
         )
         return None
     return text
@@ -148,11 +136,11 @@ def _decode(data: bytes, file: str, report: Report) -> str | None:
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 
 
-def _at(text: str, index: int, file: str) -> Span:
-    """The span of one character."""
+def _span_at(text: str, index: int, file: str) -> Span:
+    """Returns the span of the character with this index."""
     line, start = 1, 0
-    for found in _LINE_BREAK.finditer(text, 0, index):
-        line, start = line + 1, found.end()
+    for line_break in _LINE_BREAK.finditer(text, 0, index):
+        line, start = line + 1, line_break.end()
     column = index - start + 1
     return Span(file, line, column, line, column + 1)
 
@@ -160,7 +148,9 @@ def _at(text: str, index: int, file: str) -> Span:
 # -- composing ----------------------------------------------------------------------
 
 
-class _Refused(Exception):
+class _YamlError(Exception):
+    """The document exceeds a limit; ``mark`` is the position in PyYAML's terms."""
+
     def __init__(self, code: str, message: str, mark: Any, hint: str) -> None:
         super().__init__(message)
         self.code = code
@@ -170,9 +160,10 @@ class _Refused(Exception):
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Composes without resolving tags (so that a tag means an explicit one), within bounds.
+    """A YAML loader that limits the document and sets explicit tags only.
 
-    The composer recurses in C, hence the depth is bounded while it runs.
+    The composer is recursive C code: the depth must be limited while it runs, or the stack
+    overflows.
     """
 
     def __init__(self, text: str) -> None:
@@ -187,11 +178,11 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         self._depth += 1
         self._count += 1
         if self._depth > MAX_DEPTH:
-            raise _Refused(
+            raise _YamlError(
                 "yaml-too-deep",
                 f"the document is nested more than {MAX_DEPTH} levels deep",
                 parent.start_mark,
-                "no robot needs that; look for a bracket that is opened by mistake",
+                "a robot does not need this depth; look for an unclosed bracket",
             )
         if self._count > MAX_VALUES:
             raise _too_many(parent.start_mark)
@@ -200,64 +191,63 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         self._depth -= 1
 
 
-def _too_many(mark: Any) -> _Refused:
-    return _Refused(
+def _too_many(mark: Any) -> _YamlError:
+    return _YamlError(
         "yaml-too-many-values",
         f"the document has more than {MAX_VALUES} values, aliases expanded",
         mark,
-        "split it, or let an assembly describe what repeats",
+        "split the document, or use an assembly for repeated modules",
     )
 
 
-def _point(mark: Any, file: str) -> Span:
+def _character_span(mark: Any, file: str) -> Span:
     line, column = mark.line + 1, mark.column + 1
     return Span(file, line, column, line, column + 1)
 
 
 class _Reader:
-    """Turns composed nodes into ours.
+    """Converts PyYAML nodes to ``Node``.
 
-    Where the text has ``aliases``, a node may be met again: it is read once, and
-    what it holds counts each time.
+    With ``aliases`` in the text, a PyYAML node can occur several times.  It is converted
+    once, but its values count at each occurrence: this stops "billion laughs" documents.
     """
 
     def __init__(self, file: str, report: Report, aliases: bool) -> None:
         self.file = file
         self.report = report
-        self.node = self._shared if aliases else self._made
-        self.done: dict[int, tuple[Node, int]] = {}  # by id, with the number of values in it
-        self.open: set[int] = set()
+        self.node = self._convert_once if aliases else self._convert
+        self.converted: dict[int, tuple[Node, int]] = {}  # id -> node, number of values in it
+        self.open: set[int] = set()  # ids of the nodes that contain the current one
         self.total = 0
 
-    def _shared(self, raw: Any, key_span: Span | None) -> Node:
-        known = self.done.get(id(raw))
-        if known is not None:
-            made, values = known
+    def _convert_once(self, raw: Any, key_span: Span | None) -> Node:
+        if id(raw) in self.converted:
+            node, values = self.converted[id(raw)]
             self._count(values, raw)
-            return Node(made.value, made.span, key_span, made.quoted)
+            return Node(node.value, node.span, key_span, node.quoted)
         if id(raw) in self.open:
-            raise _Refused(
+            raise _YamlError(
                 "yaml-recursive-alias",
                 "an alias refers to a value that contains it",
                 raw.start_mark,
-                "write the value out",
+                "write the value in full",
             )
         self.open.add(id(raw))
-        before = self.total
+        count_before = self.total
         self._count(1, raw)
-        made = self._made(raw, key_span)
+        node = self._convert(raw, key_span)
         self.open.discard(id(raw))
-        self.done[id(raw)] = made, self.total - before
-        return made
+        self.converted[id(raw)] = node, self.total - count_before
+        return node
 
     def _count(self, values: int, raw: Any) -> None:
         self.total += values
         if self.total > MAX_VALUES:
             raise _too_many(raw.start_mark)
 
-    def _made(self, raw: Any, key_span: Span | None) -> Node:
+    def _convert(self, raw: Any, key_span: Span | None) -> Node:
         if raw.tag:
-            self._refuse_tag(raw)
+            self._report_tag(raw)
         if raw.id == "mapping":
             return self._mapping(raw, key_span)
         if raw.id == "sequence":
@@ -272,9 +262,9 @@ class _Reader:
         return Span(self.file, start.line + 1, start.column + 1, end.line + 1, end.column + 1)
 
     def _collection_span(self, raw: Any, last: Span | None) -> Span:
-        """A block collection ends with its last value; YAML's mark is at the next token."""
+        """Returns a span that ends with the last value; the end mark of YAML is the next token."""
         span = self._span(raw)
-        # The value of an alias lies elsewhere.
+        # The last value can be an alias, whose span is elsewhere.
         if raw.flow_style or last is None or last[1:3] < span[1:3]:
             return span
         return Span(self.file, span.line, span.column, last.end_line, last.end_column)
@@ -308,18 +298,18 @@ class _Reader:
         return Node(values, span, key_span)
 
     def _key(self, raw: Any, where: Span) -> str | None:
-        """The text of a key; ``None`` where it is unusable."""
+        """Returns the text of a key; ``None`` if it is not usable."""
         if raw.id != "scalar":
             self.report.add(
                 "yaml-key-not-text",
                 f"a {'list' if raw.id == 'sequence' else 'mapping'} cannot be a key",
                 where,
-                hint='in a value, quote braces that are meant as text, as in `"${width}"`',
+                hint='quote a value that contains braces, as in `"${width}"`',
             )
             return None
         text: str = raw.value
         if raw.tag:
-            self._refuse_tag(raw)
+            self._report_tag(raw)
         if raw.style:
             return text
         if text == "<<":
@@ -327,24 +317,24 @@ class _Reader:
                 "yaml-merge-key",
                 "merge keys (`<<`) are not part of YAML 1.2",
                 where,
-                hint="write the entries out, or put what modules share under `defaults`",
+                hint="write the entries in full, or put shared values of modules under `defaults`",
             )
             return None
         kind = key_kind(text)
         if kind is not None:
             self.report.add(
                 "yaml-key-not-text",
-                f"the key `{text}` is {kind}; keys are text" if text else "a key is empty",
+                f"the key `{text}` is {kind}; expected text" if text else "a key is empty",
                 where,
-                hint=f'write `"{text}"` if this is its name' if text else None,
+                hint=f'if this is the name, write `"{text}"`' if text else None,
             )
         return text
 
-    def _refuse_tag(self, raw: Any) -> None:
+    def _report_tag(self, raw: Any) -> None:
         tag = raw.tag.replace("tag:yaml.org,2002:", "!!")
         self.report.add(
             "yaml-tag",
-            f"the tag `{tag}` is not part of the language",
-            _point(raw.start_mark, self.file),
-            hint="leave it off; quote the value if it is text",
+            f"the language has no tags such as `{tag}`",
+            _character_span(raw.start_mark, self.file),
+            hint="remove the tag; quote the value if it is text",
         )

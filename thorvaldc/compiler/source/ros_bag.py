@@ -1,4 +1,4 @@
-"""Reads bags, ours and others': MCAP files, folders of ``ros2 bag record``, and those of ROS 1."""
+"""Reads ROS bags: MCAP files, folders of ``ros2 bag record``, and ROS 1 bags."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ TYPES = {
     JOINTS: "sensor_msgs/msg/JointState",
     COMMANDS: "sensor_msgs/msg/JointState",
 }
-"""The topics of a robot in our records, without its name space, and their types."""
+"""Topics of a robot in a record, without the namespace, with their message types."""
 SUFFIXES = (".mcap", ".db3", ".bag")
-"""Of files; a folder is a bag if it has ``metadata.yaml``."""
+"""Suffixes of bag files.  A folder is a bag if it contains ``metadata.yaml``."""
 
 
 class MissingPackageError(Exception):
-    """What a record needs is not there; the message is one line for the user."""
+    """An optional package is not installed; the message is one line for the user."""
 
 
 def require_rosbags() -> None:
-    """Raises ``MissingPackageError`` where rosbags is missing."""
+    """Raises ``MissingPackageError`` if rosbags is not installed."""
     try:
         import rosbags.rosbag2  # noqa: F401
     except ImportError:
         raise MissingPackageError(
-            "MCAP files need rosbags, which is not installed: pip install 'thorvaldc[record]'"
+            "MCAP files require rosbags, which is not installed: pip install 'thorvaldc[record]'"
         ) from None
 
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """What was asked for of a bag.
+    """Messages of selected topics of a bag.
 
-    ``topics`` are the types of all its topics; ``messages`` those of the wanted ones, each with
-    its time in s since the beginning of the bag, in order of time.
+    ``topics`` maps every topic of the bag to its type.  ``messages`` maps each selected topic
+    to its messages in order of time, each with its time in s since the start of the bag.
     """
 
     topics: Mapping[str, str]
@@ -52,7 +52,7 @@ class Bag:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether it is to be read as a bag, by its name or what lies in it."""
+    """Returns whether the path is a bag, by its suffix or its content."""
     return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
@@ -63,10 +63,10 @@ def read_bag(
     choose: Callable[[Mapping[str, str]], Collection[str]],
     report: Report,
 ) -> Bag | None:
-    """The bag with the topics that ``choose`` takes of all; ``None`` if it cannot be read.
+    """Reads the topics of a bag that ``choose`` selects; ``None`` if the bag is unreadable.
 
-    ``display`` is what the file is called in a diagnostic, and ``span`` its place.
-    Raises ``MissingPackageError`` where rosbags is missing.
+    ``choose`` receives the types of all topics.  ``display`` is the name of the file in
+    diagnostics, ``span`` their span.  Raises ``MissingPackageError`` without rosbags.
     """
     require_rosbags()
     from rosbags.highlevel import AnyReader
@@ -75,22 +75,26 @@ def read_bag(
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             topics = {c.topic: c.msgtype for c in reader.connections}
-            wanted = set(choose(topics))
-            messages: dict[str, list[tuple[float, Any]]] = {name: [] for name in topics}
-            messages = {name: found for name, found in messages.items() if name in wanted}
-            chosen = [c for c in reader.connections if c.topic in wanted]
-            for connection, time, data in reader.messages(chosen) if chosen else ():
+            selected = set(choose(topics))
+            messages: dict[str, list[tuple[float, Any]]] = {
+                name: [] for name in topics if name in selected
+            }
+            connections = [c for c in reader.connections if c.topic in selected]
+            # Without connections, rosbags would read all of them.
+            for connection, time, data in reader.messages(connections) if connections else ():
                 message = reader.deserialize(data, connection.msgtype)
                 seconds = (time - reader.start_time) / 1e9
                 messages[connection.topic].append((seconds, message))
             return Bag(topics, messages)
-    except Exception as fault:  # a library that is given broken bytes fails in many ways
-        what = " ".join(str(fault).split()).replace(str(path), path.name).rstrip(".")
+    except Exception as error:  # rosbags raises many types of exceptions on broken bytes
+        reason = " ".join(str(error).split()).replace(str(path), path.name).rstrip(".")
         report.add(
             "record-unreadable",
-            f"`{display}` cannot be read as a bag of ROS: {what or type(fault).__name__}",
+            f"`{display}` cannot be read as a ROS bag: {reason or type(error).__name__}",
             span,
-            hint="if it was cut short, `mcap recover` may mend it" if _is_mcap(path) else None,
+            hint="if the file is truncated, `mcap recover` may repair it"
+            if _is_mcap(path)
+            else None,
         )
         return None
 

@@ -1,4 +1,7 @@
-"""What a plain scalar means: YAML 1.2's core schema, with an error where readers differ."""
+"""Resolves plain scalars by the core schema of YAML 1.2; reports values that readers disagree on.
+
+Examples: YAML 1.1 reads ``on`` as true and ``010`` as 8, YAML 1.2 as text and 10.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +37,9 @@ _AMBIGUOUS = {
 
 
 def plain_scalar(text: str, span: Span, report: Report) -> Value:
-    """What an unquoted scalar means.
+    """Returns the value of an unquoted scalar.
 
-    A fault goes to ``report``; then what was probably meant comes back.
+    After an error, which goes to ``report``, returns the most likely value.
     """
     if text in _WORDS:
         return _WORDS[text]
@@ -46,7 +49,7 @@ def plain_scalar(text: str, span: Span, report: Report) -> Value:
         truth = _AMBIGUOUS[text]
         report.add(
             "yaml-ambiguous-word",
-            f"`{text}` is a truth value to some YAML readers and text to others",
+            f"`{text}` is a truth value for some YAML readers and text for others",
             span,
             hint=f'write `{"true" if truth else "false"}`, or `"{text}"` for text',
         )
@@ -58,16 +61,16 @@ def _number(text: str, span: Span, report: Report) -> Value:
     if _INTEGER.fullmatch(text):
         digits = text.lstrip("+-")
         if digits[0] == "0" and len(digits) > 1:
-            plain = digits.lstrip("0") or "0"
+            decimal = digits.lstrip("0") or "0"
             report.add(
                 "yaml-leading-zero",
-                f"`{text}` begins with 0: octal to some YAML readers, decimal to others",
+                f"`{text}` starts with 0: octal for some YAML readers, decimal for others",
                 span,
-                hint=f'write `{plain}`, `0o{plain}` for octal, or `"{text}"` for text',
+                hint=f'write `{decimal}`, `0o{decimal}` for octal, or `"{text}"` for text',
             )
-            if len(plain) > 20:
+            if len(decimal) > 20:
                 return 0
-            return int(plain)
+            return int(decimal)
         if len(digits) > 20 or not -(2**63) <= int(text) < 2**64:
             return _too_large(text, span, report)
         return int(text)
@@ -81,7 +84,7 @@ def _number(text: str, span: Span, report: Report) -> Value:
             "yaml-not-finite",
             f"`{text}` is not a finite number",
             span,
-            hint="leave the key out where there is no limit",
+            hint="to set no limit, remove the key",
         )
         return 0.0
     return text
@@ -93,13 +96,16 @@ def _too_large(text: str, span: Span, report: Report) -> Value:
         "yaml-number-range",
         f"the number `{shown}` is too large",
         span,
-        hint="integers have 64 bits, other numbers end at 1.8e308",
+        hint="integers have 64 bits; other numbers are at most 1.8e308",
     )
     return 0
 
 
 def key_kind(text: str) -> str | None:
-    """What a plain key is, if not text.  ``on`` and ``y`` are: no reader of 1.2 differs."""
+    """Describes an unquoted key that YAML 1.2 does not read as text; ``None`` if it is text.
+
+    ``on`` and ``y`` are text here: as keys, YAML 1.2 readers agree on them.
+    """
     if text in _WORDS:
         return "null" if _WORDS[text] is None else "a truth value"
     if text[0] in "-+.0123456789" and (

@@ -1,4 +1,4 @@
-"""YAML's syntax errors in plain words."""
+"""Converts the syntax errors of libyaml to diagnostics with plain messages and hints."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from thorvaldc.diagnostics import Label, Report, Span
 
 _EXPRESSION = 'inside `{...}` and `[...]` an expression must be quoted, as in `"${width}"`'
 
-# What libyaml says, what we say, what to do.
-_WORDS: tuple[tuple[str, str, str], ...] = (
+# Message of libyaml, message of the diagnostic, hint.
+_MESSAGES: tuple[tuple[str, str, str], ...] = (
     (
         "mapping values are not allowed",
-        "a `:` cannot stand here",
-        "quote text that has `: ` in it, or check the indentation of this line and the one before",
+        "a `:` is not allowed here",
+        "quote text that contains `: `, or check the indentation of this line and the line before",
     ),
     (
         "could not find expected ':'",
@@ -24,18 +24,18 @@ _WORDS: tuple[tuple[str, str, str], ...] = (
     ),
     (
         "did not find expected key",
-        "a key is wanted here",
-        "the keys of one mapping begin in the same column",
+        "expected a key",
+        "the keys of one mapping start in the same column",
     ),
     (
         "did not find expected '-' indicator",
-        "the next element of the list is wanted here",
-        "the elements of one list begin with `-` in the same column",
+        "expected the next element of the list",
+        "the elements of one list start with `-` in the same column",
     ),
     (
         "block sequence entries are not allowed",
-        "an element of a list cannot stand here",
-        "begin the list on a line of its own",
+        "an element of a list is not allowed here",
+        "start the list on a new line",
     ),
     (
         "did not find expected ',' or ']'",
@@ -51,10 +51,10 @@ _WORDS: tuple[tuple[str, str, str], ...] = (
     ("found unexpected ':'", "a space is missing after this `:`", "write `key: value`"),
     (
         "found undefined alias",
-        "there is no anchor of this name",
-        "quote the value if it is text that begins with `*`",
+        "no anchor has this name",
+        "quote the value if it is text that starts with `*`",
     ),
-    ("found duplicate anchor", "this anchor's name is in use", "give it another name"),
+    ("found duplicate anchor", "another anchor has this name", "choose another name"),
     (
         "did not find expected alphabetic or numeric character",
         "a name is missing after `*` or `&`",
@@ -62,24 +62,24 @@ _WORDS: tuple[tuple[str, str, str], ...] = (
     ),
     (
         "found unknown escape character",
-        "there is no such escape in double quotes",
+        "this escape is not allowed in double quotes",
         "use single quotes, or write `\\\\` for a backslash",
     ),
-    ("found undefined tag handle", "this tag is not known", "leave it off; quote text"),
+    ("found undefined tag handle", "unknown tag", "remove the tag; quote text"),
     (
         "did not find expected whitespace or line break",
         "a space is missing here",
-        "quote text that begins with `!`, `&`, `*` or `|`",
+        "quote text that starts with `!`, `&`, `*` or `|`",
     ),
     (
         "did not find expected comment or line break",
-        "only a comment can follow here",
-        "quote text that begins with `|` or `>`",
+        "only a comment is allowed after this",
+        "quote text that starts with `|` or `>`",
     ),
     (
         "did not find expected <document start>",
-        "the document has ended before this",
-        "a file holds one mapping; check the indentation",
+        "the document ends before this line",
+        "a file contains one mapping; check the indentation",
     ),
     (
         "control characters are not allowed",
@@ -90,8 +90,8 @@ _WORDS: tuple[tuple[str, str, str], ...] = (
 
 
 def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -> None:
-    """Add the diagnostic for a syntax error that PyYAML raised on ``text``."""
-    problem = str(error.problem or error.context or "this cannot be read")
+    """Adds the diagnostic for a syntax error that PyYAML raised on ``text``."""
+    problem = str(error.problem or error.context or "unknown error")
     context = str(error.context or "")
     lines = text.splitlines() or [""]
     mark = error.problem_mark or error.context_mark
@@ -101,9 +101,9 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
     if "but found another document" in problem or "expected a single document" in context:
         report.add(
             "yaml-several-documents",
-            "a second document begins here; a file holds one",
+            "a second document starts here; a file contains one",
             span,
-            hint="put it in a file of its own",
+            hint="move it to another file",
         )
         return
     line = lines[span.line - 1] if span.line <= len(lines) else ""
@@ -112,7 +112,7 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
     if tab is not None and ("token" in problem or "indentation" in problem or "tab" in problem):
         report.add(
             "yaml-tab",
-            "a tab cannot indent in YAML",
+            "YAML does not allow tabs for indentation",
             Span(file, span.line, tab, span.line, tab + 1),
             hint="use spaces",
         )
@@ -120,33 +120,37 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
     labels: list[Label] = []
     hint: str | None
     if "end of stream" in problem and opened is not None:
-        message, hint = "the quote that opens here is never closed", "close it"
+        message, hint = "the text in quotes that starts here has no end", "add the closing quote"
         span = _span(opened, lines, file)
     elif "cannot start any token" in problem:
-        message = f"text cannot begin with `{character}` unquoted"
+        message = f"unquoted text cannot start with `{character}`"
         hint = "put it in quotes"
     else:
-        for theirs, ours, advice in _WORDS:
-            if theirs in problem:
-                message, hint = ours, advice or None
+        for yaml_message, plain_message, advice in _MESSAGES:
+            if yaml_message in problem:
+                message, hint = plain_message, advice or None
                 break
         else:
-            message, hint = f"this is not YAML: {problem}", None
+            message, hint = f"invalid YAML: {problem}", None
         if opened is not None and context.startswith("while parsing a flow"):
             start = _span(opened, lines, file)
             if "${" in line:
                 hint = _EXPRESSION
-            if _is_outside(lines, start, span):
-                message = f"this `{_character(lines, start)}` is never closed"
-                labels.append(Label(span, "reading stopped here"))
+            if _is_unclosed(lines, start, span):
+                message = f"this `{_character(lines, start)}` is not closed"
+                labels.append(Label(span, "the error is detected here"))
                 span = start
             else:
                 labels.append(Label(start, "opened here"))
     report.add("yaml-syntax", message, span, hint=hint, labels=labels)
 
 
-def _is_outside(lines: list[str], opened: Span, stopped: Span) -> bool:
-    """Whether reading stopped on a line that is no deeper than the one with the bracket."""
+def _is_unclosed(lines: list[str], opened: Span, stopped: Span) -> bool:
+    """Returns whether the closing bracket is missing, rather than an entry wrong.
+
+    This is likely if the parser stopped at a later line with no more indentation than that
+    of the opening bracket.
+    """
 
     def indentation(number: int) -> int:
         text = lines[number - 1] if number <= len(lines) else ""
@@ -161,7 +165,7 @@ def _character(lines: list[str], span: Span) -> str:
 
 
 def _span(mark: Any, lines: list[str], file: str) -> Span:
-    """One character; a mark past the end of the text is drawn back to its end."""
+    """Returns the span of one character; a mark after the end of the text moves to its end."""
     if mark is None:
         return Span(file)
     line, column = mark.line + 1, mark.column + 1
@@ -171,7 +175,7 @@ def _span(mark: Any, lines: list[str], file: str) -> Span:
 
 
 def _tab(line: str, span: Span) -> int | None:
-    """The column of a tab in the line's indentation or at the error itself."""
+    """Returns the column of a tab in the indentation or at the error; ``None`` without one."""
     indentation = line[: len(line) - len(line.lstrip())]
     if "\t" in indentation:
         return indentation.index("\t") + 1
