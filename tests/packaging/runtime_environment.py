@@ -1,0 +1,86 @@
+"""An environment that holds the wheel ``thorvaldc-runtime`` and what it requires, nothing else.
+
+Nothing is downloaded: the required packages are copied, file by file, from the environment that
+runs the tests.  So numpy, MuJoCo, PyYAML and the rest of thorvaldc are really absent.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import venv
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def requirements_of(name: str, extras: tuple[str, ...] = ()) -> dict[str, Distribution]:
+    """The distributions that ``name`` needs, with their own needs, by name."""
+    distributions: dict[str, Distribution] = {}
+    waiting = [Requirement(f"{name}[{','.join(extras)}]")]
+    while waiting:
+        requirement = waiting.pop()
+        if requirement.name in distributions:
+            continue
+        try:
+            required = distribution(requirement.name)
+        except PackageNotFoundError:
+            continue  # optional for another platform
+        distributions[requirement.name] = required
+        for line in required.requires or ():
+            candidate = Requirement(line)
+            names = [*requirement.extras, ""]
+            if candidate.marker is None or any(
+                candidate.marker.evaluate({"extra": extra}) for extra in names
+            ):
+                waiting.append(candidate)
+    return distributions
+
+
+def build_wheel(folder: Path) -> Path:
+    """Builds ``thorvaldc-runtime`` into ``folder``."""
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "build", "--no-isolation", "--wheel"),
+            *("--outdir", str(folder), str(ROOT / "thorvaldc/runtime")),
+        ],
+        check=True,
+        capture_output=True,
+        cwd=folder,
+    )
+    (wheel,) = folder.glob("thorvaldc_runtime-*.whl")
+    return wheel
+
+
+def create(home: Path, wheel: Path, required: tuple[str, ...] = ("python-can", "typer")) -> Path:
+    """Creates the environment in ``home`` and returns its ``bin``."""
+    venv.create(home, with_pip=False, symlinks=True)
+    (site,) = (home / "lib").glob("python*/site-packages")
+    for name in required:
+        for dependency in requirements_of(name).values():
+            copy(dependency, site)
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "pip", "--python", str(home / "bin/python")),
+            *("install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"),
+            str(wheel),
+        ],
+        check=True,
+        capture_output=True,
+        cwd=home,
+    )
+    return home / "bin"
+
+
+def copy(dependency: Distribution, site: Path) -> None:
+    """Copies the files of an installed distribution to another site-packages."""
+    for file in dependency.files or ():
+        if ".." in file.parts or file.suffix == ".pyc":
+            continue  # scripts, and bytecode that Python makes again
+        target = site / file
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(str(file.locate()), target)

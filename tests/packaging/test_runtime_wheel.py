@@ -1,0 +1,186 @@
+"""The wheel ``thorvaldc-runtime`` drives a robot without the compiler, numpy or MuJoCo."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.can.slcan_adapter import SlcanAdapter
+from tests.cli.conftest import GOOD
+from tests.cli.test_bus import running
+from tests.packaging import runtime_environment
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model import Robot
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+# One worker for all of them, so that the wheel is built once.
+pytestmark = pytest.mark.xdist_group("packaging")
+
+ABSENT = ("numpy", "mujoco", "yaml", "jsonschema", "trimesh", "xacro", "jinja2", "cantools")
+ROOMS_LEFT_OUT = ("compiler", "simulation", "backends", "schema")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return runtime_environment.build_wheel(tmp_path_factory.mktemp("dist"))
+
+
+@pytest.fixture(scope="module")
+def runtime(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The ``bin`` of an environment with the runtime wheel; pyserial is there for slcan."""
+    home = tmp_path_factory.mktemp("robot_computer")
+    return runtime_environment.create(home, wheel, ("python-can", "typer", "pyserial"))
+
+
+@pytest.fixture
+def build(tmp_path: Path) -> Path:
+    """A folder with ``good.yaml`` and a ``model.json`` as a robot's computer gets it."""
+    (tmp_path / "good.yaml").write_text(GOOD)
+    compilation = compile_file(tmp_path / "good.yaml")
+    assert compilation.model is not None
+    (tmp_path / "model.json").write_bytes(emit(compilation.model, ["can"])["model.json"])
+    return tmp_path
+
+
+def environment_of(folder: Path) -> dict[str, str]:
+    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    return {**kept, "XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder / "state")}
+
+
+def call(runtime: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(runtime / "thorvaldc"), *arguments],
+        cwd=folder,
+        env=environment_of(folder),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+def test_the_wheel_holds_the_rooms_of_the_runtime_alone(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for room in ("can", "cli", "commissioning", "diagnostics", "model", "runtime"):
+        assert f"thorvaldc/{room}/__init__.py" in names
+    for room in ROOMS_LEFT_OUT:
+        assert not [name for name in names if name.startswith(f"thorvaldc/{room}/")]
+
+
+def test_the_environment_has_no_compiler_and_no_numpy(runtime: Path, tmp_path: Path) -> None:
+    program = (
+        "import importlib.util as u\n"
+        f"print([n for n in {ABSENT!r} if u.find_spec(n)]"
+        f" + [n for n in {ROOMS_LEFT_OUT!r} if u.find_spec('thorvaldc.' + n)])"
+    )
+    found = subprocess.run(
+        [str(runtime / "python"), "-c", program],
+        cwd=tmp_path,
+        env=environment_of(tmp_path),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert found.stdout == "[]\n"
+
+
+def test_every_module_of_the_runtime_can_be_imported(runtime: Path, tmp_path: Path) -> None:
+    program = (
+        "import importlib, pkgutil, thorvaldc\n"
+        "for room in ('can', 'commissioning', 'diagnostics', 'model', 'runtime'):\n"
+        "    package = importlib.import_module('thorvaldc.' + room)\n"
+        "    for info in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):\n"
+        "        importlib.import_module(info.name)\n"
+    )
+    subprocess.run(
+        [str(runtime / "python"), "-W", "error", "-c", program],
+        cwd=tmp_path,
+        env=environment_of(tmp_path),
+        check=True,
+    )
+
+
+def test_it_drives_a_simulated_robot_of_another_process(runtime: Path, build: Path) -> None:
+    with running(build, "good.yaml") as (_, bus):
+        for _ in range(3):
+            drive = call(
+                runtime,
+                build,
+                *("run", "model.json", "--bus", f"sim:{bus['channel']}"),
+                *("--twist", "0.4,0,0", "--duration", "2 s", "--json"),
+            )
+            if drive.returncode == 0:
+                break
+    assert drive.returncode == 0, drive.stderr
+    summary = json.loads(drive.stdout)
+    assert summary["was_ready"]
+    assert summary["pose"]["x"] > 0.3
+
+
+def test_it_drives_over_python_can(runtime: Path, build: Path) -> None:
+    robot = compile_file(build / "good.yaml").model
+    assert isinstance(robot, Robot)
+    simulated = SimulatedRobot(robot)
+    simulated.power_on()
+    adapter = SlcanAdapter(simulated)
+    process = subprocess.Popen(
+        [
+            *(str(runtime / "thorvaldc"), "run", "model.json", "--bus", f"slcan:{adapter.path}"),
+            *("--twist", "0.4,0,0", "--duration", "2 s", "--json"),
+        ],
+        cwd=build,
+        env=environment_of(build),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    adapter.serve(lambda: process.poll() is not None, 60.0)
+    out, err = process.communicate(timeout=10)
+    adapter.close()
+    assert process.returncode == 0, err
+    assert json.loads(out)["pose"]["x"] > 0.2
+
+
+def test_it_scans_and_verifies_the_bus(runtime: Path, build: Path) -> None:
+    with running(build, "good.yaml") as (_, bus):
+        channel = f"sim:{bus['channel']}"
+        scan = call(runtime, build, "can", "scan", "model.json", "--bus", channel, "--json")
+        verify = call(runtime, build, "can", "verify", "model.json", "--bus", channel)
+    assert scan.returncode == 0, scan.stderr
+    assert json.loads(scan.stdout)
+    assert verify.returncode == 0, verify.stderr
+
+
+@pytest.mark.parametrize("command", ["check", "build", "sim", "view", "render", "import"])
+def test_commands_of_the_compiler_say_what_to_install(
+    runtime: Path, build: Path, command: str
+) -> None:
+    refused = call(runtime, build, command, "good.yaml")
+    assert refused.returncode == 3, refused.stderr
+    assert "pip install thorvaldc" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_a_robot_document_needs_the_compiler(runtime: Path, build: Path) -> None:
+    refused = call(runtime, build, "run", "good.yaml", "--bus", "sim:nobody")
+    assert refused.returncode == 3, refused.stderr
+    assert "model.json" in refused.stderr
+
+
+def test_help_names_the_commands(runtime: Path, tmp_path: Path) -> None:
+    shown = call(runtime, tmp_path, "--help")
+    assert shown.returncode == 0
+    assert " run " in shown.stdout
+    assert shown.stderr == ""
+
+
+def test_the_interpreter_is_that_of_the_environment(runtime: Path) -> None:
+    """A borrowed interpreter would find the packages of the tests' own environment."""
+    assert (runtime / "python").exists()
+    assert str(runtime) not in sys.path
