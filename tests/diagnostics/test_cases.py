@@ -77,10 +77,10 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
         return list(import_original(Path(entry))[1])
     if command == "demo":
-        from thorvaldc.simulation.simulation_run import run_demo
+        from thorvaldc.simulation.simulation_run import drive_build
 
         report = Report()
-        run_demo(Path(entry), report)
+        drive_build(Path(entry), report)
         return list(report)
     from thorvaldc.backends import DEFAULT_TARGETS
     from thorvaldc.compiler.pipeline import compile_file, emit
