@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,7 @@ pytestmark = pytest.mark.xdist_group("contributing")
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The package of the page, written to disk and installed for the tests' own commands."""
     folder = tmp_path_factory.mktemp("acme")
     for name, text in FILES.items():
@@ -37,7 +36,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         check=True,
         capture_output=True,
     )
-    yield folder
+    return folder
 
 
 def thorvaldc(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
