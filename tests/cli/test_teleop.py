@@ -181,6 +181,7 @@ def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
             person.until("active  drives: teleop_joy", typing="i")
             again = thorvaldc("run", "good.yaml", "--bus", "virtual")
             assert again.status == 3
+            assert "already runs" in again.err
             assert "--name selects another name" in again.err
             assert thorvaldc("call", "good", "safety_stop").status == 0
             person.until("estop")

@@ -149,7 +149,7 @@ def test_parameter_sets_in_turn() -> None:
     asked = [request for _ in range(3) for request in keyboard.poll(0.0)]
     assert [request.service for request in asked] == ["set_drive_parameters"] * 3
     assert [request.arguments["set"] for request in asked] == ["floor", "rail", ""]
-    assert keyboard.message == "parameters: the ordinary ones"
+    assert keyboard.message == "parameters: the ordinary values"
 
 
 def test_a_safety_stop_ends_the_motion_for_after_its_release(keys: Keys) -> None:

@@ -1,1 +1,1 @@
-"""Driving by hand: from the keyboard of a terminal or a joystick, whatever the robot is."""
+"""A person drives a robot with a keyboard or a joystick."""

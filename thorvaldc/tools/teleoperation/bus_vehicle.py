@@ -1,4 +1,4 @@
-"""A robot on its bus, for an operator to drive."""
+"""A driver on a CAN bus, for an operator to drive."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thorvaldc.runtime.runner import BaseRunner
 
 
 class BusVehicle:
-    """A runner with its control, whose cycles are done one by one."""
+    """A runner with its control services; ``cycle`` runs one control cycle."""
 
     def __init__(self, runner: BaseRunner, control: RunnerControl) -> None:
         self.runner = runner
@@ -21,10 +21,10 @@ class BusVehicle:
         return self.control.call(service, **arguments)
 
     def cycle(self) -> None:
-        done = iter((False, True))
-        self.runner.run(stop=lambda: next(done))
+        stop_flags = iter((False, True))  # run one cycle, then stop
+        self.runner.run(stop=lambda: next(stop_flags))
 
     def close(self) -> None:
-        """Quick stop, disable, pre-operational."""
+        """Stops the robot, disables the drives and sets the nodes to pre-operational."""
         self.control.close()
         self.runner.shutdown()

@@ -1,7 +1,11 @@
-"""From a joystick or gamepad to twists, with a dead-man button; devices are python-evdev's."""
+"""Converts a joystick or gamepad to twists, with a dead-man button.
+
+Devices are those of python-evdev (Linux).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
@@ -11,20 +15,20 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, Limits, Operator, Request
 
 DEAD_ZONE = 0.1
-"""Part of an axis about its middle that is taken for zero."""
+"""Share of half an axis around its centre that counts as zero."""
 GIVE_WAY = 0.1
-"""s for which zero is asked after the button is let go; then the source falls silent."""
+"""s for which the joystick commands zero after the button is released; then nothing."""
 SEARCH_PERIOD = 1.0
-"""s between two looks for a joystick that was unplugged."""
+"""s between two searches for an unplugged joystick."""
 MOST_EVENTS = 500
-"""That are taken in a cycle; what is more waits."""
+"""Events that are read per cycle; the others wait for the next cycle."""
 
 HELP = """\
 Joystick: hold the left shoulder button (or the trigger) and move the left stick; the
 right one turns.  The right shoulder button (or the thumb's) drives at full speed.
 East button: safety stop; start: its release."""
 
-# linux/input-event-codes.h
+# Codes of linux/input-event-codes.h.
 EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
 SYN_DROPPED = 3
 ABS_X, ABS_Y, ABS_Z, ABS_RX, ABS_RY, ABS_RZ = range(6)
@@ -34,7 +38,7 @@ BTN_TL, BTN_TR, BTN_SELECT, BTN_START = 0x136, 0x137, 0x13A, 0x13B
 
 
 class Range(Protocol):
-    """Of an axis; ``value`` where it is."""
+    """Range and present value of an axis."""
 
     value: int
     min: int
@@ -42,6 +46,8 @@ class Range(Protocol):
 
 
 class Event(Protocol):
+    """What is used of ``evdev.InputEvent``."""
+
     type: int
     code: int
     value: int
@@ -53,20 +59,20 @@ class Device(Protocol):
     name: str
 
     def capabilities(self) -> Mapping[int, Sequence[Any]]:
-        """Codes by type; of axes with their ranges."""
+        """Returns the codes by event type; axes with their ranges."""
 
     def read_one(self) -> Event | None:
-        """The next event, if there is one.  Raises ``OSError`` where the device is gone."""
+        """Returns the next event, if any.  Raises ``OSError`` if the device is unplugged."""
 
     def close(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Codes of axes and buttons; -1: there is none.
+    """Codes of axes and buttons; -1: none.
 
-    ``enable`` is the dead-man button, ``turbo`` one for full speed; ``stop``, ``release`` and
-    ``reset`` ask for the safety stop, its release, and a reset of faults.
+    ``enable`` is the dead-man button, ``turbo`` a dead-man button for full speed.  ``stop``,
+    ``release`` and ``reset`` request the safety stop, its release and a reset of faults.
     """
 
     forward: int = ABS_Y
@@ -80,11 +86,11 @@ class Layout:
 
     @staticmethod
     def of(device: Device) -> Layout | None:
-        """What suits the device; ``None`` where it is no joystick.
+        """Returns the layout for the device; ``None`` if it is no joystick.
 
-        Gamepads: left stick to move, right one to turn, the shoulder buttons as in ROS's
-        teleop_twist_joy.  Sticks with a trigger: the trigger enables, and they turn by their twist
-        axis, or by leaning to the side where they have none.
+        Gamepads: the left stick moves, the right stick turns, shoulder buttons as in ROS's
+        teleop_twist_joy.  Sticks with a trigger: the trigger enables; the twist axis turns, or the
+        sideways axis if there is no twist axis.
         """
         axes, buttons = _axes(device), _buttons(device)
         if not {ABS_X, ABS_Y} <= axes.keys():
@@ -101,35 +107,34 @@ class Layout:
         return replace(stick, turn=ABS_X, sideways=-1)
 
     def changed(self, text: str, codes: Mapping[str, int]) -> Layout:
-        """With entries from ``enable=BTN_TOP2,turn=ABS_Z``; ``codes`` by their names.
+        """Returns the layout with entries replaced, as in ``enable=BTN_TOP2,turn=ABS_Z``.
 
-        Raises ``ParameterError``.
+        ``codes`` are Linux's codes by name.  Raises ``ParameterError``.
         """
-        known = [field.name for field in fields(Layout)]
-        found: dict[str, int] = {}
+        names = [field.name for field in fields(Layout)]
+        entries: dict[str, int] = {}
         for part in filter(None, (part.strip() for part in text.split(","))):
             name, _, code = part.partition("=")
-            if name not in known:
-                raise ParameterError(f"`{name}` is none of {', '.join(known)}")
-            kind = "ABS_" if name in known[:3] else "BTN_"
+            if name not in names:
+                raise ParameterError(f"`{name}` is none of {', '.join(names)}")
+            kind = "ABS_" if name in names[:3] else "BTN_"
             if not code.startswith(kind) or not isinstance(codes.get(code), int):
                 raise ParameterError(
                     f"`{code}` is no code such as {kind}{'RX' if kind == 'ABS_' else 'TL'}"
                 )
-            found[name] = codes[code]
-        return replace(self, **found)
+            entries[name] = codes[code]
+        return replace(self, **entries)
 
 
 Search = Callable[[], tuple[Device, Layout] | None]
-"""Gives the device with its layout, ``None`` where none is plugged in."""
+"""Returns the device and its layout; ``None`` if none is plugged in."""
 
 
 class Joystick:
-    """An operator with a joystick in the hand.
+    """An operator with a joystick.
 
-    ``search`` gives the device with its layout, ``None`` where it is not plugged in; it is asked
-    again while it is not.  A device that goes away stops the robot, and one that comes back
-    drives only after its button was pressed anew.
+    ``search`` is repeated while no device is plugged in.  Unplugging the device stops the robot;
+    a device that is plugged in again drives only after its dead-man button is pressed again.
     """
 
     def __init__(
@@ -148,11 +153,11 @@ class Joystick:
         self._ranges: dict[int, tuple[float, float]] = {}
         self._axes: dict[int, float] = {}
         self._pressed: dict[int, bool] = {}
-        self._searched = float("-inf")
-        self._drove = float("-inf")
+        self._last_search = float("-inf")
+        self._last_drive = float("-inf")
 
     def poll(self, now: float) -> list[Request]:
-        if self._device is None and not self._find(now):
+        if self._device is None and not self._search_again(now):
             return []
         requests: list[Request] = []
         try:
@@ -160,57 +165,55 @@ class Joystick:
                 event = self._device.read_one() if self._device is not None else None
                 if event is None:
                     break
-                self._take(event, requests)
+                self._handle(event, requests)
         except OSError:
-            self._lose()
+            self._unplug()
         return requests
 
     def twist(self, now: float) -> Twist | None:
         layout = self._layout
         turbo = self._pressed.get(layout.turbo, False)
         if turbo or self._pressed.get(layout.enable, False):
-            self._drove = now
+            self._last_drive = now
             x, y, yaw = (
                 -self._axes.get(code, 0.0)
                 for code in (layout.forward, layout.sideways, layout.turn)
             )
             return self.limits.twist(x, y, yaw, 1.0 if turbo else self.share)
-        return ZERO_TWIST if now - self._drove <= GIVE_WAY else None
+        return ZERO_TWIST if now - self._last_drive <= GIVE_WAY else None
 
     def close(self) -> None:
         if self._device is not None:
             self._device.close()
             self._device = None
-        self._forget()
+        self._release_all()
 
-    # -- inside --------------------------------------------------------------------------------
-
-    def _find(self, now: float) -> bool:
-        if now - self._searched < SEARCH_PERIOD:
+    def _search_again(self, now: float) -> bool:
+        if now - self._last_search < SEARCH_PERIOD:
             return False
-        self._searched = now
-        found = self._search()
-        if found is None:
+        self._last_search = now
+        device_and_layout = self._search()
+        if device_and_layout is None:
             self.message = self.message or "no joystick"
             return False
-        self._device, self._layout = found
+        self._device, self._layout = device_and_layout
         self._ranges = {code: (axis.min, axis.max) for code, axis in _axes(self._device).items()}
         self.message = ""
         return True
 
-    def _take(self, event: Event, requests: list[Request]) -> None:
+    def _handle(self, event: Event, requests: list[Request]) -> None:
         if event.type == EV_ABS and event.code in self._ranges:
-            self._axes[event.code] = _part(event.value, *self._ranges[event.code])
+            self._axes[event.code] = _scaled(event.value, *self._ranges[event.code])
         elif event.type == EV_KEY:
-            before = self._pressed.get(event.code, False)
+            was_pressed = self._pressed.get(event.code, False)
             self._pressed[event.code] = bool(event.value)
-            if event.value and not before:
-                self._ask(event.code, requests)
+            if event.value and not was_pressed:
+                self._request(event.code, requests)
         elif event.type == EV_SYN and event.code == SYN_DROPPED:
-            # Events were lost, the button's release perhaps.
-            self._forget()
+            # Events were lost, perhaps the release of the dead-man button.
+            self._release_all()
 
-    def _ask(self, button: int, requests: list[Request]) -> None:
+    def _request(self, button: int, requests: list[Request]) -> None:
         layout = self._layout
         if button == layout.stop:
             requests.append(Request("safety_stop", {}))
@@ -219,55 +222,55 @@ class Joystick:
         elif button == layout.reset:
             requests.append(Request("reset_faults", {}))
 
-    def _forget(self) -> None:
-        """Axes in the middle, no button pressed: what is held counts when it is pressed anew."""
+    def _release_all(self) -> None:
+        """Centres the axes and releases the buttons; a held button counts when pressed again."""
         self._axes.clear()
         self._pressed.clear()
 
-    def _lose(self) -> None:
+    def _unplug(self) -> None:
         self.close()
         self.message = "the joystick is unplugged"
 
 
 class OperatorPair:
-    """Two operators at once: where the first asks for nothing, the second drives."""
+    """Two operators: the second drives while the first commands nothing."""
 
     def __init__(self, first: Operator, second: Operator) -> None:
         self.finished = False
-        self._both = (first, second)
+        self._operators = (first, second)
 
     @property
     def share(self) -> float:
-        return self._both[0].share
+        return self._operators[0].share
 
     @share.setter
     def share(self, share: float) -> None:
-        for one in self._both:
-            one.share = share
+        for operator in self._operators:
+            operator.share = share
 
     @property
     def message(self) -> str:
-        return self._both[1].message or self._both[0].message
+        return self._operators[1].message or self._operators[0].message
 
     def poll(self, now: float) -> list[Request]:
-        requests = [request for one in self._both for request in one.poll(now)]
-        self.finished = any(one.finished for one in self._both)
-        self._both[1].share = self._both[0].share
+        requests = [request for operator in self._operators for request in operator.poll(now)]
+        self.finished = any(operator.finished for operator in self._operators)
+        self._operators[1].share = self._operators[0].share
         return requests
 
     def twist(self, now: float) -> Twist | None:
-        first, second = (one.twist(now) for one in self._both)
+        first, second = (operator.twist(now) for operator in self._operators)
         return first if first is not None else second
 
     def close(self) -> None:
-        for one in self._both:
-            one.close()
+        for operator in self._operators:
+            operator.close()
 
 
 def evdev_search(path: str, mapping: str) -> Search:
-    """Looks for the device at ``path``, or the first joystick, by python-evdev.
+    """Returns a search for the device at ``path``, or for the first joystick if it is empty.
 
-    Raises ``ParameterError`` for a mapping that there cannot be, ``ImportError`` without evdev.
+    Raises ``ParameterError`` for an invalid mapping, ``ImportError`` without evdev.
     """
     import evdev
 
@@ -299,10 +302,10 @@ def _buttons(device: Device) -> list[int]:
     return list(device.capabilities().get(EV_KEY, ()))
 
 
-def _part(value: float, least: float, most: float) -> float:
-    """-1..1 of an axis's range, 0 in the dead zone and growing from its edge."""
+def _scaled(value: float, least: float, most: float) -> float:
+    """Scales an axis to -1..1: zero in the dead zone, continuous at its edge."""
     if most <= least:
         return 0.0
-    part = min(max(2.0 * (value - least) / (most - least) - 1.0, -1.0), 1.0)
-    beyond = (abs(part) - DEAD_ZONE) / (1.0 - DEAD_ZONE)
-    return 0.0 if beyond <= 0.0 else beyond if part > 0.0 else -beyond
+    share = min(max(2.0 * (value - least) / (most - least) - 1.0, -1.0), 1.0)
+    magnitude = max((abs(share) - DEAD_ZONE) / (1.0 - DEAD_ZONE), 0.0)
+    return math.copysign(magnitude, share) if magnitude else 0.0

@@ -1,4 +1,14 @@
-"""From keys to twists.  A terminal tells no release of a key, only that it repeats."""
+"""Converts keys to twists.
+
+A terminal reports presses and repeats of a key, but no release.  A press therefore drives for
+``FIRST_HOLD`` and each repeat for ``REPEAT_HOLD``; then the keyboard commands zero for
+``GIVE_WAY``, and no command after that::
+
+    key events  press            repeat repeat repeat
+    time        |----- 0.25 to 0.66 s --|-|-|
+    twist       |<------- drives ------------->|0 0 0|  none
+                                          0.3 s after the last repeat
+"""
 
 from __future__ import annotations
 
@@ -8,14 +18,15 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
 
 FIRST_HOLD = 0.7
-"""s that a key counts after it was pressed: keyboards take 0.25 to 0.66 s to begin to repeat."""
+"""s for which a press drives: keyboards begin to repeat after 0.25 to 0.66 s."""
 REPEAT_HOLD = 0.3
-"""s that a key counts after it repeated; repeats are 0.03 to 0.05 s apart, ssh may delay them."""
+"""s for which a repeat drives: repeats are 0.03 to 0.05 s apart, and ssh may delay them."""
 GIVE_WAY = 0.1
-"""s for which zero is asked after a key; then the source falls silent."""
+"""s for which the keyboard commands zero after a key; then it commands nothing."""
 STEP = 1.1
+"""Factor of the speed for ``+`` and ``-``."""
 
-# Parts of the top speeds: forward, to the left, turning left.
+# Shares of the top speeds: forward, to the left, turning left.
 MOTIONS: dict[str, tuple[float, float, float]] = {
     "i": (1, 0, 0),
     ",": (-1, 0, 0),
@@ -32,7 +43,7 @@ MOTIONS: dict[str, tuple[float, float, float]] = {
     "M": (-1, 1, 0),
     ">": (-1, -1, 0),
 }
-_SAME = {
+_ALIASES = {
     "w": "i", "s": ",", "a": "j", "d": "l", "A": "J", "D": "L", "I": "i", "<": ",", "W": "i",
     "S": ",", "up": "i", "down": ",", "left": "j", "right": "l",
     "shift-left": "J", "shift-right": "L", "shift-up": "i", "shift-down": ",",
@@ -58,10 +69,11 @@ _SERVICES: dict[str, Request] = {
 
 
 class Keyboard:
-    """An operator at the keys that ``read`` gives, by their names, since it was last called.
+    """An operator at a keyboard.
 
-    ``read`` raises ``EOFError`` where the terminal is gone; the operator has finished then.
-    ``sets`` are the robot's parameter sets, beside its ordinary values.
+    ``read`` returns the names of the keys since its last call.  It raises ``EOFError`` when the
+    terminal is closed; the operator has finished then.  ``sets`` are the names of the robot's
+    parameter sets.
     """
 
     def __init__(
@@ -94,11 +106,11 @@ class Keyboard:
             keys, self.finished = [], True
         requests: list[Request] = []
         for key in keys:
-            self._press(_SAME.get(key, key), now, requests)
+            self._press(_ALIASES.get(key, key), now, requests)
         return requests
 
     def twist(self, now: float) -> Twist | None:
-        """As promised.  After ``space``, zero until the next key that drives."""
+        """Returns the commanded twist; after ``space``, zero until the next key that drives."""
         if self.finished:
             return ZERO_TWIST if self._driving else None
         if self._stopped:
@@ -128,7 +140,7 @@ class Keyboard:
         elif key == "p":
             self._set = (self._set + 1) % len(self._sets)
             requests.append(Request("set_drive_parameters", {"set": self._sets[self._set]}))
-            self.message = f"parameters: {self._sets[self._set] or 'the ordinary ones'}"
+            self.message = f"parameters: {self._sets[self._set] or 'the ordinary values'}"
         elif key in _SERVICES:
             if key == "x":
                 self._driving = False
@@ -140,7 +152,7 @@ class Keyboard:
             self.message = "this robot cannot move sideways"
             self._driving = False
             return
-        # A key that is still held repeats; a press of another one begins anew.
+        # The same key within its hold time is a repeat; another key is a new press.
         repeats = self._driving and key == self._key and now <= self._until
         self._until = now + (REPEAT_HOLD if repeats else FIRST_HOLD)
         self._motion, self._key = Twist(*motion), key

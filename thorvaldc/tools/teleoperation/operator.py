@@ -1,4 +1,4 @@
-"""A person who drives: what the hand asks for, with a dead-man switch."""
+"""The interface of operators: persons who command twists with a keyboard or a joystick."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typing import Any, NamedTuple, Protocol
 from thorvaldc.runtime.se2 import Twist
 
 FIRST_SHARE = 0.5
-"""Of the robot's top speed, to start with."""
+"""Initial share of the robot's top speed."""
 SMALLEST_SHARE = 0.05
+"""Smallest share of the top speed that an operator can select."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The robot's top speeds (m/s, rad/s), and whether it can move ``sideways``."""
+    """The robot's top speeds in m/s and rad/s; ``sideways``: it can move to the side."""
 
     linear: float
     angular: float
@@ -23,7 +24,7 @@ class Limits:
 
     @staticmethod
     def of(description: Mapping[str, Any]) -> Limits:
-        """Those in the answer of the service ``description``."""
+        """Returns the limits in the answer of the service ``description``."""
         return Limits(
             description["max_linear_velocity"],
             description["max_angular_velocity"],
@@ -31,39 +32,39 @@ class Limits:
         )
 
     def twist(self, x: float, y: float, yaw: float, share: float) -> Twist:
-        """Of parts -1..1 of the top speeds, times ``share``."""
-        side = self.linear if self.sideways else 0.0
-        return Twist(x * share * self.linear, y * share * side, yaw * share * self.angular)
+        """Returns the twist for ``x``, ``y``, ``yaw`` in -1..1 and a share of the top speeds."""
+        lateral = self.linear if self.sideways else 0.0
+        return Twist(x * share * self.linear, y * share * lateral, yaw * share * self.angular)
 
 
 class Request(NamedTuple):
-    """A service that the operator asks for, with its arguments."""
+    """A service call that the operator requests."""
 
     service: str
     arguments: Mapping[str, Any]
 
 
 class Operator(Protocol):
-    """Somebody at a keyboard, with a joystick."""
+    """A person at a keyboard or with a joystick."""
 
     finished: bool
-    """Whether the person wants to end it."""
+    """Whether the operator ends the teleoperation."""
 
     @property
     def share(self) -> float:
-        """Of the top speed."""
+        """Share of the top speed, 0..1."""
 
     @share.setter
     def share(self, share: float) -> None: ...
 
     @property
     def message(self) -> str:
-        """A line for the person, empty if none."""
+        """A line for the operator; empty: none."""
 
     def poll(self, now: float) -> list[Request]:
-        """Look what the hand has done until ``now`` (s, monotonic); never waits."""
+        """Reads the device until ``now`` (s, monotonic) without waiting; returns the requests."""
 
     def twist(self, now: float) -> Twist | None:
-        """What is asked for; ``None``: nothing, so that another source may drive."""
+        """Returns the commanded twist; ``None``: no command, another twist source may drive."""
 
     def close(self) -> None: ...

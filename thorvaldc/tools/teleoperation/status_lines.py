@@ -1,4 +1,4 @@
-"""The lines that an operator sees."""
+"""The status lines for the operator."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from thorvaldc.runtime.se2 import Twist
 
 
 def status_lines(
-    state: Mapping[str, Any], wanted: Twist | None, share: float, message: str
+    state: Mapping[str, Any], commanded: Twist | None, share: float, message: str
 ) -> list[str]:
-    """Two lines: what is asked for and in force, and where the robot is and how it does.
+    """Returns two lines: commanded twist and twist in force; pose and state of the driver.
 
-    ``state`` is that of the ``state`` service, ``wanted`` what the operator asks for.
+    ``state`` is the answer of the service ``state``; ``commanded`` is the operator's twist.
     """
-    asked = _twist(wanted) if wanted is not None else f"{'nothing':^24}"
-    drives = state.get("source") or "nobody"
-    pose = state["pose"]
-    place = f"x {pose['x']:.2f} m  y {pose['y']:.2f} m  yaw {math.degrees(pose['yaw']):.1f} deg"
-    parts = [str(state.get("supervisor") or state["mode"]), f"drives: {drives}"]
+    command = _twist_text(commanded) if commanded is not None else f"{'nothing':^24}"
+    source = state.get("source") or "nobody"
+    x, y, yaw = (state["pose"][name] for name in ("x", "y", "yaw"))
+    pose = f"x {x:.2f} m  y {y:.2f} m  yaw {math.degrees(yaw):.1f} deg"
+    parts = [str(state.get("supervisor") or state["mode"]), f"drives: {source}"]
     if state["locks"]:
         parts.append(f"locked: {', '.join(state['locks'])}")
     if state["fault"]:
@@ -29,11 +29,12 @@ def status_lines(
         parts.append(f"held: {state['held']}")
     if message:
         parts.append(message)
-    first = f"{share * 100:3.0f} %  asked {asked}  in force {_twist(Twist(**state['in_force']))}"
-    return [first, f"{place}  |  {'  '.join(parts)}"]
+    in_force = _twist_text(Twist(**state["in_force"]))
+    first = f"{share * 100:3.0f} %  asked {command}  in force {in_force}"
+    return [first, f"{pose}  |  {'  '.join(parts)}"]
 
 
-def _twist(twist: Twist) -> str:
-    # Adding zero makes zero of minus zero.
+def _twist_text(twist: Twist) -> str:
+    # The sum turns -0.0 into 0.0.
     x, y, yaw = (round(value, 2) + 0.0 for value in twist)
     return f"{x:+.2f} {y:+.2f} m/s {yaw:+.2f} rad/s"

@@ -1,4 +1,4 @@
-"""The loop of teleoperation."""
+"""The loop of teleoperation: operator to vehicle, and status to the screen."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from thorvaldc.tools.teleoperation.status_lines import status_lines
 from thorvaldc.tools.teleoperation.vehicle import Vehicle
 
 DRAW_PERIOD = 0.1
-STOPPING = 2.0
-"""s at most that the robot is given to come to rest at the end."""
+"""s between two updates of the status lines."""
+STOP_TIME = 2.0
+"""s at most that the loop waits at the end for the robot to come to rest."""
 MESSAGE_TIME = 4.0
+"""s for which a message is shown."""
 _AT_REST = 1e-3
+"""m/s or rad/s below which the robot counts as at rest."""
 
 
 def operate(
@@ -27,12 +30,12 @@ def operate(
     ended: Callable[[], bool] = lambda: False,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Drive until the operator has finished or it is ``ended``, as the source of that name.
+    """Drives as the twist source ``source`` until the operator finishes or ``ended`` is true.
 
-    However it ends (an interruption too), the last thing asked for is to stop, and a robot
-    in this process is given the time to do so.
+    At the end, also after an exception, the last command is a stop.  A robot in this process gets
+    the time to come to rest.
     """
-    drawn = said = clock() - DRAW_PERIOD
+    last_draw = message_time = clock() - DRAW_PERIOD
     message = ""
     try:
         while not (operator.finished or ended()):
@@ -41,19 +44,19 @@ def operate(
                 try:
                     vehicle.call(request.service, **request.arguments)
                     message = request.service.replace("_", " ")
-                except ServiceError as refused:
-                    message = str(refused)
-                said = now
-            wanted = operator.twist(now)
-            if wanted is not None:
-                publish(vehicle, source, wanted)
+                except ServiceError as error:
+                    message = str(error)
+                message_time = now
+            commanded = operator.twist(now)
+            if commanded is not None:
+                publish(vehicle, source, commanded)
             vehicle.cycle()
-            if now - drawn >= DRAW_PERIOD:
-                drawn = now
-                if now - said > MESSAGE_TIME:
+            if now - last_draw >= DRAW_PERIOD:
+                last_draw = now
+                if now - message_time > MESSAGE_TIME:
                     message = ""
-                shown = operator.message or message
-                show(status_lines(vehicle.call("state"), wanted, operator.share, shown))
+                text = operator.message or message
+                show(status_lines(vehicle.call("state"), commanded, operator.share, text))
     finally:
         stop(vehicle, source, clock)
         with contextlib.suppress(ConnectionError, ServiceError):
@@ -61,17 +64,18 @@ def operate(
 
 
 def publish(vehicle: Vehicle, source: str, twist: Twist) -> None:
+    """Sends a twist to the driver."""
     vehicle.call("twist", source=source, vx=twist.vx, vy=twist.vy, wz=twist.wz)
 
 
 def stop(vehicle: Vehicle, source: str, clock: Callable[[], float]) -> None:
-    """Ask for zero until the robot stands, or has been given long enough."""
-    until = clock() + STOPPING
+    """Commands zero until the robot is at rest, for ``STOP_TIME`` at most."""
+    end = clock() + STOP_TIME
     with contextlib.suppress(ConnectionError, ServiceError):
-        while clock() < until:
+        while clock() < end:
             state = vehicle.call("state")
             at_rest = all(abs(value) < _AT_REST for value in state["in_force"].values())
-            # Where somebody else drives, it is not for this one to stop.
+            # The stop does not override another source that drives.
             if at_rest or state["source"] not in ("", source):
                 return
             publish(vehicle, source, ZERO_TWIST)

@@ -1,4 +1,4 @@
-"""A terminal that gives keys as they are pressed, and is always put back as it was."""
+"""A terminal that returns keys immediately, and whose settings are always restored."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import select
 import shutil
 from typing import IO, Any
 
-# What terminals send for keys that are no characters, in both of their modes.
+# Escape sequences of keys, in the normal and the application mode of terminals.
 _SEQUENCES = {
     "[A": "up", "[B": "down", "[C": "right", "[D": "left",
     "OA": "up", "OB": "down", "OC": "right", "OD": "left",
@@ -20,16 +20,16 @@ _CONTROL = {"\x03": "ctrl-c", "\x04": "ctrl-d"}
 
 
 def keys_of(text: str) -> list[str]:
-    """The keys behind what a terminal sent; sequences that are not known are left out."""
+    """Returns the names of the keys in a terminal's input; ignores unknown sequences."""
     keys = []
     at = 0
     while at < len(text):
         if text[at] == "\x1b":
-            found = _SEQUENCE.match(text, at)
-            name = _SEQUENCES.get(found[1]) if found else None
+            match = _SEQUENCE.match(text, at)
+            name = _SEQUENCES.get(match[1]) if match else None
             if name is not None:
                 keys.append(name)
-            at = found.end() if found else at + 1
+            at = match.end() if match else at + 1
             continue
         keys.append(_CONTROL.get(text[at], text[at]))
         at += 1
@@ -37,20 +37,20 @@ def keys_of(text: str) -> list[str]:
 
 
 class Terminal:
-    """Keys from ``keys``, and lines at the foot of what is shown on ``screen``.
+    """Reads keys from ``keys`` and shows lines at the bottom of ``screen``.
 
-    Within ``with``: no echo, no waiting for a line, and no way for Ctrl-Z, Ctrl-\\ or Ctrl-S
-    to hold a robot's control cycle.  Ctrl-C interrupts as ever.  Leaving puts all of it
-    back, whatever was the reason.
+    Within ``with``, keys are not echoed and arrive without Enter, and Ctrl-Z, Ctrl-\\ and Ctrl-S
+    do not stop the process and its control cycle.  Ctrl-C still interrupts.  The end of the block
+    restores the terminal, also after an exception.
     """
 
     def __init__(self, keys: IO[str] | None, screen: IO[str], *, whole: bool = False) -> None:
-        """``whole``: the lines have the screen for themselves; what was there comes back."""
+        """``whole``: the lines fill the screen; the end restores the previous content."""
         self._keys = keys
         self._screen = screen
-        self._before: list[Any] | None = None
+        self._settings: list[Any] | None = None
         self._whole = whole
-        self._shown = 0
+        self._shown_lines = 0
         self._is_terminal = screen.isatty()
         self._out = -1
         self._pending = b""
@@ -60,7 +60,7 @@ class Terminal:
             import termios
 
             fd = self._keys.fileno()
-            self._before = termios.tcgetattr(fd)
+            self._settings = termios.tcgetattr(fd)
             raw = termios.tcgetattr(fd)
             raw[0] &= ~(termios.IXON | termios.ICRNL)
             raw[3] &= ~(termios.ICANON | termios.ECHO | termios.IEXTEN)
@@ -72,7 +72,7 @@ class Terminal:
             termios.tcsetattr(fd, termios.TCSANOW, raw)
         if self._is_terminal:
             self._screen.flush()
-            # Opened anew: not to wait is a property of what was opened, which others share.
+            # Non-blocking mode belongs to the open file, which other processes share: open anew.
             with contextlib.suppress(OSError):
                 name = os.ttyname(self._screen.fileno())
                 self._out = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
@@ -84,22 +84,25 @@ class Terminal:
             if self._whole:
                 self._write("\x1b[?25h\x1b[?1049l")
             else:
-                self._write("\x1b[?25h" + ("\n" if self._shown else ""))
+                self._write("\x1b[?25h" + ("\n" if self._shown_lines else ""))
             if self._out >= 0:
                 os.close(self._out)
                 self._out = -1
-        if self._before is not None and self._keys is not None:
+        if self._settings is not None and self._keys is not None:
             import termios
 
             fd = self._keys.fileno()
-            with contextlib.suppress(OSError, ValueError, termios.error):  # hung up
+            with contextlib.suppress(OSError, ValueError, termios.error):  # closed terminal
                 termios.tcflush(fd, termios.TCIFLUSH)
-                # Not to wait until all is shown, which may be never.
-                termios.tcsetattr(fd, termios.TCSANOW, self._before)
-            self._before = None
+                # TCSADRAIN would wait for the output, on a stalled terminal for ever.
+                termios.tcsetattr(fd, termios.TCSANOW, self._settings)
+            self._settings = None
 
     def read(self) -> list[str]:
-        """The keys since the last call; never waits.  Raises ``EOFError`` where it is gone."""
+        """Returns the keys since the last call without waiting.
+
+        Raises ``EOFError`` if the terminal is closed.
+        """
         if self._keys is None:
             return []
         fd = self._keys.fileno()
@@ -114,9 +117,9 @@ class Terminal:
         return keys_of(data.decode("utf-8", "replace"))
 
     def show(self, lines: list[str]) -> None:
-        """Replace the lines at the foot; dropped where the terminal does not take them.
+        """Replaces the lines; drops them while the terminal accepts no output.
 
-        A terminal behind a stalled connection must not hold the control cycle.
+        A terminal behind a stalled connection must not delay the control cycle.
         """
         self._write("")
         if not self._is_terminal or self._pending:
@@ -126,12 +129,12 @@ class Terminal:
         if self._whole:
             self._write(f"\x1b[H{body}\x1b[J")
             return
-        up = f"\x1b[{self._shown - 1}A" if self._shown > 1 else ""
-        self._shown = len(lines)
+        up = f"\x1b[{self._shown_lines - 1}A" if self._shown_lines > 1 else ""
+        self._shown_lines = len(lines)
         self._write(f"{up}{body}")
 
     def _write(self, text: str) -> None:
-        """What the terminal does not take now goes out before what comes next."""
+        """Writes without waiting; the rest is written before the next text."""
         self._pending += text.encode("utf-8", "replace")
         if not self._pending or not self._is_terminal:
             return

@@ -1,4 +1,4 @@
-"""What an operator drives: a driver in this process or one that another runs."""
+"""The robots that an operator drives: a driver in this process or in another one."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
 
 LONGEST_STEP = 0.1
-"""s of simulated time in a cycle; a machine that is slower falls behind the clock."""
+"""s of simulated time per cycle; a slower machine falls behind the clock."""
 REMOTE_PERIOD = 0.05
+"""s between two commands to a driver in another process."""
 
 
 class Vehicle(Protocol):
-    """``description`` is the answer of the service of that name."""
+    """A driver; ``description`` is the answer of its service ``description``."""
 
     description: dict[str, Any]
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Raises ``ServiceError``, and ``ConnectionError`` where the driver has ended."""
+        """Calls a service.  Raises ``ServiceError``, ``ConnectionError`` if the driver ended."""
 
     def cycle(self) -> None:
-        """Wait for the next control cycle and do it."""
+        """Waits for the next control cycle and runs it."""
 
     def close(self) -> None: ...
 
 
 class SimulatedVehicle:
-    """A driver on a simulated base that follows the clock, with a control channel.
+    """A driver on a simulated base in real time, with a control channel.
 
-    ``channel`` empty: none.  Raises ``OSError`` where the channel is in use.
+    An empty ``channel`` opens none.  Raises ``OSError`` if the channel is in use.
     """
 
     def __init__(
@@ -52,25 +53,26 @@ class SimulatedVehicle:
         self._server = ControlServer(channel, self.services) if channel else None
         self._clock, self._sleep = clock, sleep
         self._period = 1.0 / driver.settings.rate
-        self._next = clock()
-        self._behind = self._next
+        self._next_cycle = clock()
+        # Clock time minus simulated time, s.
+        self._offset = self._next_cycle
         self.now = 0.0
 
     def call(self, service: str, **arguments: Any) -> Any:
         return self.services.call(service, arguments, self.now)
 
     def cycle(self) -> None:
-        wait = self._next - self._clock()
+        wait = self._next_cycle - self._clock()
         if wait > 0.0:
             self._sleep(wait)
-        moment = self._clock()
-        self._next += self._period
-        if self._next <= moment:  # a cycle that was missed is not caught up
-            self._next = moment + self._period
-        now = moment - self._behind
+        clock_time = self._clock()
+        self._next_cycle += self._period
+        if self._next_cycle <= clock_time:  # missed cycles are not caught up
+            self._next_cycle = clock_time + self._period
+        now = clock_time - self._offset
         if now - self.now > LONGEST_STEP:
-            self._behind += now - self.now - LONGEST_STEP
-            now = moment - self._behind
+            self._offset += now - self.now - LONGEST_STEP
+            now = clock_time - self._offset
         self.now = now
         if self._server is not None:
             self._server.poll(now)
@@ -84,7 +86,7 @@ class SimulatedVehicle:
 
 
 class RemoteVehicle:
-    """A driver that another process runs, by its control channel."""
+    """A driver in another process, reached through its control channel."""
 
     def __init__(self, client: ControlClient, sleep: Callable[[float], None] = time.sleep) -> None:
         self._client = client
