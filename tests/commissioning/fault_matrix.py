@@ -91,7 +91,7 @@ def found(case: Case) -> Found:
 
 def row(case: Case, reactions: Found) -> str:
     cells = [str(reactions[phase]) for phase in PHASES]
-    return f"| {case.what} | {' | '.join(cells)} |"
+    return f"| {case.name} | {' | '.join(cells)} |"
 
 
 def table() -> Iterator[str]:

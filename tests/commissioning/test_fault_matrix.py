@@ -10,7 +10,7 @@ from tests.runtime.can_base.fault_matrix import CASES, Case
 STOPS = ("bus-error", "flash-stopped", "plan-impossible", "plan-changed")
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.what)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_reaction(case: Case) -> None:
     reactions = found(case)
     for phase, reaction in reactions.items():

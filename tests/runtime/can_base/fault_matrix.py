@@ -1,4 +1,4 @@
-"""Each fault of a bus in each phase of a robot's day: what the driver does, and how soon.
+"""Injects each fault in each phase of a run, and measures how the driver reacts.
 
 ``python -m tests.runtime.can_base.fault_matrix`` writes the table into docs/faults.md.
 """
@@ -23,13 +23,13 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
-BEGIN, END = "<!-- made by tests/runtime/fault_matrix.py -->\n", "<!-- end -->\n"
+BEGIN, END = "<!-- made by tests/runtime/can_base/fault_matrix.py -->\n", "<!-- end -->\n"
 PHASES = ("idle", "driving", "stopping")
-WATCHED = {"idle": 1.0, "driving": 2.6, "stopping": 1.0}
+OBSERVED = {"idle": 1.0, "driving": 2.6, "stopping": 1.0}
 AFTERWARDS = 0.2
-"""s for which a robot is watched after a fault that does not stop it, and after it has stopped."""
+"""s of observation after the fault state was entered and all wheels have stopped."""
 WEAVE = 0.6
-"""s of a curve to one side while it drives: its steerings have to turn."""
+"""s of a curve to one side while driving, so that the steerings turn."""
 
 _CIA402 = "controller/cia402_propulsion_steering"
 _ROBOT = """
@@ -47,7 +47,7 @@ modules:
 
 
 def cia402() -> Robot:
-    """Its drives home ten times as fast as is usual, not to wait for it."""
+    """A robot with CiA 402 drives that home ten times faster than usual, to save time."""
     robot = compiled(_ROBOT.format(controller=", params: {controller: " + _CIA402 + "}"))
     nodes = tuple(
         replace(node, objects=tuple(_quicker(entry) for entry in node.objects))
@@ -69,10 +69,13 @@ ROBOTS: dict[str, Callable[[], Robot]] = {"CiA 402": cia402, "Thorvald script": 
 
 
 class Case(NamedTuple):
-    """A fault, and what is promised: s until the driver is in its fault state (``None``: it need
-    not be), and until all wheels have come to rest."""
+    """An injected fault and the promised reaction.
 
-    what: str
+    ``reaction``: time (s) until the fault state by phase; ``None``: no fault state is required.
+    ``rest``: time (s) until no wheel turns.
+    """
+
+    name: str
     fault: BusFault
     reaction: dict[str, float | None]
     rest: float
@@ -87,20 +90,22 @@ def _always(time: float | None) -> dict[str, float | None]:
 
 
 REPORTS = 0.1
-"""s: two reports of 20 ms missed in a row, and a cycle in which it is seen."""
+"""s: two missed reports in a row (20 ms each), and the cycle that detects it."""
 CASES = (
     Case("power of a drive cut", _fault("power_cut"), _always(REPORTS), 0.8),
-    Case("power of all cut", _fault("power_cut", None), _always(REPORTS), 0.8),
-    Case("drive is mute", _fault("mute"), _always(REPORTS), 0.8),
-    Case("drive's heartbeat stops", _fault("heartbeat_stop"), _always(0.4), 1.1),
-    Case("drive takes another's id", _fault("duplicate_id", id=2), _always(REPORTS), 0.8),
+    Case("power of all drives cut", _fault("power_cut", None), _always(REPORTS), 0.8),
+    Case("a drive sends nothing", _fault("mute"), _always(REPORTS), 0.8),
+    Case("heartbeat of a drive stops", _fault("heartbeat_stop"), _always(0.4), 1.1),
     Case(
-        "drive babbles, most urgent frames",
+        "a drive takes the id of another one", _fault("duplicate_id", id=2), _always(REPORTS), 0.8
+    ),
+    Case(
+        "a drive floods the bus with top-priority frames",
         _fault("babble", cob_id=0x001, period=0.0001),
         _always(REPORTS),
         1.3,
     ),
-    Case("emergency of a drive", _fault("emcy", code=0x2310, register=1), _always(REPORTS), 0.8),
+    Case("EMCY message of a drive", _fault("emcy", code=0x2310, register=1), _always(REPORTS), 0.8),
     Case(
         "encoder of a wheel freezes",
         _fault("frozen_encoder", channel="propulsion"),
@@ -114,11 +119,14 @@ CASES = (
         1.4,
     ),
     Case(
-        "drive at another bitrate", _fault("wrong_bitrate", bitrate=250_000), _always(REPORTS), 1.3
+        "a drive uses another bitrate",
+        _fault("wrong_bitrate", bitrate=250_000),
+        _always(REPORTS),
+        1.3,
     ),
-    Case("drive is off the bus (bus-off)", _fault("bus_off"), _always(REPORTS), 0.8),
+    Case("a drive is bus-off", _fault("bus_off"), _always(REPORTS), 0.8),
     Case(
-        "drive hears nothing any more",
+        "a drive receives nothing",
         _fault("lost_frames", share=1.0),
         {"idle": None, "driving": 1.8, "stopping": None},
         2.0,
@@ -128,9 +136,10 @@ CASES = (
 
 
 class Reaction(NamedTuple):
-    """``state`` and ``after`` (s): the fault state and how soon, ``None`` where there was none.
+    """The measured reaction.
 
-    ``rest`` (s): until all wheels stood for good; ``None`` where they did not.
+    ``state`` and ``after`` (s): fault state and the time until it was entered; ``None``: none.
+    ``rest``: time (s) until all wheels stood; ``None``: they still turned.
     """
 
     state: State | None
@@ -139,12 +148,12 @@ class Reaction(NamedTuple):
 
     def __str__(self) -> str:
         if self.state is None:
-            return "goes on"
+            return "continues"
         return f"{self.state.value} in {_tenths(self.after)}"
 
 
 def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
-    """Bring a robot into the phase, let the fault happen, and watch."""
+    """Drives a robot into the phase, injects the fault, and observes the reaction."""
     rig = Rig(robot)
     rig.ready()
     if phase != "idle":
@@ -152,22 +161,22 @@ def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
     if phase == "stopping":
         rig.twist = ZERO_TWIST
         rig.run(0.1)
-    wanted = {"idle": State.READY, "driving": State.ACTIVE, "stopping": State.ACTIVE}
-    assert rig.state is wanted[phase], f"{rig.state} {rig.reason}"
-    struck = rig.now
+    expected = {"idle": State.READY, "driving": State.ACTIVE, "stopping": State.ACTIVE}
+    assert rig.state is expected[phase], f"{rig.state} {rig.reason}"
+    injected_at = rig.now
     FaultInjector(rig.simulated, BusFaults(())).strike(fault)
     state, after, rest = None, None, None
-    while rig.now < struck + WATCHED[phase]:
+    while rig.now < injected_at + OBSERVED[phase]:
         if phase == "driving":
             _steer(rig)
         rig.run(rig.base.period)
         if state is None and rig.state in (State.FAULT, State.ESTOP):
-            state, after = rig.state, rig.now - struck
+            state, after = rig.state, rig.now - injected_at
         if rig.speed() > 0.0:
             rest = None
         elif rest is None:
-            rest = rig.now - struck
-        elif state is not None and rig.now - struck > max(rest, after or 0.0) + AFTERWARDS:
+            rest = rig.now - injected_at
+        elif state is not None and rig.now - injected_at > max(rest, after or 0.0) + AFTERWARDS:
             break
     return Reaction(state, after, rest)
 
@@ -180,7 +189,7 @@ def _drive(rig: Rig, seconds: float) -> None:
 
 
 def _steer(rig: Rig) -> None:
-    """To the left and to the right in turns."""
+    """Commands curves to the left and to the right in turns."""
     side = 1.0 if int(rig.now / WEAVE) % 2 else -1.0
     rig.twist = Twist(0.4, 0.0, 0.4 * side)
 
@@ -188,27 +197,27 @@ def _steer(rig: Rig) -> None:
 # -- the page --------------------------------------------------------------------------------
 
 
-Found = dict[str, Reaction]
-"""By phase."""
+Reactions = dict[str, Reaction]
+"""Measured reactions by phase."""
 
 
-def row(case: Case, drives: str, found: Found) -> str:
-    """The line of a case with one kind of drive."""
-    cells = [str(found[phase]) for phase in PHASES]
-    rest = found["driving"].rest
+def row(case: Case, drives: str, reactions: Reactions) -> str:
+    """Returns the table row of a case with one kind of drive."""
+    cells = [str(reactions[phase]) for phase in PHASES]
+    rest = reactions["driving"].rest
     cells.append("" if rest is None else _tenths(rest))
-    most = max((time for time in case.reaction.values() if time is not None), default=None)
-    cells.append("" if most is None else f"{_tenths(most)}, {case.rest:.1f} s")
-    return f"| {case.what} | {drives} | {' | '.join(cells)} |"
+    longest = max((time for time in case.reaction.values() if time is not None), default=None)
+    cells.append("" if longest is None else f"{_tenths(longest)}, {case.rest:.1f} s")
+    return f"| {case.name} | {drives} | {' | '.join(cells)} |"
 
 
 def _tenths(seconds: float | None) -> str:
-    """Rounded up: the table does not change with every cycle more or less."""
+    """Returns the time rounded up to 0.1 s, so that single cycles do not change the table."""
     return f"{math.ceil(10.0 * (seconds or 0.0) - 1e-6) / 10:.1f} s"
 
 
 def table() -> Iterator[str]:
-    yield "| fault | drives | idle | driving | stopping | at rest | promised |"
+    yield "| injected fault | drives | idle | driving | stopping | at rest | promised |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
     for case in CASES:
         for drives, robot in ROBOTS.items():
@@ -216,9 +225,9 @@ def table() -> Iterator[str]:
 
 
 def main() -> int:
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    head, _, tail = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     lines = "".join(f"{line}\n" for line in table())
-    PAGE.write_text(before + BEGIN + lines + END + rest.partition(END)[2], encoding="utf-8")
+    PAGE.write_text(head + BEGIN + lines + END + tail.partition(END)[2], encoding="utf-8")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Each fault in each phase: the promised reaction in time, and the page that tells of it."""
+"""Injected faults in each phase: reactions within the promised time, as in docs/faults.md."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from thorvaldc.runtime.can_base.base_state_machine import State
 
 
 @pytest.mark.parametrize("drives", ROBOTS)
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.what)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_reaction(case: Case, drives: str) -> None:
     robot = ROBOTS[drives]()
-    found = {phase: react(robot, phase, case.fault) for phase in PHASES}
-    for phase, reaction in found.items():
+    reactions = {phase: react(robot, phase, case.fault) for phase in PHASES}
+    for phase, reaction in reactions.items():
         limit = case.reaction[phase]
         if limit is None:
             assert reaction.state in (None, State.FAULT), phase
@@ -37,12 +37,12 @@ def test_reaction(case: Case, drives: str) -> None:
             assert reaction.rest is not None, f"{phase}: it still moves"
             assert reaction.rest <= case.rest, phase
     lines = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0].splitlines()
-    line = row(case, drives, found)
-    assert any(same(line, other) for other in lines), f"{line}\n(make golden writes it)"
+    line = row(case, drives, reactions)
+    assert any(agree(line, other) for other in lines), f"{line}\n(make golden writes it)"
 
 
-def same(line: str, other: str) -> bool:
-    """Whether two lines of the table say the same: times may differ by a few control cycles."""
+def agree(line: str, other: str) -> bool:
+    """Returns whether two rows agree; times may differ by a few control cycles."""
     number = re.compile(r"[0-9]+\.[0-9]+")
     if number.sub("", line) != number.sub("", other):
         return False
