@@ -1,8 +1,7 @@
 """The paper's odometry test in simulation: ``python examples/odometry_experiment/run.py``.
 
 Drives the scenarios of this folder, before and after a calibration, and prints the table of its
-README.  ``--write`` puts that and the picture into the folder, for whoever changed
-something on purpose.
+README.  After an intended change, ``--write`` updates the table and the picture in the folder.
 """
 
 from __future__ import annotations
@@ -39,12 +38,12 @@ CASES = {
     "offsets": "steering zeros 0.5 deg off",
     "rough": "rough ground, bumps of 2 cm",
 }
-HEAD = "| | true | odometry | end error | its random pairs |"
+HEAD = "| | true | odometry | end error | random pairs, end error |"
 BEGIN, END = "<!-- table -->", "<!-- end -->"
 
 
 class Row(NamedTuple):
-    """How a case ended, in m: ways, and how far estimates are from where the robot stands."""
+    """The result of a case, in m: path lengths, and end errors of both odometries."""
 
     name: str
     true: float
@@ -61,37 +60,41 @@ class Row(NamedTuple):
 
 
 def drive(path: Path, name: str) -> tuple[Row, Robot, list[Sample]]:
-    """A scenario's run, with the paper's odometry on the same joint states beside."""
-    done = thorvaldc.compile(path)
-    scenario = done.scenario
+    """Runs a scenario, and the paper's odometry on the same joint states."""
+    compilation = thorvaldc.compile(path)
+    scenario = compilation.scenario
     if scenario is None:
-        raise SystemExit("\n".join(d.message for d in done.report.errors))
+        raise SystemExit("\n".join(d.message for d in compilation.report.errors))
     robot = scenario.fleet.placements[0].robot
-    paired = RandomPairs(BaseGeometry.from_robot(robot), RandomPairsOptions(special_cases=False))
-    beside = Odometry(paired, (2.0, 2.0))
+    random_pairs = RandomPairs(
+        BaseGeometry.from_robot(robot), RandomPairsOptions(special_cases=False)
+    )
+    paper_odometry = Odometry(random_pairs, (2.0, 2.0))
     samples: list[Sample] = []
 
     def on_tick(loop: ControlLoop) -> None:
         sample = loop.sample()
         samples.append(sample)
         if sample.joints is not None:
-            beside.update(sample.joints, sample.time)
+            paper_odometry.update(sample.joints, sample.time)
 
-    files = thorvaldc.emit(scenario.fleet, ["mjcf"], done.report)
-    result = ScenarioSimulation(scenario, files).play(done.report, (), on_tick)
+    files = thorvaldc.emit(scenario.fleet, ["mjcf"], compilation.report)
+    result = ScenarioSimulation(scenario, files).play(compilation.report, (), on_tick)
     run = result.run.robots[0]
-    pairs = math.hypot(beside.pose.x - run.pose_true.x, beside.pose.y - run.pose_true.y)
-    row = Row(name, run.path_true, run.path_odometry, run.end_error, pairs)
+    pose = paper_odometry.pose
+    paper_error = math.hypot(pose.x - run.pose_true.x, pose.y - run.pose_true.y)
+    row = Row(name, run.path_true, run.path_odometry, run.end_error, paper_error)
     return row, robot, samples
 
 
 def calibrated(path: Path, folder: Path) -> Path:
-    """The scenario at ``path`` with a robot that was calibrated by a log of its own.
+    """Returns a copy of the scenario at ``path`` with a calibrated robot.
 
-    For the log the robot drives the same script, its drives without speed control.  Wrong
-    radii show in it.  Offsets do not where whoever drives does not know of them: the motors
-    hold the wheels as they are told to.  So it is driven by one who knows where they
-    point, as the software before the encoders were changed does; the log has the new encoders'.
+    The calibration uses the joint log of another run: the same script, without speed control of
+    the drives.  Wrong radii are visible in this log.  Wrong offsets are not, if the driver does
+    not know them: the motors hold the wheels at the commanded angles.  So the driver of this
+    run knows the true angles, like software before the replacement of the encoders, and
+    the log has the readings of the new encoders.
     """
     document: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
     radii = {f["wheel"]: 1.0 + f["error"] for f in _faults(document, "radius_error")}
@@ -103,23 +106,24 @@ def calibrated(path: Path, folder: Path) -> Path:
     robot = _compiled(_robot(folder, "known", known))
     log = folder / "joints.csv"
     with log.open("w", encoding="utf-8") as stream:
-        _script(robot, document, radii, stream)
-    plain = _compiled(ROBOT)
+        _log_script(robot, document, radii, stream)
+    uncalibrated = _compiled(ROBOT)
     report = Report()
-    read = read_log(log, log.name, plain, report)
-    found = None if read is None else calibrate(plain, read, report)
-    if found is None:
+    joint_log = read_log(log, log.name, uncalibrated, report)
+    calibration = None if joint_log is None else calibrate(uncalibrated, joint_log, report)
+    if calibration is None:
         raise SystemExit("\n".join(d.message for d in report))
     print(
-        f"calibrated by the log of {path.stem}: {_missed(found, radii, offsets)}", file=sys.stderr
+        f"calibrated by the log of {path.stem}: {_remaining_errors(calibration, radii, offsets)}",
+        file=sys.stderr,
     )
-    values = yaml.safe_load(overlay(found))["wheels"]
+    values = yaml.safe_load(overlay(calibration))["wheels"]
     after = _compiled(_robot(folder, "after", values))
-    _leave(document, plain, after, radii, offsets)
+    _set_remaining_faults(document, uncalibrated, after, radii, offsets)
     document["robots"] = {"six": {"robot": "after.yaml"}}
-    made = folder / path.name
-    made.write_text(yaml.safe_dump(document), encoding="utf-8")
-    return made
+    scenario = folder / path.name
+    scenario.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return scenario
 
 
 def _faults(document: dict[str, Any], kind: str) -> list[dict[str, Any]]:
@@ -127,7 +131,7 @@ def _faults(document: dict[str, Any], kind: str) -> list[dict[str, Any]]:
 
 
 def _robot(folder: Path, name: str, wheels: dict[str, Any]) -> Path:
-    """A copy of the robot that includes a calibration."""
+    """Writes a copy of the robot file that includes a calibration of ``wheels``."""
     path = folder / f"{name}.yaml"
     (folder / f"{name}_wheels.yaml").write_text(
         yaml.safe_dump({"thorvaldc": 1, "robot": "thorvald_6wd6ws_asymmetric", "wheels": wheels}),
@@ -139,33 +143,37 @@ def _robot(folder: Path, name: str, wheels: dict[str, Any]) -> Path:
 
 
 def _compiled(path: Path) -> Robot:
-    done = thorvaldc.compile(path)
-    if not isinstance(done.model, Robot):
-        raise SystemExit("\n".join(d.message for d in done.report.errors))
-    return done.model
+    compilation = thorvaldc.compile(path)
+    if not isinstance(compilation.model, Robot):
+        raise SystemExit("\n".join(d.message for d in compilation.report.errors))
+    return compilation.model
 
 
-def _script(robot: Robot, document: dict[str, Any], radii: dict[str, float], stream: Any) -> None:
-    """Drive the scenario's script on a plane and log the joints."""
-    plan = []
+def _log_script(
+    robot: Robot, document: dict[str, Any], radii: dict[str, float], stream: Any
+) -> None:
+    """Drives the scenario's script on a plane and writes the joint log to ``stream``."""
+    manoeuvre = []
     for entry in document["script"]:
         at, vx, vy, wz = (
             float(str(entry.get(key, "0")).split()[0]) for key in ("at", "vx", "vy", "wz")
         )
-        plan.append(Segment(at, thorvaldc.Twist(vx, vy, wz)))
+        manoeuvre.append(Segment(at, thorvaldc.Twist(vx, vy, wz)))
     files = thorvaldc.emit(robot, ["mjcf"], Report())
     wheel_errors = {robot.name: WheelErrors.by_name(robot, radii)}
     simulation = Simulation(robot, files, wheel_errors=wheel_errors, open_loop=True)
     duration = float(document["duration"].split()[0])
-    simulation.run(duration, plan, None, JointLogWriter(robot, stream).on_tick)
+    simulation.run(duration, manoeuvre, None, JointLogWriter(robot, stream).on_tick)
 
 
-def _missed(found: CalibrationResult, radii: dict[str, float], offsets: dict[str, float]) -> str:
-    """The largest errors of what was found."""
+def _remaining_errors(
+    calibration: CalibrationResult, radii: dict[str, float], offsets: dict[str, float]
+) -> str:
+    """Returns the largest errors of the calibration as text."""
     radius = max(
         (
             abs(w.ratio.value - radii.get(w.name, 1.0))
-            for w in found.wheels
+            for w in calibration.wheels
             if w.ratio is not None and w.ratio.determined
         ),
         default=math.nan,
@@ -173,7 +181,7 @@ def _missed(found: CalibrationResult, radii: dict[str, float], offsets: dict[str
     offset = max(
         (
             abs(w.offset.value - offsets.get(w.name, 0.0))
-            for w in found.wheels
+            for w in calibration.wheels
             if w.offset is not None and w.offset.determined
         ),
         default=math.nan,
@@ -181,27 +189,27 @@ def _missed(found: CalibrationResult, radii: dict[str, float], offsets: dict[str
     return f"radii to {100 * radius:.3f} %, offsets to {math.degrees(offset):.3f} deg"
 
 
-def _leave(
+def _set_remaining_faults(
     document: dict[str, Any],
     before: Robot,
     after: Robot,
     radii: dict[str, float],
     offsets: dict[str, float],
 ) -> None:
-    """The faults that are left: what the wheels are, less what the robot now knows."""
-    left: list[dict[str, Any]] = []
+    """Sets the scenario's faults to the true errors minus the calibrated ones."""
+    faults: list[dict[str, Any]] = []
     for old, new in zip(before.wheels, after.wheels, strict=True):
         ratio = old.radius * radii.get(old.name, 1.0) / new.radius
-        left.append({"type": "radius_error", "wheel": old.name, "error": ratio - 1.0})
-        known = after.actuator_of(new.steering_joint or "")
-        angle = offsets.get(old.name, 0.0) - (known.encoder_offset if known is not None else 0.0)
+        faults.append({"type": "radius_error", "wheel": old.name, "error": ratio - 1.0})
+        motor = after.actuator_of(new.steering_joint or "")
+        angle = offsets.get(old.name, 0.0) - (motor.encoder_offset if motor is not None else 0.0)
         degrees = f"{math.degrees(angle):.9f} deg"
-        left.append({"type": "steering_offset", "wheel": old.name, "angle": degrees})
-    document["faults"] = left
+        faults.append({"type": "steering_offset", "wheel": old.name, "angle": degrees})
+    document["faults"] = faults
 
 
 def experiment() -> tuple[list[Row], Robot, list[Sample]]:
-    """All cases; the robot and the samples of the first."""
+    """Runs all cases; returns their rows, and the robot and the samples of the first."""
     rows: list[Row] = []
     shown: list[Sample] = []
     for case, name in CASES.items():

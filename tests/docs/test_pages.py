@@ -79,8 +79,8 @@ def script(page: str, begins: str) -> str:
 def test_the_rollouts_of_the_page_run() -> None:
     space: dict[str, Any] = {}
     exec(script("docs/batches.md", "import numpy").replace("examples/", f"{ROOT}/examples/"), space)
-    assert space["found"].poses.shape == (64, 20, 3)
-    assert (space["found"].poses[:, -1, 0] > 0.5).all()
+    assert space["result"].poses.shape == (64, 20, 3)
+    assert (space["result"].poses[:, -1, 0] > 0.5).all()
     space["rollouts"].close()
 
 
