@@ -12,7 +12,7 @@ import typer
 
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
-from thorvaldc.model.buses import require_bus
+from thorvaldc.model.require_bus import require_bus
 
 T = TypeVar("T")
 

@@ -1,4 +1,4 @@
-"""The bus's part of the model: nodes, frames and signals, with what CANopen needs to know."""
+"""The bus in the model: nodes, frame definitions, signals and CANopen objects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from thorvaldc.model.element import Element
 
 Scalar = bool | int | float | str
 
-# Types of CANopen objects that occur here (CiA 301), with their numbers and lengths in bits.
+# Data types of CANopen objects (CiA 301, table 44) that the model uses: index and length in bits.
 OBJECT_TYPES = {
     "boolean": (0x0001, 1),
     "integer8": (0x0002, 8),
@@ -24,12 +24,12 @@ CIA_402 = 402
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Signal(Element):
-    """A field of a frame, little endian: physical = raw * scale + offset.
+    """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
 
-    ``start`` and ``length`` in bits.  ``joint`` names the joint that the value
-    is about, with ``unit`` then at the joint (rad/s, rad).  ``multiplexer`` marks
-    the selector; ``selected_by`` lists the selector values under which the
-    signal is present.  ``choices`` names raw values.
+    ``start`` and ``length`` are in bits.  ``joint`` is the joint that the value belongs to; the
+    ``unit`` is then that of the joint (rad/s or rad).  ``multiplexer`` marks
+    the selector; ``selected_by`` lists the selector values with which the
+    frame contains this signal.  ``choices`` are names of raw values.
     """
 
     name: str
@@ -50,18 +50,18 @@ class Signal(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrameDefinition(Element):
-    """A standard CAN frame; ``producer``/``consumers`` are node names or ``master``.
+    """The layout and the timing of a CAN frame with an 11-bit identifier.
 
+    ``producer`` and ``consumers`` are names of nodes, or ``master``.
     ``kind`` is ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``,
-    ``broadcast`` or ``relay`` (a foreign device's, passed on).  ``period`` and
-    ``deadline`` in s, ``None`` for a frame sent on demand; such frames are at least
+    ``broadcast`` or ``relay`` (the frame of a foreign device that the driver forwards).  ``period`` and
+    ``deadline`` are in s, ``None`` for a frame that is sent on demand.  Frames on demand are at least
     ``minimum_interval`` s apart (``None``: see ``bus_timing``).  ``response_time``
-    (s) is the longest from when it is due until it is received, ``None`` where
+    (s) is the longest time from the instant at which the frame is due until it is received, ``None`` if
     there is no bound.
 
-    A CANopen PDO has a number, ``pdo`` (1..512), ``mapping`` lists the objects in
-    it as (index, subindex, type), and with ``synchronous`` it is sent, or takes
-    effect, at the SYNC.
+    ``pdo`` is the number of a CANopen PDO (1..512), ``mapping`` lists the objects in
+    it as (index, subindex, type).  A ``synchronous`` PDO is sent, or takes effect, at the SYNC.
     """
 
     name: str
@@ -84,7 +84,7 @@ class FrameDefinition(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Channel(Element):
-    """A channel of a controller and the actuator on it (``None``: not wired)."""
+    """A channel of a motor controller, and the actuator on it (``None``: not connected)."""
 
     name: str
     role: str
@@ -93,11 +93,11 @@ class Channel(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ObjectValue(Element):
-    """An entry of a node's object dictionary, and the value that it is to have.
+    """An entry of a node's object dictionary, and its required value.
 
-    ``type`` is one of ``OBJECT_TYPES``, ``access`` ``ro`` or ``rw``.  A value that
-    is ``ro`` is what the node must say of itself.  ``value`` ``None``: the entry
-    changes as the node runs, or nothing is asked of it.
+    ``type`` is one of ``OBJECT_TYPES``; ``access`` is ``ro`` or ``rw``.  The value of an
+    ``ro`` entry identifies the node: the node must report it.  ``value`` is ``None`` if the entry
+    changes while the node runs, or if no value is required.
     """
 
     name: str
@@ -110,16 +110,17 @@ class ObjectValue(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Node(Element):
-    """A device on a bus.  ``id_space`` keeps batteries' ids apart from node ids.
+    """A device on a bus.
 
-    In an empty ``id_space`` are foreign devices that have no id; theirs is 0.
-    ``automatic``: the id was chosen by the compiler and is kept in the lock file.
-    ``vendor_id``, ``product_code`` and ``revision_number`` are those of object 0x1018.
-    ``device_type`` is object 0x1000.  ``lss``: its id can be written over the bus.
-    Times in s: ``heartbeat_timeout`` is the silence after which the master takes
-    it for lost, ``heartbeat_consumer_time`` that after which it takes the master
-    for lost (object 0x1016); ``None``: not watched.  ``bitrates`` in bit/s that it
-    can do, empty: any.  ``objects`` are in the order of index and subindex.
+    ``id`` is unique within its ``id_space``: the ids of batteries are separate from CANopen node ids.
+    Foreign devices without an id have an empty ``id_space`` and the id 0.
+    ``automatic``: the compiler chose the id and the lock file keeps it.
+    ``vendor_id``, ``product_code`` and ``revision_number`` are those of object 0x1018,
+    ``device_type`` is object 0x1000.  ``lss``: the node id can be written by LSS (CiA 305).
+    ``heartbeat_timeout`` (s) is the silence after which the master considers the node
+    lost, ``heartbeat_consumer_time`` (s) the silence after which the node considers the
+    master lost (object 0x1016); ``None``: no supervision.  ``bitrates`` lists the supported ones in
+    bit/s; empty: any.  ``objects`` are in the order of index and subindex.
     """
 
     name: str
@@ -144,16 +145,16 @@ class Node(Element):
 
     @property
     def is_cia402(self) -> bool:
-        """Whether it is a drive after CiA 402, by its device type."""
+        """True for a drive of device profile CiA 402, according to its device type."""
         return self.device_type is not None and self.device_type & 0xFFFF == CIA_402
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Bus(Element):
-    """A CAN bus: ``bitrate`` bit/s, ``sync_period`` s (the control cycle).
+    """A CAN bus with its nodes and frames.
 
-    ``master_id`` is the CANopen node id of the master.  ``load`` is the share of
-    the bus's time that is taken at worst, 0..1.
+    ``bitrate`` in bit/s; ``sync_period`` in s is the control cycle.  ``master_id`` is the CANopen node
+    id of the master.  ``load`` is the worst-case bus load, 0..1.
     """
 
     name: str

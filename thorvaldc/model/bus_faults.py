@@ -1,4 +1,4 @@
-"""What goes wrong on a simulated bus, and when: a script of faults, everything in SI."""
+"""A script of faults to inject into a simulated bus.  All values in SI."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from thorvaldc.diagnostics import Span
 
 
 class FaultKind(NamedTuple):
-    """What a kind of fault needs and may have besides when it begins.
+    """The fields of a kind of fault.
 
-    ``node``: ``yes`` (it is one device's), ``maybe`` (or the whole bus's) or ``no``.
-    ``lasts``: whether it can end.
+    ``node``: ``yes`` (the fault affects one device), ``no`` (it affects the bus) or ``maybe`` (either).
+    ``needs`` lists the required fields, ``may`` the optional ones.  ``lasts``: the fault may have a
+    ``duration``.
     """
 
     node: str
@@ -39,14 +40,15 @@ FAULT_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class BusFault:
-    """A fault on ``bus``, of its ``node`` or (``None``) of all.
+    """An injected fault of a ``node`` of ``bus``, or of all its nodes (``None``).
 
-    It begins at ``time`` (s), or in the middle of the bus's ``frame``-th frame (from 1),
-    ``delay`` s later; it lasts for ``duration`` s, or (``None``) to the end.
+    It begins ``delay`` s after ``time`` (s), or after the middle of the ``frame``-th frame of the bus
+    (from 1).  It lasts for ``duration`` s, or until the end of the run (``None``).
 
-    ``id`` is the node id that a device has all of a sudden, ``cob_id`` and ``period`` (s)
-    what it babbles; ``code`` and ``register`` are those of an emergency; ``channel`` is the
-    motor's; ``bitrate`` in bit/s; ``share`` of the frames, 0..1.
+    ``id`` is the node id that the device takes.  ``cob_id`` and ``period`` (s) are those of the
+    frames that it sends without being asked.  ``code`` and ``register`` are the error code and the error register of
+    an EMCY.  ``channel`` is the channel of the motor.  ``bitrate`` in bit/s.  ``share`` is the fraction
+    of the frames that are affected, 0..1.
     """
 
     kind: str
@@ -69,7 +71,7 @@ class BusFault:
 
 @dataclass(frozen=True, slots=True)
 class BusFaults:
-    """A script of faults; ``seed`` is that of everything that happens by chance."""
+    """A script of faults.  ``seed`` is the seed for all random numbers."""
 
     faults: tuple[BusFault, ...]
     seed: int = 0

@@ -1,4 +1,4 @@
-"""What all parts of the model have in common: equality, hash and text."""
+"""The base class of the model's dataclasses: equality, hash and text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, cast
 
 
 def values_getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """From an object to the tuple of its attributes of these names; faster than a loop."""
+    """Return a function that returns the attributes of these names; it is faster than a loop."""
     if len(names) > 1:
         return cast(Callable[[Any], tuple[Any, ...]], operator.attrgetter(*names))
     return lambda value: tuple(getattr(value, name) for name in names)
@@ -27,10 +27,11 @@ def _values(cls: Hashable) -> Callable[[Any], tuple[Any, ...]]:
 
 
 class Element:
-    """Base of the model's frozen dataclasses, equal where all their compared fields are.
+    """Base of the model's frozen dataclasses.  Two are equal if all compared fields are equal.
 
-    The methods are here, once, and not generated for each of thirty classes:
-    making those takes longer than to compile a robot.
+    ``dataclass`` would generate these three methods for each of the 35 classes by compiling
+    source code at import.  Measured with `check` of a robot of nine wheels, 15 runs each, interleaved:
+    the generated methods take 4 to 10 ms of 260 ms more processor time.
     """
 
     __slots__ = ()

@@ -1,4 +1,4 @@
-"""Several robots in one scene, and the world that they are in; in SI, as the robots are."""
+"""Several robots in one scene, and their world.  All values in SI."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thorvaldc.model.spatial import Pose
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Placement(Element):
-    """A robot of a fleet: its name in the scene, its name space, ``base_link`` in the world."""
+    """A robot of a fleet: its name in the scene, and the pose of its ``base_link`` in the world."""
 
     name: str
     pose: Pose
@@ -20,11 +20,11 @@ class Placement(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Ground(Element):
-    """The ground of a scene, in whose plane z = 0 the robots' poses are given.
+    """The ground of a scene.  The poses of the robots are relative to its plane z = 0.
 
-    ``angle`` (rad) is its inclination and ``direction`` (rad, from x to y) the way uphill.
-    Bumps are -``amplitude``..``amplitude`` high (m; 0: none), no shorter than ``wavelength``
-    (m), drawn by ``seed``, on ``size`` (m along x and y, about the origin).
+    ``angle`` (rad) is its inclination and ``direction`` (rad, from x to y) the uphill direction.
+    It has random bumps of +-``amplitude`` (m; 0: none), no shorter than ``wavelength`` (m), with
+    the random seed ``seed``, on a rectangle of ``size`` (m along x and y) around the origin.
     """
 
     angle: float = 0.0
@@ -37,11 +37,12 @@ class Ground(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Zone(Element):
-    """A rectangle of the ground, ``size`` (m) along x and y about the middle of ``pose``.
+    """A rectangle of the ground, of ``size`` (m along x and y), centred on ``pose``.
 
-    ``friction`` and ``rolling_resistance`` are those of wheels in it (``None``: their own).
-    It is raised by ``height`` (m) within sides that rise at ``slope`` (rad), and has bumps of
-    +-``amplitude`` (m) about their mean, no shorter than ``wavelength`` (m), drawn by ``seed``.
+    ``friction`` and ``rolling_resistance`` apply to wheels in the zone (``None``: the
+    values of each wheel apply).  The zone is raised by ``height`` (m), with sides that rise at
+    ``slope`` (rad).  It has random bumps of +-``amplitude`` (m) around their mean, no
+    shorter than ``wavelength`` (m), with the random seed ``seed``.
     """
 
     pose: Pose
@@ -56,20 +57,21 @@ class Zone(Element):
 
     @property
     def level(self) -> bool:
-        """Whether it is as level as the ground."""
+        """True if the zone neither rises above the ground nor has bumps."""
         return not (self.height or self.amplitude)
 
     def holds(self, x: float, y: float, margin: float = 0.0) -> bool:
-        """Whether a place on the ground (m) is in it, or nearer to it than ``margin`` (m)."""
+        """Return whether a point of the ground (m) is in the zone, or within ``margin`` m of it."""
         local = self.pose.inverse().apply((x, y, self.pose.xyz[2]))
         return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Block(Element):
-    """A thing that does not move.  ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop``, ``post``.
+    """A fixed body of the scene.
 
-    Wheels may roll on kerbs and rails.  ``name`` is its own within the kind.
+    ``kind`` is ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``.  Wheels may roll on kerbs and
+    rails.  ``name`` is unique within the kind.
     """
 
     kind: str
@@ -80,7 +82,7 @@ class Block(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class World(Element):
-    """What the robots of a scene stand on and what stands around them."""
+    """The surroundings of the robots: the ground, fixed bodies, zones of the ground."""
 
     ground: Ground
     blocks: tuple[Block, ...] = ()
@@ -89,7 +91,7 @@ class World(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fleet(Element):
-    """Several robots in one scene, in file order.  ``world`` ``None``: level ground alone."""
+    """Several robots in one scene, in file order.  ``world`` is ``None`` for level ground alone."""
 
     name: str
     description: str

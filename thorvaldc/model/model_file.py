@@ -1,4 +1,4 @@
-"""Reads the model.json of a build."""
+"""Reads the ``model.json`` of a build folder."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from thorvaldc.model.serialize import ModelFormatError, from_json
 
 
 def load_model(build: Path) -> Robot | Fleet:
-    """The model of a build folder.  Raises ``DiagnosticError`` (``model-unreadable``)."""
+    """Return the model of a build folder.  Raises ``DiagnosticError`` (``model-unreadable``)."""
     path = build / "model.json"
     try:
         return from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as fault:
+    except (OSError, UnicodeDecodeError) as error:
         raise DiagnosticError(
             "model-unreadable",
-            f"cannot read {path}: {getattr(fault, 'strerror', None) or 'not UTF-8 text'}",
+            f"cannot read {path}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}",
             hint="build the robot first: thorvaldc build",
-        ) from fault
-    except ModelFormatError as fault:
+        ) from error
+    except ModelFormatError as error:
         raise DiagnosticError(
-            "model-unreadable", f"{path}: {fault}", hint="build the robot again"
-        ) from fault
+            "model-unreadable", f"{path}: {error}", hint="build the robot again"
+        ) from error

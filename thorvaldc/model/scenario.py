@@ -1,4 +1,4 @@
-"""What a simulation does and what is expected of it: a scenario, everything in SI."""
+"""A scenario: the inputs of a simulation run and the expected results.  All values in SI."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.model.fleet import Fleet
 
 GROUPS = ("odometry", "truth", "twist", "joints")
-"""Groups of columns that a record can hold."""
+"""Groups of columns that a record can have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """From ``time`` (s) on: forward and leftward m/s, turning rad/s of ``base_link``.
+    """A commanded twist of ``base_link`` that applies from ``time`` (s) on.
 
-    ``parameters`` names the parameter set to drive by from then on (empty: as before).
+    ``vx`` (forward) and ``vy`` (to the left) in m/s, ``wz`` (counterclockwise) in rad/s.
+    ``parameters`` is the parameter set that applies from then on (empty: no change).
     """
 
     time: float
@@ -26,13 +27,15 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
-    """What is wrong with a wheel from ``start`` to before ``end`` (s), unknown to the driver.
+class WheelFault:
+    """An injected fault of a wheel, active from ``start`` to before ``end`` (s).
 
-    ``type`` and ``value``: ``steering_offset`` (rad, true angle less the encoder's),
-    ``radius_error`` (the share by which the true radius is larger), ``ice`` (coefficient
-    of friction), ``encoder_frozen`` and ``motor_lost`` (none).  ``motor`` is ``drive`` or
-    ``steering``.
+    The driver does not know about it.  ``type`` is one of the following, with the meaning of ``value``:
+
+    - ``steering_offset``: true angle minus encoder angle, rad.
+    - ``radius_error``: (true radius - nominal radius) / nominal radius.
+    - ``ice``: coefficient of friction under the wheel.
+    - ``encoder_frozen``, ``motor_lost``: no value; ``motor`` is ``drive`` or ``steering``.
     """
 
     type: str
@@ -47,11 +50,12 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Errors of the sensors, drawn by ``seed``: standard deviations of each reading.
+    """Random errors of the sensors: the standard deviation of each reading.
 
-    ``wheel_speed`` in rad/s, ``wheel_position`` and ``steering_angle`` in rad.  ``gyro``
-    (rad/s) is that of the yaw rate, which nobody tells for ``None``, ``gyro_bias`` (rad/s)
-    its constant error.  ``encoder_counts``: positions in whole counts of the encoders.
+    ``seed`` is the random seed.  ``wheel_speed`` in rad/s, ``wheel_position`` and
+    ``steering_angle`` in rad.  ``gyro`` is the noise of the measured yaw rate in rad/s
+    (``None``: the robot has no gyroscope), ``gyro_bias`` its constant error in rad/s.
+    ``encoder_counts``: positions are rounded to whole encoder counts.
     """
 
     seed: int = 0
@@ -65,7 +69,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """``metric`` of every robot is at least ``least`` and at most ``most`` (``None``: any)."""
+    """The expected range of a metric for every robot: ``least`` to ``most`` (``None``: no limit)."""
 
     metric: str
     least: float | None
@@ -75,11 +79,11 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A run of ``duration`` s of the robots of ``fleet`` in its world.
+    """A simulation run of ``duration`` s with the robots of ``fleet`` in its world.
 
-    ``commands`` holds each robot's by its name, in order of time.  Of the record,
-    ``record`` names the groups of columns and ``every`` (s) the time between two lines (0:
-    every tick).
+    ``commands`` has the commands of each robot by its name, in order of time.  ``record`` lists the
+    groups of columns of the record, and ``every`` is the time between two rows in s (0: each
+    control tick).
     """
 
     name: str
@@ -87,7 +91,7 @@ class Scenario:
     fleet: Fleet
     duration: float
     commands: tuple[tuple[str, tuple[Command, ...]], ...]
-    faults: tuple[Fault, ...]
+    faults: tuple[WheelFault, ...]
     noise: Noise
     expectations: tuple[Expectation, ...]
     span: Span

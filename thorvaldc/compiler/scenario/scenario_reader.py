@@ -15,7 +15,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.scenario import GROUPS, Command, Expectation, Fault, Noise, Scenario
+from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
 
 LONGEST = 86400.0
 """A day: the longest run (s)."""
@@ -145,7 +145,7 @@ class _Reader:
                 hint=did_you_mean(str(node.value), known, there),
             )
 
-    def faults(self, listed: Node | None) -> Iterator[Fault]:
+    def faults(self, listed: Node | None) -> Iterator[WheelFault]:
         for node in _items(listed):
             type_, wheel = node.get("type"), node.get("wheel")
             if type_ is None or wheel is None or not isinstance(type_.value, str):
@@ -165,7 +165,7 @@ class _Reader:
             if fault is not None:
                 yield fault
 
-    def _fault(self, node: Node, type_: str, robot: str, wheel: Node) -> Fault | None:
+    def _fault(self, node: Node, type_: str, robot: str, wheel: Node) -> WheelFault | None:
         motor = node.get("motor")
         of = str(motor.value) if motor is not None else "drive"
         if type_ == "steering_offset":
@@ -189,7 +189,7 @@ class _Reader:
                 )
         start = self.numbers(node, "at", "time", least=0.0)
         end = self.numbers(node, "until", "time", math.inf, least=start, above=True)
-        return Fault(type_, robot, str(wheel.value), of, value, start, end, node.span)
+        return WheelFault(type_, robot, str(wheel.value), of, value, start, end, node.span)
 
     def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
         names = [wheel.name for wheel in robot.wheels]

@@ -27,7 +27,7 @@ from collections.abc import Mapping
 
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.buses import require_bus
+from thorvaldc.model.require_bus import require_bus
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.can_base.base_state_machine import State, Supervisor, Times

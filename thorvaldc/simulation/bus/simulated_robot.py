@@ -8,7 +8,7 @@ from typing import Any
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, Node
-from thorvaldc.model.buses import require_bus
+from thorvaldc.model.require_bus import require_bus
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 from thorvaldc.simulation.bus.device_table import create_device

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from thorvaldc.model import Robot, Zone
-from thorvaldc.model.scenario import Fault
+from thorvaldc.model.scenario import WheelFault
 from thorvaldc.simulation.physics.mujoco_base import MujocoScene
 
 
@@ -18,7 +18,7 @@ class GroundZones:
     """
 
     def __init__(
-        self, robot: Robot, scene: MujocoScene, zones: Sequence[Zone], ice: Sequence[Fault]
+        self, robot: Robot, scene: MujocoScene, zones: Sequence[Zone], ice: Sequence[WheelFault]
     ) -> None:
         self._zones = [
             _Rectangle(zone)

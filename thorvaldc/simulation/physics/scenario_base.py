@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from thorvaldc.model import Robot, Zone
-from thorvaldc.model.scenario import Fault, Noise
+from thorvaldc.model.scenario import Noise, WheelFault
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.simulation.physics.ground_zones import GroundZones
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
@@ -42,7 +42,7 @@ class ScenarioBase(MujocoBase):
         self,
         robot: Robot,
         scene: MujocoScene,
-        faults: Sequence[Fault] = (),
+        faults: Sequence[WheelFault] = (),
         noise: Noise | None = None,
         zones: Sequence[Zone] = (),
     ) -> None:
@@ -139,7 +139,7 @@ class ScenarioBase(MujocoBase):
 
     # -- changes of the scene ---------------------------------------------------------
 
-    def _switch(self, number: int, fault: Fault, active: bool) -> None:
+    def _switch(self, number: int, fault: WheelFault, active: bool) -> None:
         """Starts or ends a fault of the scene."""
         if active and number not in self._saved:
             self._saved[number] = []

@@ -1,4 +1,4 @@
-"""Whether a robot has buses."""
+"""The check that a robot has a bus."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from thorvaldc.model.robot import Robot
 
 
 def require_bus(robot: Robot) -> None:
-    """Raises ``DiagnosticError`` (``bus-missing``) for a robot without a bus."""
+    """Raise ``DiagnosticError`` (``bus-missing``) for a robot without a bus."""
     if not robot.buses:
         raise DiagnosticError(
             "bus-missing",
