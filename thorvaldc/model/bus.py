@@ -9,7 +9,7 @@ from thorvaldc.model.element import Element
 
 Scalar = bool | int | float | str
 
-# Data types of CANopen objects (CiA 301, table 44) that the model uses: index and length in bits.
+# Data types of CANopen objects (CiA 301) that the model uses: index and length in bits.
 OBJECT_TYPES = {
     "boolean": (0x0001, 1),
     "integer8": (0x0002, 8),
@@ -52,13 +52,12 @@ class Signal(Element):
 class FrameDefinition(Element):
     """The layout and the timing of a CAN frame with an 11-bit identifier.
 
-    ``producer`` and ``consumers`` are names of nodes, or ``master``.
-    ``kind`` is ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``,
-    ``broadcast`` or ``relay`` (the frame of a foreign device that the driver forwards).  ``period`` and
-    ``deadline`` are in s, ``None`` for a frame that is sent on demand.  Frames on demand are at least
-    ``minimum_interval`` s apart (``None``: see ``bus_timing``).  ``response_time``
-    (s) is the longest time from the instant at which the frame is due until it is received, ``None`` if
-    there is no bound.
+    ``producer`` and ``consumers`` are names of nodes, or ``master``. ``kind`` is ``pdo``, ``sdo``,
+    ``heartbeat``, ``emcy``, ``sync``, ``nmt``, ``broadcast`` or ``relay`` (the frame of a foreign
+    device that the driver forwards).  ``period`` and ``deadline`` are in s, ``None`` for a frame
+    that is sent on demand.  Frames on demand are at least ``minimum_interval`` s apart (``None``:
+    see ``bus_timing``).  ``response_time`` (s) is the longest time from the instant at which the
+    frame is due until it is received, ``None`` if there is no bound.
 
     ``pdo`` is the number of a CANopen PDO (1..512), ``mapping`` lists the objects in
     it as (index, subindex, type).  A ``synchronous`` PDO is sent, or takes effect, at the SYNC.
@@ -112,15 +111,14 @@ class ObjectValue(Element):
 class Node(Element):
     """A device on a bus.
 
-    ``id`` is unique within its ``id_space``: the ids of batteries are separate from CANopen node ids.
-    Foreign devices without an id have an empty ``id_space`` and the id 0.
-    ``automatic``: the compiler chose the id and the lock file keeps it.
-    ``vendor_id``, ``product_code`` and ``revision_number`` are those of object 0x1018,
-    ``device_type`` is object 0x1000.  ``lss``: the node id can be written by LSS (CiA 305).
-    ``heartbeat_timeout`` (s) is the silence after which the master considers the node
-    lost, ``heartbeat_consumer_time`` (s) the silence after which the node considers the
-    master lost (object 0x1016); ``None``: no supervision.  ``bitrates`` lists the supported ones in
-    bit/s; empty: any.  ``objects`` are in the order of index and subindex.
+    ``id`` is unique within its ``id_space``: the ids of batteries are separate from CANopen node
+    ids. Foreign devices without an id have an empty ``id_space`` and the id 0. ``automatic``: the
+    compiler chose the id and the lock file keeps it. ``vendor_id``, ``product_code`` and
+    ``revision_number`` are those of object 0x1018, ``device_type`` is object 0x1000.  ``lss``: the
+    node id can be written by LSS (CiA 305). ``heartbeat_timeout`` (s) is the silence after which
+    the master considers the node lost, ``heartbeat_consumer_time`` (s) the silence after which the
+    node considers the master lost (object 0x1016); ``None``: no supervision.  ``bitrates`` lists
+    the supported ones in bit/s; empty: any.  ``objects`` are in the order of index and subindex.
     """
 
     name: str
@@ -153,8 +151,8 @@ class Node(Element):
 class Bus(Element):
     """A CAN bus with its nodes and frames.
 
-    ``bitrate`` in bit/s; ``sync_period`` in s is the control cycle.  ``master_id`` is the CANopen node
-    id of the master.  ``load`` is the worst-case bus load, 0..1.
+    ``bitrate`` in bit/s; ``sync_period`` in s is the control cycle.  ``master_id`` is the CANopen
+    node id of the master.  ``load`` is the worst-case bus load, 0..1.
     """
 
     name: str

@@ -11,9 +11,9 @@ from thorvaldc.diagnostics import Span
 class FaultKind(NamedTuple):
     """The fields of a kind of fault.
 
-    ``node``: ``yes`` (the fault affects one device), ``no`` (it affects the bus) or ``maybe`` (either).
-    ``needs`` lists the required fields, ``may`` the optional ones.  ``lasts``: the fault may have a
-    ``duration``.
+    ``node``: ``yes`` (the fault affects one device), ``no`` (it affects the bus) or ``maybe``
+    (either). ``needs`` lists the required fields, ``may`` the optional ones.  ``lasts``: the fault
+    may have a ``duration``.
     """
 
     node: str
@@ -42,13 +42,13 @@ FAULT_KINDS = {
 class BusFault:
     """An injected fault of a ``node`` of ``bus``, or of all its nodes (``None``).
 
-    It begins ``delay`` s after ``time`` (s), or after the middle of the ``frame``-th frame of the bus
-    (from 1).  It lasts for ``duration`` s, or until the end of the run (``None``).
+    It begins ``delay`` s after ``time`` (s), or after the middle of the ``frame``-th frame of the
+    bus (from 1).  It lasts for ``duration`` s, or until the end of the run (``None``).
 
     ``id`` is the node id that the device takes.  ``cob_id`` and ``period`` (s) are those of the
-    frames that it sends without being asked.  ``code`` and ``register`` are the error code and the error register of
-    an EMCY.  ``channel`` is the channel of the motor.  ``bitrate`` in bit/s.  ``share`` is the fraction
-    of the frames that are affected, 0..1.
+    frames that it sends without being asked.  ``code`` and ``register`` are the error code and the
+    error register of an EMCY.  ``channel`` is the channel of the motor.  ``bitrate`` in bit/s.
+    ``share`` is the fraction of the frames that are affected, 0..1.
     """
 
     kind: str

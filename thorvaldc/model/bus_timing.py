@@ -1,21 +1,28 @@
 """Load of a CAN bus and worst-case response times of its frames.
 
-After Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN)
+The analysis follows Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN)
 schedulability analysis: Refuted, revisited and revised", Real-Time Systems 35
-(2007), section 3: every instance in the busy period of a frame's priority is
-looked at; and what is sent in one control cycle is taken as a chain (``_beginnings``).
-All arithmetic is on whole picoseconds, rounded to the safe side.
+(2007), section 3.  A level-m busy period is an interval in which the bus only sends frames of
+priority m or higher (after one blocking frame).  The response time of instance k of frame m is
 
-What is taken for granted of a bus (``frame_streams``):
+    R(k) = J + w(k) - k T + C,
+    w(k) = B + k C + sum over more urgent frames i of ceil((w(k) + J_i + bit) / T_i) C_i,
 
-- every sender offers the most urgent of its frames first;
-- the master sends its commands, then SYNC, and in each control cycle at most one
-  frame on demand besides (NMT, SDO or a command without a period), and a node
-  answers an SDO within a cycle;
-- there is one EMCY in a control cycle, of all nodes together (when many nodes fail
-  at once the robot stops, and nobody waits for its commands);
-- a node sends another frame on demand once a control cycle at most, and a relayed
-  frame comes no more often than its limit.
+with C the transmission time, T the period, J the jitter, and B the longest frame of lower
+priority, which cannot be interrupted.  Every instance in the busy period is
+examined.  The frames of one control cycle have a fixed order, which lowers the bound
+(``_critical_instants``).  All times are integers in picoseconds, rounded to the safe side.
+
+Assumptions about the bus (``frame_streams``):
+
+- Every node offers the most urgent of its frames first.
+- In each control cycle, the master sends its commands, then SYNC, and at most one
+  frame on demand (NMT, SDO or a command without a period).  A node
+  answers an SDO within one cycle.
+- All nodes together send at most one EMCY in a control cycle.  (When many nodes fail
+  at the same time, the robot stops and no longer depends on its commands.)
+- A node sends any other frame on demand at most once in a control cycle.  A relayed
+  frame is not more frequent than its limit.
 """
 
 from __future__ import annotations
@@ -28,21 +35,21 @@ from thorvaldc.model.bus import Bus, FrameDefinition
 
 MASTER = "master"
 _SECOND = 10**12  # ps
-_LONGEST = 100 * _SECOND  # beyond, a response time is of no use
-_ROUNDS = 100  # of jitters that depend on one another; on a bus that works there are two or three
+_LONGEST = 100 * _SECOND  # a longer response time counts as no bound
+_ROUNDS = 100  # limit of the iteration over jitters; a bus that works takes two or three
 _REQUEST, _ANSWER, _EMERGENCY = "request", "answer", "emergency"
 
 
 class Stream(NamedTuple):
-    """Frames of one identifier: ``bits`` long with stuffing, ``period`` s apart at least.
+    """The frames of one identifier: ``bits`` long with stuffing, at least ``period`` s apart.
 
-    A frame may be due up to ``jitter`` s late.  The lower identifier wins the bus.
-    Of the streams of a ``group`` only one has a frame in a period; they have
-    period and jitter in common.
+    A frame is due up to ``jitter`` s late.  The lower identifier wins the arbitration.
+    Streams of the same ``group`` have the same period and jitter, and together only one frame in a
+    period.
 
-    Streams with a ``stage`` belong to one cycle, which is the period of them all: each
-    has a frame in it, due at its beginning but for the jitter, and never sent before
-    those of a lower stage in that cycle.
+    Streams with a ``stage`` belong to the control cycle, which is their common period.  Each has
+    one frame in a cycle.  It is due at the beginning of the cycle plus the jitter, and is never
+    sent before the frames of a lower stage in the same cycle.
     """
 
     identifier: int
@@ -54,20 +61,21 @@ class Stream(NamedTuple):
 
 
 def frame_bits(length: int) -> int:
-    """Bits of a standard frame of ``length`` bytes at worst, stuffing included.
+    """Return the largest number of bits of a frame with 11-bit identifier and ``length`` bytes.
 
-    47 bits of overhead with the interframe space, and a stuff bit for every four
-    of the 34 + 8n bits that are stuffed, after the first.
+    With n bytes: 47 bits of overhead (with 3 bits of interframe space), 8 n bits of data, and one
+    stuff bit for every four bits after the first of the 34 + 8 n bits that are subject to
+    stuffing.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
 def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None]:
-    """The longest time in s from when a frame is due until it is received, for each stream.
+    """Return the worst-case response time in s of each stream.
 
-    It counts from the instant without jitter, as a deadline does, and includes
-    the interframe space.  ``None``: no bound, because frames of its priority and
-    above ask for the whole bus.  Identifiers must differ.
+    It is the longest time from the instant at which a frame is due without jitter until it is
+    received, with the interframe space.  ``None``: there is no bound, because frames of its
+    priority and above need the whole bus.  Identifiers must differ.
     """
     bit = -(-_SECOND // bitrate)
     order = sorted(range(len(streams)), key=lambda i: streams[i].identifier)
@@ -76,11 +84,11 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
     for i in reversed(order):
         blocked[i] = longest
         longest = max(longest, streams[i].bits * bit)
-    # More urgent frames matter only by period and jitter: one sum for each pair,
-    # and one entry for each group; those of the cycle by jitter and stage.
+    # Only the period and the jitter of more urgent frames matter.  Frames with the same pair are
+    # added up, and a group has one entry.  Frames of the cycle are added up by jitter and stage.
     above: dict[tuple[int, int, str], int] = {}
     cycle: dict[tuple[int, int, int], int] = {}
-    found: list[float | None] = [None] * len(streams)
+    bounds: list[float | None] = [None] * len(streams)
     for i in order:
         stream = streams[i]
         length, period = stream.bits * bit, max(1, int(stream.period * _SECOND))
@@ -92,34 +100,37 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
         if length / period + share < 1.0:
             times = [
                 _longest(length, period, lead, blocked[i], others + also, bit)
-                for lead, also in _beginnings(period, jitter, stream.stage, cycle)
+                for lead, also in _critical_instants(period, jitter, stream.stage, cycle)
             ]
             if None not in times:
-                found[i] = max(t for t in times if t is not None) / _SECOND
+                bounds[i] = max(t for t in times if t is not None) / _SECOND
         if stream.stage is not None:
             staged = (period, jitter, stream.stage)
             cycle[staged] = cycle.get(staged, 0) + length
             continue
         key = (period, jitter, stream.group)
         above[key] = max(above.get(key, 0), length) if stream.group else above.get(key, 0) + length
-    return found
+    return bounds
 
 
 _Other = tuple[int, int, int, int]
-"""(period, lead, length, most): the n-th frame, from 0, comes at ``n * period - lead`` or, where
-that is past, at once; those before the own k-th are at most ``most + k``.  All but the last in ps.
+"""A more urgent frame: (period, lead, length, most), the first three in ps.
+
+Its n-th instance, from 0, is due at ``n * period - lead`` or, if that is negative, at 0.  At most
+``most + k`` of its instances are sent before instance k of the examined frame.
 """
 _ANY = 1 << 60
 
 
-def _beginnings(
+def _critical_instants(
     period: int, jitter: int, stage: int | None, cycle: Mapping[tuple[int, int, int], int]
 ) -> Iterator[tuple[int, list[_Other]]]:
-    """The own lead, and the cycle's more urgent frames, for each possible worst case.
+    """Return the lead of the examined frame and the cycle's more urgent frames, for each candidate.
 
-    A busy period may begin anywhere in the cycle.  The worst is where a frame of the cycle
-    begins it, and is as late as it can be (Palencia and Gonzalez Harbour, "Schedulability
-    analysis for tasks with static and dynamic offsets", RTSS 1998).
+    A busy period may begin at any time of the cycle.  In the worst case, a frame of the cycle
+    begins it, and this frame has its largest jitter (Palencia and Gonzalez Harbour, "Schedulability
+    analysis for tasks with static and dynamic offsets", RTSS 1998).  Each frame of the cycle
+    is a candidate.
     """
     if not cycle:
         yield jitter, []
@@ -128,30 +139,31 @@ def _beginnings(
     if stage is not None:
         begins[jitter] = None
     for begin in begins:
-        # Of each, the first that can be there: of the earliest cycle where it may be that late.
+        # The first instance in the busy period is that of the earliest cycle in which its jitter
+        # allows it to be due then.
         first = -((jitter - begin) // period)
         others: list[_Other] = []
-        for (length_of_cycle, late, its_stage), length in cycle.items():
-            number = -((late - begin) // length_of_cycle)
-            later = stage is not None and its_stage > stage
+        for (cycle_time, late, other_stage), length in cycle.items():
+            number = -((late - begin) // cycle_time)
+            later = stage is not None and other_stage > stage
             most = max(first - number, 0) if later else _ANY
-            others.append((length_of_cycle, begin - number * length_of_cycle, length, most))
+            others.append((cycle_time, begin - number * cycle_time, length, most))
         yield (jitter if stage is None else begin - first * period), others
 
 
 def _longest(
     length: int, period: int, lead: int, blocked: int, above: Sequence[_Other], bit: int
 ) -> int | None:
-    """The longest response time in ps; ``above`` are the more urgent frames."""
+    """Return the longest response time in ps; ``above`` are the more urgent frames."""
     worst = wait = instance = 0
     while wait < _LONGEST:
-        # Then it gets the bus.
+        # After this time the instance gets the bus.
         wait = _settled(blocked + instance * length, wait, above, instance, bit)
         if wait + lead < 0:
-            return worst  # the busy period is over before it is due
+            return worst  # the busy period ends before this instance is due
         worst = max(worst, lead + wait - instance * period + length)
         instance += 1
-        # More urgent frames that come while it is sent lengthen the busy period.
+        # More urgent frames that become due during the transmission extend the busy period.
         end = _settled(blocked + instance * length, wait + length, above, instance, 0)
         if end + lead <= instance * period:
             return worst
@@ -159,7 +171,10 @@ def _longest(
 
 
 def _settled(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
-    """The least time from ``time`` on at which all that came before, and ``own``, is sent."""
+    """Return the least time, not before ``time``, at which the bus has sent ``own`` and all frames above.
+
+    This is the fixed point of w(k) in the module's docstring.
+    """
     while True:
         needed = own
         for period, lead, length, most in above:
@@ -174,10 +189,10 @@ def _settled(own: int, time: int, above: Sequence[_Other], instance: int, bit: i
 
 
 def bus_load(bus: Bus) -> float:
-    """Share of the bus's time that is taken at worst.
+    """Return the worst-case load of a bus, as a fraction of its bandwidth.
 
-    Counted are periodic frames, relayed ones at their limit, and in each control
-    cycle one frame on demand of the master and one SDO's answer.
+    It is the sum of the periodic frames, of the relayed frames at their limit, and, in each control
+    cycle, of one frame on demand of the master and the answer to one SDO.
     """
     bits, groups = 0.0, dict[str, int]()
     for frame in bus.frames:
@@ -197,17 +212,20 @@ def bus_load(bus: Bus) -> float:
 def frame_response_times(
     bus: Bus, bits: Mapping[str, int] | None = None
 ) -> dict[str, float | None]:
-    """Response times in s of the bus's frames by name, as ``response_times`` has them.
+    """Return the worst-case response times in s of the frames of a bus by their names.
 
-    Those of commands, of SYNC, of what is sent at the SYNC, and of an SDO with its
-    answer count from the beginning of the control cycle.  ``bits`` by the frame's name,
-    where more is known of its stuffing than the worst.
+    Those of commands, SYNC, synchronous PDOs and SDO answers count from the beginning of the
+    control cycle.  ``bits`` are lengths of frames by name, for frames with known stuffing.
+    ``None``: no bound.
+
+    The jitter of a frame depends on the response times of the frames that trigger it: SYNC follows
+    the commands, synchronous PDOs follow SYNC.  So the analysis is repeated until no jitter grows.
     """
     names = [frame.name for frame in bus.frames]
     jitter = {frame.name: bus.sync_period for frame in bus.frames if _group(frame) == _ANSWER}
     for _ in range(_ROUNDS):
-        found = response_times(frame_streams(bus, jitter, bits or {}), bus.bitrate)
-        times = dict(zip(names, found, strict=True))
+        bounds = response_times(frame_streams(bus, jitter, bits or {}), bus.bitrate)
+        times = dict(zip(names, bounds, strict=True))
         late = _lateness(bus, times)
         if late is None:
             return dict.fromkeys(names)
@@ -218,7 +236,7 @@ def frame_response_times(
 
 
 def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]) -> list[Stream]:
-    """The bus's frames as streams, in their order; ``jitter`` (s) and ``bits`` by their names."""
+    """Return the frames of a bus as streams, in order; ``jitter`` (s) and ``bits`` are by name."""
     return [
         Stream(
             frame.cob_id,
@@ -233,7 +251,7 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
 
 
 def _group(frame: FrameDefinition) -> str:
-    """Frames of which there is one in a control cycle, or empty."""
+    """Return the group of a frame on demand, of which each cycle has one; empty: no group."""
     if frame.period is not None or frame.kind == "relay":
         return ""
     if frame.producer == MASTER:
@@ -242,7 +260,7 @@ def _group(frame: FrameDefinition) -> str:
 
 
 def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
-    """Of what each cycle has: commands, then SYNC, then what is sent at the SYNC."""
+    """Return the stage of a frame in the cycle: 0 commands, 1 SYNC, 2 synchronous PDOs of nodes."""
     if frame.period != bus.sync_period:
         return None
     if frame.producer == MASTER:
@@ -251,7 +269,7 @@ def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
 
 
 def _lateness(bus: Bus, times: Mapping[str, float | None]) -> dict[str, float] | None:
-    """How late SYNC is after the commands, and what is sent at the SYNC; ``None``: no bound."""
+    """Return the jitter in s of SYNC and of synchronous PDOs by name; ``None``: no bound."""
     commands = [
         times[f.name]
         for f in bus.frames

@@ -11,7 +11,11 @@ from thorvaldc.model.spatial import Pose
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Placement(Element):
-    """A robot of a fleet: its name in the scene, and the pose of its ``base_link`` in the world."""
+    """A robot of a fleet.
+
+    ``name`` is its name in the scene and its name space, ``pose`` that of its ``base_link`` in the
+    world.
+    """
 
     name: str
     pose: Pose
@@ -70,8 +74,8 @@ class Zone(Element):
 class Block(Element):
     """A fixed body of the scene.
 
-    ``kind`` is ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``.  Wheels may roll on kerbs and
-    rails.  ``name`` is unique within the kind.
+    ``kind`` is ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``.  Wheels may roll on kerbs
+    and rails.  ``name`` is unique within the kind.
     """
 
     kind: str

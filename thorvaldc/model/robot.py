@@ -1,9 +1,8 @@
-"""The intermediate model: a robot as frozen dataclasses, everything in SI.
+"""The intermediate model of a robot: frozen dataclasses, all values in SI.
 
-Passes build it, backends and the runtime read it; nothing changes it.  Every
-element carries the ``span`` in the source it came from.  Lists are in model
-order: the order of the modules in the file, depth first, which every output
-follows.
+The compiler builds it; backends and the runtime read it.  ``span`` is the position in the source
+file from which an element comes.  Lists are in model order: the order of the modules in
+the file, depth first.  All outputs keep this order.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
-# The bus is part of the model; what it is made of stands in a file of its own.
+# The classes of the bus are in bus.py; they are a part of the model, so they are exported here too.
 __all__ = [
     "Actuator",
     "Battery",
@@ -53,14 +52,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Box(Element):
-    """Full edge lengths along x, y, z in m, centred on the frame."""
+    """A box, centred on the frame; ``size`` has the full edge lengths along x, y, z in m."""
 
     size: Vec3
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Cylinder(Element):
-    """Radius and full length in m, along z, centred on the frame."""
+    """A cylinder along z, centred on the frame; radius and full length in m."""
 
     radius: float
     length: float
@@ -68,14 +67,14 @@ class Cylinder(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sphere(Element):
-    """Radius in m, centred on the frame."""
+    """A sphere, centred on the frame; radius in m."""
 
     radius: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MeshShape(Element):
-    """A mesh by its name in ``Robot.meshes``; ``scale`` per axis."""
+    """A mesh of ``Robot.meshes`` by its name; ``scale`` has a factor for each axis."""
 
     mesh: str
     scale: Vec3 = (1.0, 1.0, 1.0)
@@ -86,10 +85,10 @@ Shape = Box | Cylinder | Sphere | MeshShape
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mesh(Element):
-    """A mesh file that goes along: ``name`` is its file name in the output.
+    """A mesh file of a build; ``name`` is its file name there.
 
-    Only STL and OBJ occur here (what URDF readers and MuJoCo share); other
-    formats are converted before.  ``data`` is left out of the JSON form.
+    It is an STL or an OBJ file: URDF readers and MuJoCo both read these.  The compiler converts
+    other formats.  The JSON form omits ``data``.
     """
 
     name: str
@@ -99,7 +98,7 @@ class Mesh(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Visual(Element):
-    """What is seen: ``pose`` in the link's frame, ``color`` RGBA in 0..1."""
+    """A visual shape; ``pose`` is in the link frame, ``color`` is RGBA in 0..1."""
 
     shape: Shape
     pose: Pose
@@ -108,20 +107,20 @@ class Visual(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Collision(Element):
-    """What touches: ``pose`` in the link's frame."""
+    """A collision shape; ``pose`` is in the link frame."""
 
     shape: Shape
     pose: Pose
 
 
-# -- the tree -------------------------------------------------------------------
+# -- links and joints -------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Link(Element):
-    """A rigid body.  ``inertial`` is given in the link's frame; ``None``: massless.
+    """A rigid body.  ``inertial`` is in the link frame; ``None``: massless.
 
-    ``module`` is the path of the module that it came from, ``fl.steering``.
+    ``module`` is the path of its module instance, such as ``fl.steering``.
     """
 
     name: str
@@ -134,7 +133,7 @@ class Link(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mimic(Element):
-    """q = multiplier * q_joint + offset."""
+    """A joint that follows another one: q = multiplier * q_joint + offset."""
 
     joint: str
     multiplier: float
@@ -143,16 +142,16 @@ class Mimic(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Joint(Element):
-    """``pose`` is that of the child link in the parent link at joint position 0.
+    """A joint; ``pose`` is that of the child link in the parent link at joint position 0.
 
-    ``type`` is ``fixed``, ``revolute`` (limited), ``continuous`` or
-    ``prismatic``; ``axis`` a unit vector in the child's frame.  Limits in rad
-    or m (``None`` where there is none), ``effort`` in N m or N, ``velocity``
-    in rad/s or m/s.  ``stiffness`` and ``spring_reference`` (the position at
-    which the spring is at rest) describe a spring; ``damping`` and
-    ``friction`` (Coulomb) the joint's losses; ``armature`` is the inertia of
-    the motor at the joint.  ``role`` is ``steering``, ``propulsion``,
-    ``suspension``, ``swivel``, ``wheel`` (a passive one) or empty.
+    ``type`` is ``fixed``, ``revolute`` (limited), ``continuous`` or ``prismatic``; ``axis`` is a
+    unit vector in the child link frame.  ``lower`` and ``upper`` are the position limits in rad or
+    m (``None``: no limit), ``effort`` the largest torque or force in N m or N, ``velocity`` the
+    largest speed in rad/s or m/s.  ``stiffness`` (N m/rad or N/m) and ``spring_reference`` (the
+    joint position at which the spring is relaxed) describe a spring.  ``damping`` (viscous, N m
+    s/rad or N s/m) and ``friction`` (Coulomb, N m or N) are the losses.  ``armature`` is the
+    inertia of the motor at the joint (kg m^2).  ``role`` is ``steering``, ``propulsion``,
+    ``suspension``, ``swivel``, ``wheel`` (without a motor) or empty.
     """
 
     name: str
@@ -176,15 +175,16 @@ class Joint(Element):
     role: str = ""
 
 
-# -- the base -------------------------------------------------------------------
+# -- wheels and devices -------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tread(Element):
-    """A ring of a wheel beside its tyre, which rolls on something else: a rail.
+    """A ring of a wheel beside its tyre, which rolls on rails.
 
-    ``name`` is that of its radius in ``Wheel.radii``, ``center`` (m) its middle in the wheel's
-    link, ``width`` (m) that between its flanges, which are ``flange`` (m) high; 0: none.
+    ``name`` is the name of its radius in ``Wheel.radii``.  ``center`` (m) is its centre in the
+    wheel's link frame, ``width`` (m) the distance between its flanges, ``flange`` (m) their height
+    (0: no flanges).
     """
 
     name: str
@@ -195,18 +195,17 @@ class Tread(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Wheel(Element):
-    """A wheel and its geometry in ``base_link`` with every joint at zero.
+    """A wheel and its geometry in ``base_link``, with every joint at 0.
 
-    ``x``, ``y`` (m): where the steering (or swivel) axis meets the ground; for
-    a wheel that does not turn, its contact point.  ``heading`` (rad): the
-    direction in which a positive joint speed rolls, at steering angle 0; at
-    steering angle q it is ``heading + steering_sign * q``.  ``trail`` and
-    ``lateral_offset`` (m): the contact point relative to that axis, along and
-    to the left of the rolling direction.  ``radius`` and ``width`` in m;
-    ``radii`` holds named alternatives (``floor``, ``rail``), ``treads`` those that are rings of
-    their own.  ``load`` (N) is
-    the static share of the weight.  ``contact_height`` (m) is how far the
-    wheel's lowest point is above the ground (0 for a well-built robot).
+    ``x``, ``y`` (m): the intersection of the steering (or swivel) axis with the ground; for a
+    wheel without such an axis, its contact point.  ``heading`` (rad): the rolling direction for a
+    positive joint speed at steering angle 0; at steering angle q it is ``heading + steering_sign *
+    q``.  ``trail`` and ``lateral_offset`` (m): the contact point relative to (``x``, ``y``), along
+    the rolling direction and to the left of it.  ``radius`` and ``width`` in m; ``radii`` has
+    named alternatives (``floor``, ``rail``), ``treads`` the rings for them.  ``friction`` is the
+    coefficient of friction, ``rolling_resistance`` that of rolling resistance.  ``load`` (N) is
+    the static wheel load.  ``contact_height`` (m) is the height of the wheel's lowest point above
+    the ground (0 if it stands on the ground).
     """
 
     name: str
@@ -238,25 +237,24 @@ class Wheel(Element):
         return self.steering_joint is not None
 
     def radius_named(self, name: str | None) -> float:
-        """The radius (m) of this name in ``radii``.
+        """Return the radius (m) of this name in ``radii``.
 
-        The ordinary ``radius`` for ``None``, and for a name that this wheel does not have.
+        Returns ``radius`` for ``None`` and for a name that this wheel does not have.
         """
         return dict(self.radii).get(name, self.radius) if name else self.radius
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Actuator(Element):
-    """A motor with its gear on a joint; every limit is at the joint.
+    """A motor with its gear on a joint; the limits are those at the joint.
 
-    ``role`` is ``propulsion`` (speed-controlled) or ``steering`` (position-
-    controlled).  ``max_velocity`` rad/s, ``max_acceleration`` rad/s^2,
-    ``max_torque`` N m, ``armature`` kg m^2 (rotor inertia times gear^2).
-    ``motor_max_speed`` rad/s and ``encoder_ppr`` (pulses per revolution, four
-    counts each) are at the motor shaft.  ``node`` and ``channel`` name the
-    controller that drives it, or are ``None``.  Of a steering motor that was
-    calibrated, ``encoder_offset`` (rad, at the joint) is the joint's position
-    where its encoder reads 0: position = reading + offset.
+    ``role`` is ``propulsion`` (speed control) or ``steering`` (position control).
+    ``max_velocity`` in rad/s, ``max_acceleration`` in rad/s^2, ``max_torque`` in N m, ``armature``
+    in kg m^2 (rotor inertia times the square of the gear ratio).  ``motor_max_speed`` (rad/s) and
+    ``encoder_ppr`` (pulses per revolution, four counts each) are at the motor shaft.  ``node`` and
+    ``channel`` name the motor controller and its channel, or are ``None``.  ``encoder_offset``
+    (rad, at the joint) comes from the calibration of a steering motor: joint position = encoder
+    reading + offset.
     """
 
     name: str
@@ -278,9 +276,9 @@ class Actuator(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sensor(Element):
-    """``type``: ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another module's own.
+    """A sensor; ``link`` is its measurement frame, ``properties`` are in SI.
 
-    ``link`` is the frame in which it measures; ``properties`` in SI.
+    ``type`` is ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another word of the module type.
     """
 
     name: str
@@ -293,7 +291,7 @@ class Sensor(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Battery(Element):
-    """A battery enclosure; ``node`` is ``None`` where no battery is in it."""
+    """A battery enclosure; ``node`` is its battery on the bus, ``None`` if it is empty."""
 
     name: str
     module: str
@@ -303,12 +301,12 @@ class Battery(Element):
     span: Span
 
 
-# -- the whole ----------------------------------------------------------------------
+# -- settings and the robot ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CalculatorChoice(Element):
-    """The base calculator's plugin name and its options."""
+    """The name of the base calculator (a plug-in) and its options."""
 
     name: str = "general"
     options: tuple[tuple[str, Scalar], ...] = ()
@@ -316,11 +314,12 @@ class CalculatorChoice(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class DriverSettings(Element):
-    """``rate`` Hz of the control loop; ``command_timeout`` s; twist limits in SI.
+    """Settings of the base driver.
 
-    The limits are what the modules allow together or what the file says, at
-    the robot: m/s, rad/s, m/s^2, rad/s^2.  ``noise`` holds what the file says of
-    the odometry's errors, in SI, by the names of the estimator's ``Noise``.
+    ``rate`` (Hz) is that of the control loop; ``command_timeout`` in s.  The limits of the twist
+    come from the robot file, or from the limits of the modules: m/s, rad/s, m/s^2, rad/s^2.
+    ``noise`` has the standard deviations for the odometry that the robot file sets, in SI, by the
+    names of the fields of the runtime's ``Noise``.
     """
 
     rate: float
@@ -334,10 +333,11 @@ class DriverSettings(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ParameterSet(Element):
-    """Values that the robot can switch to while it drives.
+    """A named set of parameters that the driver can select while the robot drives.
 
-    ``radii`` names those of the wheels (``None``: the ordinary ones; a wheel without
-    such keeps its own); ``driver`` are the robot's settings with what the set changes.
+    ``radii`` is the name of the wheel radii (``None``: ``Wheel.radius``; a wheel without radii of
+    this name keeps ``radius``).  ``driver`` has all settings: those of the robot with the
+    changes of this set.
     """
 
     name: str
@@ -348,12 +348,12 @@ class ParameterSet(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TwistInput(Element):
-    """A source of twists in front of the driver, or a lock that holds sources back.
+    """A source of commanded twists for the multiplexer, or a lock that blocks sources.
 
-    Of the sources that are being published the one of the highest ``priority`` (1..255)
-    drives.  A lock holds back those below its priority.  ``timeout`` (s): silence after
-    which a source is not published any more, and after which a lock holds (0: a silent
-    lock stays as it is).  ``topic`` is its ROS topic, in the robot's name space.
+    Among the active sources, the one with the highest ``priority`` (1..255) commands the robot.  A
+    lock blocks the sources with a lower priority.  A source becomes inactive after ``timeout`` s
+    without a message.  A lock locks after ``timeout`` s without a message (0: it keeps its last
+    state).  ``topic`` is its ROS topic, in the name space of the robot.
     """
 
     name: str
@@ -366,8 +366,9 @@ class TwistInput(Element):
 class Robot(Element):
     """A whole robot.  ``links[0]`` is ``base_link``, which lies on the ground.
 
-    ``namespace`` prefixes names in outputs (empty: none).  ``urdf_extensions``
-    are XML elements of the extras that only URDF can carry (``<gazebo>``).
+    ``namespace`` is the prefix of names in outputs (empty: no prefix).  ``inertial`` is the
+    inertia of the whole robot in ``base_link``, with every joint at 0.  ``urdf_extensions`` are
+    XML elements of the extras that only URDF has, such as ``<gazebo>``.
     """
 
     name: str
@@ -392,25 +393,25 @@ class Robot(Element):
 
     @property
     def prefix(self) -> str:
-        """The namespace with a slash, in front of every name in an output; or empty."""
+        """The prefix of every name in an output: the name space and a slash, or empty."""
         return f"{self.namespace}/" if self.namespace else ""
 
     def link(self, name: str) -> Link:
-        """The link of that name; ``KeyError`` where there is none."""
+        """Return the link of this name.  Raises ``KeyError``."""
         for link in self.links:
             if link.name == name:
                 return link
         raise KeyError(name)
 
     def joint(self, name: str) -> Joint:
-        """The joint of that name; ``KeyError`` where there is none."""
+        """Return the joint of this name.  Raises ``KeyError``."""
         for joint in self.joints:
             if joint.name == name:
                 return joint
         raise KeyError(name)
 
     def actuator_of(self, joint: str) -> Actuator | None:
-        """The actuator on that joint, if any."""
+        """Return the actuator on a joint, ``None`` if it has none."""
         for actuator in self.actuators:
             if actuator.joint == joint:
                 return actuator

@@ -30,7 +30,8 @@ class Command:
 class WheelFault:
     """An injected fault of a wheel, active from ``start`` to before ``end`` (s).
 
-    The driver does not know about it.  ``type`` is one of the following, with the meaning of ``value``:
+    The driver does not know about it.  ``type`` is one of the following, with the meaning of
+    ``value``:
 
     - ``steering_offset``: true angle minus encoder angle, rad.
     - ``radius_error``: (true radius - nominal radius) / nominal radius.
@@ -69,7 +70,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """The expected range of a metric for every robot: ``least`` to ``most`` (``None``: no limit)."""
+    """The range, ``least`` to ``most``, of a metric of every robot (``None``: no limit)."""
 
     metric: str
     least: float | None

@@ -1,9 +1,8 @@
 """Rigid-body algebra in plain Python: vectors, unit quaternions, poses, inertias.
 
-The compiler's layers do not import numpy: a cold build is shorter without it,
-and three-vectors are faster as tuples.  Quaternions are ``(w, x, y, z)``
-everywhere in the project.  A pose named ``X_AB`` is the pose of frame B in
-frame A, so that ``X_AC = X_AB * X_BC`` can be checked by eye.
+The compiler does not import numpy: a cold build is faster without it,
+and tuples are faster for vectors of three.  All quaternions of the project are ``(w, x, y, z)``.
+A pose named ``X_AB`` is the pose of frame B in frame A, so ``X_AC = X_AB * X_BC``.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ IDENTITY_QUAT: Quat = (1.0, 0.0, 0.0, 0.0)
 
 
 def clean(value: float) -> float:
-    """Round to 12 significant digits and drop noise below 1e-12.
+    """Round to 12 significant digits; values below 1e-12 become 0.
 
-    Results of ``sin`` and ``cos`` differ in the last bit between C libraries;
-    what the model stores must not.
+    Results of ``sin`` and ``cos`` differ in the last bit between C libraries.  The numbers
+    of the model must be the same on every machine.
     """
     if -1e-12 < value < 1e-12:
         return 0.0
@@ -110,11 +109,12 @@ def quat_to_matrix(q: Quat) -> Mat3:
 
 
 def matrix_to_rpy(r: Mat3) -> Vec3:
-    """Fixed-axis roll, pitch, yaw in rad of a rotation matrix.
+    """Return fixed-axis roll, pitch, yaw in rad of a rotation matrix.
 
-    Yaw is taken out before roll is read, so that the three angles rebuild the
-    matrix to rounding even at a pitch of +-90 degrees, where ``asin`` would
-    lose half of the digits.
+    With R = Rz(yaw) Ry(pitch) Rx(roll), the matrix Rz(-yaw) R has the entries cos(roll) and
+    -sin(roll) in its second row.  Roll comes from these, so the three angles
+    reproduce the matrix even at a pitch of +-90 degrees, where ``asin`` loses half of the
+    digits.
     """
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
     yaw = math.atan2(r[1][0], r[0][0]) if math.hypot(r[0][0], r[1][0]) > 1e-12 else 0.0
@@ -125,7 +125,7 @@ def matrix_to_rpy(r: Mat3) -> Vec3:
 
 def rotate(q: Quat, v: Vec3) -> Vec3:
     w, x, y, z = q
-    # v + 2 w (u x v) + 2 u x (u x v), u the vector part
+    # v + 2 w (u x v) + 2 u x (u x v), with u the vector part; t = 2 u x v
     tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
     return (
         v[0] + w * tx + y * tz - z * ty,
@@ -159,7 +159,7 @@ class Pose:
         return Pose(rotate(q, scale(-1.0, self.xyz)), q)
 
     def apply(self, point: Vec3) -> Vec3:
-        """The point given in the inner frame, in the outer frame."""
+        """Transform a point from the inner frame to the outer frame."""
         return add(self.xyz, rotate(self.quat, point))
 
     def rotate(self, vector: Vec3) -> Vec3:
@@ -193,7 +193,10 @@ class Inertial:
         return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
 
     def transformed(self, pose: Pose) -> Inertial:
-        """The same body given in the outer frame of ``pose``."""
+        """Return the same body in the outer frame of ``pose``.
+
+        The inertia transforms as R I R^T, with R the rotation of the pose.
+        """
         if pose.quat == IDENTITY_QUAT:
             return Inertial(self.mass, pose.apply(self.com), self.inertia)
         r = quat_to_matrix(pose.quat)
@@ -210,11 +213,11 @@ class Inertial:
         )
 
     def clean(self) -> Inertial:
-        """Rounded like ``clean``, and still the inertia of a possible body.
+        """Round all values like ``clean``, and keep the inertia physically possible.
 
-        Of a flat plate the largest principal moment is the sum of the other two, and
-        rounding may leave it a hair above that, which simulators refuse: the
-        moments are then lifted together, by 1e-6 of the largest at most.
+        The largest principal moment of a body is at most the sum of the other two; for a flat plate
+        it is equal.  Rounding may make it slightly larger, and simulators reject this.  All
+        three moments are then increased by the same value, at most 1e-6 of the largest.
         """
         low, middle, high = self.principal_moments()
         excess = high - low - middle
@@ -229,12 +232,12 @@ class Inertial:
         )
 
     def principal_moments(self) -> Vec3:
-        """Eigenvalues of the inertia matrix in ascending order, kg m^2."""
+        """Return the eigenvalues of the inertia matrix in ascending order, kg m^2."""
         return symmetric_eigenvalues(self.matrix())
 
 
 def combine(bodies: list[Inertial]) -> Inertial:
-    """One body out of several given in the same frame (parallel-axis theorem)."""
+    """Return several bodies of the same frame as one body (parallel-axis theorem)."""
     mass = sum(b.mass for b in bodies)
     if mass <= 0.0:
         return Inertial(0.0, ZERO3, (0.0,) * 6)
@@ -257,7 +260,12 @@ def combine(bodies: list[Inertial]) -> Inertial:
 
 
 def symmetric_eigenvalues(m: Mat3) -> Vec3:
-    """Eigenvalues of a symmetric 3x3 matrix, ascending (trigonometric form)."""
+    """Return the eigenvalues of a symmetric 3x3 matrix in ascending order.
+
+    Trigonometric solution (Smith, "Eigenvalues of a symmetric 3 x 3 matrix", Communications of the
+    ACM 4, 1961): with q = tr(M) / 3, p^2 = tr((M - q)^2) / 6 and B = (M - q) / p they are
+    q + 2 p cos(phi + 2 pi k / 3), phi = arccos(det(B) / 2) / 3.
+    """
     p1 = m[0][1] ** 2 + m[0][2] ** 2 + m[1][2] ** 2
     q = (m[0][0] + m[1][1] + m[2][2]) / 3
     p2 = (m[0][0] - q) ** 2 + (m[1][1] - q) ** 2 + (m[2][2] - q) ** 2 + 2 * p1
