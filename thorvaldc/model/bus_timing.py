@@ -171,7 +171,7 @@ def _longest(
 
 
 def _settled(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
-    """Return the least time, not before ``time``, at which the bus has sent ``own`` and all frames above.
+    """Return the least time from ``time`` on at which ``own`` and all frames above it are sent.
 
     This is the fixed point of w(k) in the module's docstring.
     """
