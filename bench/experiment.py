@@ -1,4 +1,4 @@
-"""How far odometry is off after the paper's drive and after random ones, and by what."""
+"""End error of the odometry after the paper's drive and after random drives, and its causes."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from thorvaldc.simulation.simulation_run import Simulation
 
 SECONDS = 77.0
 RUNS, ABLATED = 20, 8
-CHANGING = 1.5
-"""Time (s) after a new command that counts as going over to it."""
+TRANSITION = 1.5
+"""Time (s) after a new command that counts as the transition to it."""
 Prepare = Callable[[Simulation], None]
 
 
@@ -39,28 +39,35 @@ def figures() -> Iterator[Figure]:
     robot, files = built(example("6wd6ws_asymmetric"))
     runs = [_run(robot, files, seed) for seed in range(RUNS)]
     ends = [end for end, _ in runs]
-    said = f"{RUNS} random drives of 77 s, some 70 m each, ideal sensors"
-    yield Figure("random drives, end error", _rms(ends), "m", 0.05, "lower", f"rms of {said}")
-    yield Figure("random drives, worst end error", max(ends), "m", None, "lower", said)
+    drives = f"{RUNS} random drives of 77 s, about 70 m each, ideal sensors"
+    yield Figure("random drives, end error", _rms(ends), "m", 0.05, "lower", f"rms of {drives}")
+    yield Figure("random drives, worst end error", max(ends), "m", None, "lower", drives)
     parts = [_parts(samples, seed) for seed, (_, samples) in enumerate(runs)]
     for name, how in (
-        ("turned while going over", "heading that was lost while the motion changed"),
-        ("turned while steady", "heading that was lost in steady motion"),
-        ("shifted", "way that was lost: creep of the contacts"),
+        ("heading, in transitions", "heading errors while the motion changes"),
+        ("heading, in steady motion", "heading errors in steady motion"),
+        ("position", "position errors: creep of the contacts"),
     ):
         sizes = [part[name] for part in parts]
-        yield Figure(f"random drives, {name}", _rms(sizes), "m", None, "lower", f"of it: {how}")
-    whole = _rms(ends[:ABLATED])
-    for name, patch, prepare in _ablations():
-        with patch:
-            end = _rms([_run(robot, files, seed, prepare)[0] for seed in range(ABLATED)])
         yield Figure(
             f"random drives, {name}",
-            end,
+            _rms(sizes),
             "m",
             None,
             "lower",
-            f"rms of the first {ABLATED}, which as it is have {whole:.3f} m",
+            f"part of the end error: {how}",
+        )
+    whole = _rms(ends[:ABLATED])
+    for name, patch, prepare in _ablations():
+        with patch:
+            end_error = _rms([_run(robot, files, seed, prepare)[0] for seed in range(ABLATED)])
+        yield Figure(
+            f"random drives, {name}",
+            end_error,
+            "m",
+            None,
+            "lower",
+            f"rms of the first {ABLATED}; without this change {whole:.3f} m",
         )
 
 
@@ -74,18 +81,18 @@ def _paper() -> Figure:
         raise SystemExit("the experiment does not compile")
     files = emit(scenario.fleet, ["mjcf"], Report())
     run = ScenarioSimulation(scenario, files).play(Report()).run.robots[0]
-    how = f"ideal sensors, {run.path_true:.2f} m, by odometry {run.path_odometry:.2f} m"
+    how = f"ideal sensors, {run.path_true:.2f} m, odometry {run.path_odometry:.2f} m"
     return Figure("the paper's drive, end error", run.end_error, "m", 0.05, "lower", how)
 
 
 def random_drive(seed: int) -> Manoeuvre:
-    """Twists of all directions, one every 4 to 9 s, with sudden changes between them."""
-    chance = random.Random(seed)
+    """Returns twists of all directions, each for 4 to 9 s, with sudden changes between them."""
+    rng = random.Random(seed)
     time, drive = 0.0, []
     while time < 70.0:
-        length, speed = chance.uniform(4.0, 9.0), chance.uniform(0.9, 1.3)
-        angle = chance.uniform(-math.pi, math.pi)
-        twist = Twist(speed * math.cos(angle), speed * math.sin(angle), chance.uniform(-0.4, 0.4))
+        length, speed = rng.uniform(4.0, 9.0), rng.uniform(0.9, 1.3)
+        angle = rng.uniform(-math.pi, math.pi)
+        twist = Twist(speed * math.cos(angle), speed * math.sin(angle), rng.uniform(-0.4, 0.4))
         drive.append(Segment(time, twist))
         time += length
     return [*drive, Segment(SECONDS - 3.0, ZERO_TWIST)]
@@ -107,33 +114,41 @@ def _run(
 
 
 def _parts(samples: list[Sample], seed: int) -> dict[str, float]:
-    """Parts of the end error (m): of what each tick loses, what it makes at the end."""
+    """Returns parts of the end error (m): the sum of each tick's error, as seen at the end.
+
+    A heading error of a tick moves the end by the error times the lever arm from the robot to
+    the end; a position error moves the end by itself.
+    """
     starts = [segment.start for segment in random_drive(seed)]
     end = samples[-1].pose_estimated
-    names = ("turned while going over", "turned while steady", "shifted")
+    transition, steady, position = names = (
+        "heading, in transitions",
+        "heading, in steady motion",
+        "position",
+    )
     parts = {name: [0.0, 0.0] for name in names}
     for a, b in pairwise(samples):
         true = b.pose_true.relative_to(a.pose_true)
-        told = b.pose_estimated.relative_to(a.pose_estimated)
-        dx, dy, turn = (t - o for t, o in zip(true, told, strict=True))
+        estimated = b.pose_estimated.relative_to(a.pose_estimated)
+        dx, dy, turn = (t - e for t, e in zip(true, estimated, strict=True))
         c, s = math.cos(a.pose_estimated.yaw), math.sin(a.pose_estimated.yaw)
-        shifted = parts["shifted"]
-        shifted[0] += c * dx - s * dy
-        shifted[1] += s * dx + c * dy
-        changing = any(0.0 <= b.time - start < CHANGING for start in starts)
-        turned = parts["turned while going over" if changing else "turned while steady"]
-        turned[0] -= turn * (end.y - b.pose_estimated.y)
-        turned[1] += turn * (end.x - b.pose_estimated.x)
+        shift = parts[position]
+        shift[0] += c * dx - s * dy
+        shift[1] += s * dx + c * dy
+        in_transition = any(0.0 <= b.time - start < TRANSITION for start in starts)
+        heading = parts[transition if in_transition else steady]
+        heading[0] -= turn * (end.y - b.pose_estimated.y)
+        heading[1] += turn * (end.x - b.pose_estimated.x)
     return {name: math.hypot(*part) for name, part in parts.items()}
 
 
-# -- what holds the error down, undone ---------------------------------------------------------
+# -- ablations: each run lacks one measure against the error -----------------------------------
 
 
 def _ablations() -> Iterator[tuple[str, AbstractContextManager[Any], Prepare | None]]:
     yield "servos without feed-forward", mock.patch.object(MujocoBase, "_lag", _no_lag), None
     yield "ramps with corners", mock.patch.object(driver, "Ramp", _corners), None
-    yield "late wheels not waited for", mock.patch.object(General, "_lateness", _never), None
+    yield "no waiting for late wheels", mock.patch.object(General, "_lateness", _never), None
     yield "implicit integration", nullcontext(), _implicit
     yield "steps of 1 ms", nullcontext(), _fine
 

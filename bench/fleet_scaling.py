@@ -1,4 +1,4 @@
-"""Robots of one kind in one scene: how compiling, stepping and driving grow with their number."""
+"""Time to compile, step and drive N equal robots in one scene, as a function of N."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thorvaldc.simulation.simulation_run import Simulation
 from thorvaldc.simulation.vectorised import robot_groups
 
 GRIDS = {1: (1, 1), 10: (2, 5), 25: (5, 5), 50: (5, 10), 100: (10, 10)}
-"""Rows and columns by the number of robots."""
+"""Rows and columns of the grid by the number of robots."""
 SECONDS = 1.0
 PLAN = (Segment(0.0, Twist(0.8, 0.1, 0.1)), Segment(0.5, Twist(0.8, -0.2, -0.2)))
 ROUNDS = 5
@@ -49,16 +49,16 @@ def figures() -> Iterator[Figure]:
         {n: t / steps for n, t in bare.items()},
         1e6,
         "us",
-        "mj_step alone, 4WD4WS that drive",
+        "mj_step alone, driving 4WD4WS robots",
     )
     yield _growth(
         "a tick of 100 robots",
         whole,
         1e6,
         "us",
-        f"{steps} steps of physics, and each robot's driver and odometry, 50 Hz;"
-        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step; with the odometry of"
-        f" each by itself it takes {alone / loops[0].ticks / whole[100]:.2f} times as long",
+        f"{steps} steps of physics, and the driver and odometry of each robot, 50 Hz;"
+        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step; with separate odometry of"
+        f" each robot it takes {alone / loops[0].ticks / whole[100]:.2f} times as long",
     )
 
 
@@ -86,7 +86,7 @@ def _fleet(path: Path) -> Fleet:
 
 
 class _Loops:
-    """A run of a fleet, and the same physics without the drivers."""
+    """A run of a fleet, and the same physics steps without the drivers."""
 
     def __init__(self, path: Path) -> None:
         fleet = _fleet(path)
@@ -135,5 +135,6 @@ def _growth(name: str, times: dict[int, float], scale: float, unit: str, what: s
         "",
         1.15,
         "lower",
-        f"over ten times that of 10; {what}; {unit} a robot in scenes of {each}; least of several",
+        f"relative to ten times that of 10; {what}; {unit} per robot in scenes of {each};"
+        " least of several",
     )

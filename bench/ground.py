@@ -1,4 +1,4 @@
-"""Zones and rails of scenarios against closed-form answers."""
+"""Zones and rails of scenarios compared with closed-form results."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def figures() -> Iterator[Figure]:
     slope = f"ground: {{type: slope, angle: {math.degrees(ANGLE):g} deg}}"
     zone = f"zones: [{{xyz: [-5, 0, 0], size: [14, 4], friction: {MU}}}]"
     _, samples = _played(SLIM, f"duration: {SECONDS}\nworld: {{{slope}, {zone}}}\n")
-    wanted = 0.5 * 9.81 * (math.sin(ANGLE) - MU * math.cos(ANGLE)) * SECONDS**2
+    expected = 0.5 * 9.81 * (math.sin(ANGLE) - MU * math.cos(ANGLE)) * SECONDS**2
     yield Figure(
         "sliding on ice",
-        100 * abs(-samples[-1].pose_true.x / wanted - 1.0),
+        100 * abs(-samples[-1].pose_true.x / expected - 1.0),
         "%",
         1.0,
         "lower",
-        "way down 8 deg of a 4WD4WS that brakes, in 2 s, in a zone of friction 0.06, against"
-        " g (sin - mu cos) t^2/2",
+        "distance that a braking 4WD4WS slides down 8 deg in 2 s, in a zone of friction 0.06,"
+        " compared with g (sin - mu cos) t^2/2",
     )
     drive = "duration: 8\nscript: [{at: 0, vx: 0.8}]\n"
     firm, _ = _played(SLIM, drive)
@@ -44,17 +44,17 @@ def figures() -> Iterator[Figure]:
     robot = compile_file(SLIM).model
     if not isinstance(robot, Robot):
         raise SystemExit(f"{SLIM} does not compile")
-    found, path = mud.metrics["cart"], mud.metrics["cart"]["path"]
+    energy, path = mud.metrics["cart"]["energy"], mud.metrics["cart"]["path"]
     resistance = MUD - robot.wheels[0].rolling_resistance
-    wanted = resistance * robot.inertial.mass * 9.81 * path
+    expected = resistance * robot.inertial.mass * 9.81 * path
     yield Figure(
         "work in mud",
-        100 * abs((found["energy"] - firm.metrics["cart"]["energy"]) / wanted - 1.0),
+        100 * abs((energy - firm.metrics["cart"]["energy"]) / expected - 1.0),
         "%",
         0.5,
         "lower",
-        f"that the motors do more in a zone of rolling resistance {MUD}, against its"
-        " coefficient, the weight and the way",
+        f"extra work of the motors in a zone of rolling resistance {MUD}, compared with"
+        " coefficient * weight * distance",
     )
     rails = "world: {rails: [{from: [-1 m, 0], to: [6 m, 0], gauge: 720 mm}]}\n"
     result, samples = _played(
@@ -63,16 +63,17 @@ def figures() -> Iterator[Figure]:
     first, last = (next(s for s in samples if s.time >= t) for t in (2.5, 6.5))
     if first.joints is None or last.joints is None:
         raise SystemExit("no joints")
-    turned = (last.joints.positions or [])[0] - (first.joints.positions or [])[0]
-    way = last.pose_true.x - first.pose_true.x
+    angle = (last.joints.positions or [])[0] - (first.joints.positions or [])[0]
+    distance = last.pose_true.x - first.pose_true.x
     yield Figure(
-        "way on rails",
-        100 * abs(way / turned / 0.09 - 1.0),
+        "distance on rails",
+        100 * abs(distance / angle / 0.09 - 1.0),
         "%",
         0.01,
         "lower",
-        "of the greenhouse robot on pipes, against the radius of its rail wheels, 90 mm; its"
-        f" odometry with that set: {result.metrics['cart']['end_error'] * 1000:.1f} mm off after"
+        "of the greenhouse robot on pipes, compared with the radius of its rail wheels, 90 mm;"
+        " end error of its odometry with that set:"
+        f" {result.metrics['cart']['end_error'] * 1000:.1f} mm after"
         f" {result.metrics['cart']['path']:.1f} m",
     )
 
@@ -84,10 +85,11 @@ def _played(
     with TemporaryDirectory() as folder:
         path = Path(folder, "scenario.yaml")
         path.write_text(f"thorvaldc: 1\nscenario: bench\n{robots}{text}", encoding="utf-8")
-        done = compile_file(path)
-        if done.scenario is None:
-            raise SystemExit("; ".join(d.message for d in done.report))
-    simulation = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"]), parameters)
+        compilation = compile_file(path)
+        scenario = compilation.scenario
+        if scenario is None:
+            raise SystemExit("; ".join(d.message for d in compilation.report))
+    simulation = ScenarioSimulation(scenario, emit(scenario.fleet, ["mjcf"]), parameters)
     samples: list[Sample] = []
     result = simulation.play(Report(), on_tick=lambda loop: samples.append(loop.sample()))
     return result, samples

@@ -1,4 +1,4 @@
-"""The paper's mission with all that runs on a robot, against real time and the bare physics."""
+"""Computing time of the paper's mission, compared with real time and with the physics alone."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def figures() -> Iterator[Figure]:
     steps = round(1.0 / RATE / scene.timestep)
 
     def floor() -> None:
-        """The same controls and steps, and nothing else."""
+        """Repeats the same controls and steps without driver and odometry."""
         scene.reset()
         model, data, step = scene.model, scene.data, mujoco.mj_step
         ctrl = data.ctrl
@@ -53,10 +53,15 @@ def figures() -> Iterator[Figure]:
 
     floor()
     if not np.array_equal(scene.data.qpos, end):
-        raise SystemExit("the bare loop drives another way")
-    played = ScenarioSimulation(scenario, files)
+        raise SystemExit("the bare loop ends at another position")
+    scenario_simulation = ScenarioSimulation(scenario, files)
     whole, bare, measured = least_times(
-        [lambda: simulation.run(duration, plans), floor, lambda: played.play(Report())], ROUNDS
+        [
+            lambda: simulation.run(duration, plans),
+            floor,
+            lambda: scenario_simulation.play(Report()),
+        ],
+        ROUNDS,
     )
     yield Figure(
         "a mission of 77 s at 100 Hz",
@@ -65,9 +70,9 @@ def figures() -> Iterator[Figure]:
         100,
         "higher",
         f"6WD6WS asymmetric, {run.path_true:.1f} m, driver, odometry and physics, least of"
-        f" {ROUNDS}; {100 * bare / whole:.0f} % of it is mj_step, which alone makes"
-        f" {duration / bare:.0f}x ({1e6 * bare / len(controls) / steps:.1f} us a step);"
-        f" ours {1e6 * (whole - bare) / len(controls):.0f} us a tick",
+        f" {ROUNDS}; {100 * bare / whole:.0f} % of it is mj_step, which alone runs at"
+        f" {duration / bare:.0f}x ({1e6 * bare / len(controls) / steps:.1f} us per step);"
+        f" the rest takes {1e6 * (whole - bare) / len(controls):.0f} us per tick",
     )
     yield Figure(
         "the mission as a scenario",
@@ -75,12 +80,12 @@ def figures() -> Iterator[Figure]:
         "x real time",
         None,
         "higher",
-        "the same with slip, energy, contacts and limits measured and every number hashed",
+        "the same run with metrics (slip, energy, contacts, limits) and the hash",
     )
 
 
 def manoeuvres(scenario: Scenario) -> dict[str, list[Segment]]:
-    """The scenario's script, by robot."""
+    """Returns the scenario's script by robot."""
     return {
         name: [Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
         for name, commands in scenario.commands
@@ -88,7 +93,7 @@ def manoeuvres(scenario: Scenario) -> dict[str, list[Segment]]:
 
 
 def mission(rate: float) -> Scenario:
-    """The experiment with ideal sensors, its driver at ``rate`` (Hz)."""
+    """Returns the experiment with ideal sensors and the driver rate ``rate`` (Hz)."""
     scenario = compile_file(MISSION).scenario
     if scenario is None:
         raise SystemExit(f"{MISSION} does not compile")

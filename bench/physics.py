@@ -1,4 +1,4 @@
-"""The generated MJCF against closed-form answers, and its step time against a minimal model."""
+"""Generated MJCF compared with closed-form results; its step time compared with a minimal model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 from thorvaldc.simulation.simulation_run import Simulation
 
 RATES = (0.1, 0.5, 1.0, 2.0)  # rad/s
-# Four driven wheels at the corners: it turns on the spot by skidding alone.
+# Four driven wheels at the corners without steering: the robot turns only by skidding.
 SKID = """
 thorvaldc: 1
 name: skid
@@ -49,7 +49,7 @@ def figures() -> Iterator[Figure]:
         "%",
         0.5,
         "lower",
-        "worst error of the yaw rate against 2 W v/(W^2 + L^2) at 0.1, 0.5, 1 and 2 rad/s; "
+        "largest error of the yaw rate from 2 W v/(W^2 + L^2) at 0.1, 0.5, 1 and 2 rad/s; "
         f"MuJoCo's default contact: {100 * defaults:.0f} %",
     )
     robot, files = built(example("4wd4ws_wide"))
@@ -60,7 +60,7 @@ def figures() -> Iterator[Figure]:
         "%",
         0.01,
         "lower",
-        "way of 4WD4WS against its wheels' own, 10 m at 0.8 m/s",
+        "distance of 4WD4WS compared with its encoders, 10 m at 0.8 m/s",
     )
     turning = _drive(robot, files, Twist(0.0, 0.0, 0.6), 12.0)
     yield Figure(
@@ -69,7 +69,7 @@ def figures() -> Iterator[Figure]:
         "%",
         0.1,
         "lower",
-        "angle of 4WD4WS against what its encoders say, 7 rad at 0.6 rad/s",
+        "angle of 4WD4WS compared with its encoders, 7 rad at 0.6 rad/s",
     )
     yield Figure(
         "creep on a slope",
@@ -77,7 +77,7 @@ def figures() -> Iterator[Figure]:
         "mm/s",
         0.1,
         "lower",
-        "speed of 4WD4WS that holds on 10 deg, between 3 s and 8 s",
+        "speed of a standing 4WD4WS on a slope of 10 deg, between 3 s and 8 s",
     )
     for name in ("4wd4ws_wide", "6wd6ws"):
         robot, files = built(example(name))
@@ -88,14 +88,19 @@ def figures() -> Iterator[Figure]:
             "",
             1.4,
             "lower",
-            f"over a minimal model of the same freedoms and contacts; ours {ours * 1e6:.1f} us",
+            "relative to a minimal model with equal degrees of freedom and contacts;"
+            f" {ours * 1e6:.1f} us",
         )
 
 
 def _skid_error(
     robot: Robot, files: dict[str, bytes], rate: float, default_contact: bool = False
 ) -> float:
-    """Relative error of the yaw rate, wheels driven so that it should be ``rate`` rad/s."""
+    """Returns the relative error of the yaw rate of a skid-steered robot; ``rate`` is in rad/s.
+
+    Under Coulomb friction the friction forces of a turn in place balance at
+    wz = 2 W v / (W^2 + L^2), with track W, wheelbase L and surface speed v of the wheels.
+    """
     scene = MujocoScene(files)
     model = scene.model
     if default_contact:
@@ -123,19 +128,19 @@ def _skid_error(
 def _drive(
     robot: Robot, files: dict[str, bytes], twist: Twist, duration: float
 ) -> tuple[float, float, float, float]:
-    """Way and angle, true and by odometry, of a robot that starts and stops (m, rad)."""
+    """Returns path and angle, true and by odometry, of a robot that starts and stops (m, rad)."""
     plan = [Segment(0.0, twist), Segment(duration, Twist(0.0, 0.0, 0.0))]
     run = Simulation(robot, files).run(duration + 3.0, plan).robots[0]
-    wanted = twist.wz * duration
-    true = wanted + math.remainder(run.pose_true.yaw - wanted, 2 * math.pi)
-    told = wanted + math.remainder(run.pose_odometry.yaw - wanted, 2 * math.pi)
-    return run.path_true, run.path_odometry, true, told
+    expected = twist.wz * duration  # selects the turn, because a yaw may be wrapped
+    true = expected + math.remainder(run.pose_true.yaw - expected, 2 * math.pi)
+    estimated = expected + math.remainder(run.pose_odometry.yaw - expected, 2 * math.pi)
+    return run.path_true, run.path_odometry, true, estimated
 
 
 def _creep(files: dict[str, bytes], slope: float) -> float:
-    """Speed (m/s) at which a standing robot slides or rolls down."""
+    """Returns the speed (m/s) at which a standing robot slides or rolls down a slope (rad)."""
     scene = MujocoScene(files)
-    # Turning gravity is turning the ground.
+    # Tilting gravity is equivalent to tilting the ground.
     scene.model.opt.gravity[:] = (-9.81 * math.sin(slope), 0.0, -9.81 * math.cos(slope))
     scene.advance(3.0)
     start = scene.data.qpos[:3].copy()
@@ -144,7 +149,7 @@ def _creep(files: dict[str, bytes], slope: float) -> float:
 
 
 def _step_ratio(robot: Robot, files: dict[str, bytes]) -> tuple[float, float]:
-    """Least time of a step over that of the minimal model, in turns; and our own in s."""
+    """Returns the step time relative to the minimal model, and absolute (s); least of several."""
     ours, minimal = MujocoScene(files).model, _minimal(robot)
     models = (ours, minimal)
     data = []
@@ -161,12 +166,12 @@ def _step_ratio(robot: Robot, files: dict[str, bytes]) -> tuple[float, float]:
             mujoco.mj_step(model, state, 2000)
             best[i] = min(best[i], (time.process_time() - started) / 2000)
     if data[0].ncon != data[1].ncon or ours.nv != minimal.nv:
-        raise SystemExit("the minimal model has other freedoms or contacts")
+        raise SystemExit("the minimal model has other degrees of freedom or contacts")
     return best[0] / best[1], best[0]
 
 
 def _minimal(robot: Robot) -> Any:
-    """A body on steered, driven wheels with the same joints and contacts, and no more."""
+    """Returns a minimal model: a body on steered, driven wheels, with equal contacts."""
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.005
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -181,7 +186,7 @@ def _minimal(robot: Robot) -> Any:
     for wheel in robot.wheels:
         holder = base.add_body(pos=[wheel.x, wheel.y, 0.65])
         if wheel.suspension_joint is not None:
-            # Twice the weight on the spring's rest, as the generated model has it.
+            # The spring carries the load of the wheel, as in the generated model.
             holder.add_joint(
                 type=mujoco.mjtJoint.mjJNT_SLIDE,
                 axis=[0, 0, 1],

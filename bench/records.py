@@ -1,4 +1,4 @@
-"""What it costs to record a run: time beside the run without, and the size of the file."""
+"""Cost of recording a run: computing time compared with the plain run, and file size."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ def figures() -> Iterator[Figure]:
             simulation.run(seconds, plan, on_tick=record_ticks([recorder]))
             recorder.close()
 
-        ways = [
+        variants = [
             run,
             lambda: run(lambda: McapRecorder(mcap, simulation.robots, GROUPS)),
             lambda: run(lambda: CsvRecorder(csv, simulation.robots, GROUPS)),
         ]
-        plain, as_mcap, as_csv = least_times(ways, ROUNDS)
+        plain, as_mcap, as_csv = least_times(variants, ROUNDS)
         sizes = [path.stat().st_size / seconds / 1000.0 for path in (mcap, csv)]
     ticks = seconds * RATE
     yield Figure(
-        "a recorded run over a plain one",
+        "a recorded run, relative to a plain one",
         as_mcap / plain,
         "",
         2.0,
         "lower",
         f"MCAP of a 6WD6WS at {RATE:g} Hz, all groups, {seconds:g} s in"
-        f" {as_mcap:.2f} s, {1e6 * (as_mcap - plain) / ticks:.0f} us a tick,"
+        f" {as_mcap:.2f} s, {1e6 * (as_mcap - plain) / ticks:.0f} us per tick,"
         f" {sizes[0]:.0f} kB/s; CSV {as_csv / plain:.2f}, {1e6 * (as_csv - plain) / ticks:.0f}"
-        f" us a tick, {sizes[1]:.0f} kB/s",
+        f" us per tick, {sizes[1]:.0f} kB/s",
     )
