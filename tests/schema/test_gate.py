@@ -1,4 +1,4 @@
-"""The quick look and jsonschema agree, on our documents and on what a mistake makes of them."""
+"""Tests that the schema gate agrees with jsonschema, on valid documents and random mistakes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,24 @@ FILES: dict[Kind, list[Path]] = {
     "bus_faults": sorted(ROOT.glob("examples/bus_faults/*.yaml")),
     "calibration": [ROOT / "tests/compiler/modules/calibration.yaml"],
 }
-ODD = [None, True, 1, 1.0, -3, 1e9, "", "x", "1 m", "${a}", "A b", [], [1], [0, 0, 0], {}, {"x": 1}]
+UNEXPECTED = [
+    None,
+    True,
+    1,
+    1.0,
+    -3,
+    1e9,
+    "",
+    "x",
+    "1 m",
+    "${a}",
+    "A b",
+    [],
+    [1],
+    [0, 0, 0],
+    {},
+    {"x": 1},
+]
 
 
 def plain(path: Path) -> Any:
@@ -34,55 +51,57 @@ def plain(path: Path) -> Any:
     return node.plain()
 
 
-def places(value: Any) -> list[tuple[Any, Any]]:
-    """Every place in a document: its container and its key."""
+def values_with_keys(value: Any) -> list[tuple[Any, Any]]:
+    """Returns the container and the key of every value in a document."""
     entries = value.items() if isinstance(value, dict) else enumerate(value)
-    found = [(value, key) for key, _ in entries]
+    keys = [(value, key) for key, _ in entries]
     for inner in value.values() if isinstance(value, dict) else value:
         if isinstance(inner, dict | list):
-            found += places(inner)
-    return found
+            keys += values_with_keys(inner)
+    return keys
 
 
 def mutate(document: Any, chance: random.Random) -> Any:
-    """One mistake: something gone, something odd, something too much, a key with a slip."""
+    """Makes one mistake: removes or replaces a value, adds one, or misspells a key."""
     changed = copy.deepcopy(document)
-    container, key = chance.choice(places(changed))
+    container, key = chance.choice(values_with_keys(changed))
     kind = chance.randrange(4)
     if kind == 0:
         del container[key]
     elif kind == 1:
-        container[key] = copy.deepcopy(chance.choice(ODD))
+        container[key] = copy.deepcopy(chance.choice(UNEXPECTED))
     elif isinstance(container, list):
-        container.insert(key, chance.choice(ODD))
+        container.insert(key, chance.choice(UNEXPECTED))
     elif kind == 2:
-        container[chance.choice(["odd", "modules", "links", "mass", "Port"])] = chance.choice(ODD)
+        container[chance.choice(["odd", "modules", "links", "mass", "Port"])] = chance.choice(
+            UNEXPECTED
+        )
     else:
         container[f"{key}x"] = container.pop(key)
     return changed
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_documents_pass(kind: Kind) -> None:
+def test_valid_documents_pass(kind: Kind) -> None:
     for path in FILES[kind]:
         assert gate.passes(inlined(kind), plain(path)), path
 
 
 @pytest.mark.parametrize("kind", ["robot", "module"])
-def test_it_agrees_with_jsonschema(kind: Kind) -> None:
+def test_the_gate_agrees_with_jsonschema(kind: Kind) -> None:
     validator = _validator(kind)
     chance = random.Random(1)
     documents = [plain(path) for path in FILES[kind]]
-    refused = 0
+    invalid = 0
     for turn in range(600):
         document = mutate(documents[turn % len(documents)], chance)
         valid = validator.is_valid(document)
-        refused += not valid
+        invalid += not valid
         assert gate.passes(inlined(kind), document) == valid, document
-    assert 200 < refused < 590
+    assert 200 < invalid < 590
 
 
-def test_a_keyword_it_does_not_know_is_left_to_jsonschema() -> None:
+def test_a_schema_with_an_unsupported_keyword_is_rejected() -> None:
     assert gate.passes({"type": "object"}, {})
     assert not gate.passes({"type": "object", "unevaluatedProperties": False}, {})
     assert not gate.passes({"properties": {"a": {"not": {"contains": {}}}}}, {"a": []})
@@ -90,7 +109,7 @@ def test_a_keyword_it_does_not_know_is_left_to_jsonschema() -> None:
 
 @pytest.mark.parametrize("value", [True, False, 0, 1, 1.0, "1", None])
 @pytest.mark.parametrize("schema", [{"const": 1}, {"enum": [True, "1"]}, {"minimum": 1}])
-def test_booleans_are_no_numbers(value: Any, schema: dict[str, Any]) -> None:
+def test_booleans_are_not_numbers(value: Any, schema: dict[str, Any]) -> None:
     from jsonschema import Draft202012Validator
 
     assert gate.passes(schema, value) == Draft202012Validator(schema).is_valid(value)

@@ -1,4 +1,4 @@
-"""The schema files themselves, and that the documentation's examples fit them."""
+"""Tests of the schema files, and of the examples in the documentation against them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def subschemas(schema: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
-    """Every property's schema with its dotted name."""
+    """Yields the schema of every property with its dotted name."""
     if isinstance(schema, list):
         for item in schema:
             yield from subschemas(item, name)
@@ -54,7 +54,7 @@ def test_schemas_are_valid(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_printed_schema_stands_alone(kind: Kind) -> None:
+def test_a_printed_schema_has_no_external_references(kind: Kind) -> None:
     text = schema_text(kind)
     assert text.endswith("}\n")
     references = set(re.findall(r'"\$ref": "([^"]*)"', text))
@@ -68,7 +68,7 @@ def test_every_property_is_described(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_property_has_an_example(kind: Kind) -> None:
-    """Or shows all of its values."""
+    """A schema with `enum`, `const` or type boolean needs no example."""
     without = [
         name
         for name, schema in properties(kind)
@@ -80,10 +80,10 @@ def test_every_property_has_an_example(kind: Kind) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_quantity_names_its_unit_and_has_an_example(kind: Kind) -> None:
     for name, schema in properties(kind):
-        wanted = schema.get("x-quantity")
-        if wanted is None or wanted == "any":
+        quantities = schema.get("x-quantity")
+        if quantities is None or quantities == "any":
             continue
-        names = [wanted] if isinstance(wanted, str) else wanted
+        names = [quantities] if isinstance(quantities, str) else quantities
         assert schema["examples"], name
         for example in schema["examples"]:
             if isinstance(example, str) and not example.startswith("${"):
@@ -94,15 +94,15 @@ def test_every_quantity_names_its_unit_and_has_an_example(kind: Kind) -> None:
             assert unit == "1" or unit in schema["description"], (name, unit)
 
 
-def test_quantities_of_params_are_those_there_are() -> None:
+def test_params_can_have_every_quantity() -> None:
     params = inlined("module")["properties"]["params"]["additionalProperties"]
     assert params["properties"]["quantity"]["enum"] == list(QUANTITIES)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_is_let_through_unnamed(kind: Kind) -> None:
-    """Mappings have only the keys that are named, or names of the language's pattern."""
-    free = {"args", "packages"}  # names that xacro files choose
+def test_mappings_allow_only_defined_keys(kind: Kind) -> None:
+    """A mapping has only the defined keys, or names of the pattern of the language."""
+    free = {"args", "packages"}  # names from xacro files
 
     def walk(schema: Any, name: str) -> Iterator[str]:
         if isinstance(schema, list):
@@ -126,7 +126,7 @@ def test_nothing_is_let_through_unnamed(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_examples_fit_their_properties(kind: Kind) -> None:
+def test_examples_match_their_schemas(kind: Kind) -> None:
     root = bundle(kind)
     for name, schema in properties(kind):
         validator = Draft202012Validator({**schema, "$defs": root["$defs"]})
@@ -139,12 +139,12 @@ def test_examples_fit_their_properties(kind: Kind) -> None:
 
 def section(heading: str) -> str:
     text = (ROOT / "docs" / "language.md").read_text(encoding="utf-8")
-    found = re.search(rf"^##+ {re.escape(heading)}\n.*?^```yaml\n(.*?)^```", text, re.S | re.M)
-    assert found is not None, heading
-    return found[1]
+    match = re.search(rf"^##+ {re.escape(heading)}\n.*?^```yaml\n(.*?)^```", text, re.S | re.M)
+    assert match is not None, heading
+    return match[1]
 
 
-def good(text: str, kind: Kind) -> None:
+def assert_valid(text: str, kind: Kind) -> None:
     report = Report()
     node = read_text(text.encode(), "language.md", report)
     assert node is not None
@@ -160,22 +160,22 @@ def test_the_page_lists_every_kind_of_quantity() -> None:
 HEAD = "thorvaldc: 1\ndescription: x\n"
 
 
-def test_the_robot_of_the_page_fits() -> None:
-    good(section("robot.yaml").replace("<name>:", "fl:"), "robot")
+def test_the_robot_example_of_the_page_is_valid() -> None:
+    assert_valid(section("robot.yaml").replace("<name>:", "fl:"), "robot")
 
 
-def test_the_calibration_of_the_page_fits() -> None:
-    good(section("calibration.yaml"), "calibration")
+def test_the_calibration_example_of_the_page_is_valid() -> None:
+    assert_valid(section("calibration.yaml"), "calibration")
 
 
-def test_the_fleet_of_the_page_fits() -> None:
-    good(section("fleet.yaml"), "fleet")
+def test_the_fleet_example_of_the_page_is_valid() -> None:
+    assert_valid(section("fleet.yaml"), "fleet")
 
 
-def test_the_module_of_the_page_fits() -> None:
-    good(section("module.yaml"), "module")
+def test_the_module_example_of_the_page_is_valid() -> None:
+    assert_valid(section("module.yaml"), "module")
 
 
 @pytest.mark.parametrize("heading", ["Hardware", "Devices on a bus", "Assemblies"])
-def test_the_parts_of_modules_of_the_page_fit(heading: str) -> None:
-    good(HEAD + section(heading), "module")
+def test_the_module_parts_of_the_page_are_valid(heading: str) -> None:
+    assert_valid(HEAD + section(heading), "module")

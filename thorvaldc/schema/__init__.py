@@ -1,4 +1,4 @@
-"""The JSON Schemas of the documents: the definition of their shape."""
+"""JSON Schemas of the documents: the single definition of their structure."""
 
 from thorvaldc.schema.documents import KINDS, Kind, bundle, inlined, schema_text
 

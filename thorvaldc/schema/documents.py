@@ -1,4 +1,4 @@
-"""The schema files: for people as one document each, for the validator without references."""
+"""Loads the schema files: bundled for editors, without references for the validator."""
 
 from __future__ import annotations
 
@@ -21,53 +21,57 @@ def _load(name: str) -> dict[str, Any]:
 
 
 def bundle(kind: str) -> dict[str, Any]:
-    """The schema of a kind of document, with the shared definitions that it uses inside."""
+    """Returns the schema of a kind of document, including the shared definitions that it uses."""
     definitions: dict[str, Any] = {}
 
-    def local(value: Any) -> Any:
+    def with_local_references(value: Any) -> Any:
         if isinstance(value, list):
-            return [local(item) for item in value]
+            return [with_local_references(item) for item in value]
         if not isinstance(value, dict):
             return value
         reference = value.get("$ref")
         if not isinstance(reference, str) or not reference.startswith(_COMMON):
-            return {key: local(item) for key, item in value.items()}
+            return {key: with_local_references(item) for key, item in value.items()}
         name = reference.removeprefix(_COMMON)
         if name not in definitions:
-            definitions[name] = {}  # stands for itself while its own references are followed
-            definitions[name] = local(_load("common")["$defs"][name])
-        return {**{k: local(v) for k, v in value.items()}, "$ref": f"#/$defs/{name}"}
+            definitions[name] = {}  # ends the recursion if the definition refers to itself
+            definitions[name] = with_local_references(_load("common")["$defs"][name])
+        return {
+            **{k: with_local_references(v) for k, v in value.items()},
+            "$ref": f"#/$defs/{name}",
+        }
 
-    schema: dict[str, Any] = local(_load(kind))
+    schema: dict[str, Any] = with_local_references(_load(kind))
     return {**schema, "$defs": definitions}
 
 
 def schema_text(kind: str) -> str:
-    """The schema of a kind of document as JSON text that stands alone."""
+    """Returns the schema of a kind of document as JSON text without external references."""
     return json.dumps(bundle(kind), indent=2, ensure_ascii=False) + "\n"
 
 
 @functools.cache
 def inlined(kind: str) -> dict[str, Any]:
-    """The schema with its references replaced by what they refer to, which validates faster.
+    """Returns the schema with definitions in place of references: validation is faster.
 
-    Parameters of modules in parameters are left open below the second level.
+    A parameter value can be a module with parameters, so the schema is recursive; below the
+    second level, any value is valid.
     """
     common = _load("common")["$defs"]
 
-    def expand(value: Any, inside: tuple[str, ...]) -> Any:
+    def expand(value: Any, open_names: tuple[str, ...]) -> Any:
         if isinstance(value, list):
-            return [expand(item, inside) for item in value]
+            return [expand(item, open_names) for item in value]
         if not isinstance(value, dict):
             return value
         reference = value.get("$ref")
         if not isinstance(reference, str):
-            return {key: expand(item, inside) for key, item in value.items()}
+            return {key: expand(item, open_names) for key, item in value.items()}
         name = reference.removeprefix(_COMMON)
-        if inside.count(name) > 1:
+        if open_names.count(name) > 1:
             return {}
         siblings = {key: item for key, item in value.items() if key != "$ref"}
-        return {**expand(common[name], (*inside, name)), **siblings}
+        return {**expand(common[name], (*open_names, name)), **siblings}
 
     schema: dict[str, Any] = expand(_load(kind), ())
     return schema

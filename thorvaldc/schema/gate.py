@@ -1,9 +1,9 @@
-"""A quick look that lets good documents through; the others are for jsonschema to judge.
+"""A fast validator that accepts valid documents without jsonschema.
 
-To import jsonschema takes longer than to compile a robot, and nearly all
-documents are good.  The keywords that our schemas use are known here, and no
-others: at one of those the answer is no, which costs time and nothing else.
-Tests hold that this and jsonschema agree.
+Importing jsonschema takes longer than compiling a robot, and nearly all documents are valid.
+Only a document that is rejected here is validated again, by jsonschema, for its errors.
+This module supports the keywords that the schemas use.  With any other keyword it rejects the
+document, which only costs time.  Tests check that it agrees with jsonschema.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class _UnknownKeyword(Exception):
 
 
 def passes(schema: dict[str, Any], value: Any) -> bool:
-    """``True`` only if the plain value is valid; ``schema`` has no references."""
+    """Returns ``True`` only if the plain value is valid; ``schema`` must not have references."""
     try:
         return _valid(schema, value)
     except _UnknownKeyword:
@@ -26,7 +26,7 @@ def passes(schema: dict[str, Any], value: Any) -> bool:
 
 
 def matches(pattern: str, text: str) -> bool:
-    """As in a JSON Schema: `$` is the end of the text, not a line feed before it."""
+    """Returns whether a JSON Schema pattern matches: `$` is the end, not before a line feed."""
     if pattern.endswith("$"):
         pattern = pattern[:-1] + r"\Z"
     return re.search(pattern, text) is not None
@@ -35,12 +35,12 @@ def matches(pattern: str, text: str) -> bool:
 def _valid(schema: Any, value: Any) -> bool:
     if isinstance(schema, bool):
         return schema
-    for keyword, wanted in schema.items():
-        if keyword not in _SILENT:
+    for keyword, argument in schema.items():
+        if keyword not in _IGNORED:
             check = _CHECKS.get(keyword)
             if check is None:
                 raise _UnknownKeyword(keyword)
-            if not check(wanted, value, schema):
+            if not check(argument, value, schema):
                 return False
     return True
 
@@ -56,59 +56,60 @@ _TYPES: dict[str, Callable[[Any], bool]] = {
 }
 
 
-def _type(wanted: Any, value: Any, _: Any) -> bool:
-    names = [wanted] if isinstance(wanted, str) else wanted
+def _type(types: Any, value: Any, _: Any) -> bool:
+    names = [types] if isinstance(types, str) else types
     return any(_TYPES[name](value) for name in names)
 
 
-def _additional(wanted: Any, value: Any, schema: Any) -> bool:
-    known = schema.get("properties", {})
-    return all(_valid(wanted, entry) for key, entry in value.items() if key not in known)
+def _additional(additional: Any, value: Any, schema: Any) -> bool:
+    properties = schema.get("properties", {})
+    return all(_valid(additional, entry) for key, entry in value.items() if key not in properties)
 
 
-def _if(wanted: Any, value: Any, schema: Any) -> bool:
-    branch = "then" if _valid(wanted, value) else "else"
+def _if(condition: Any, value: Any, schema: Any) -> bool:
+    branch = "then" if _valid(condition, value) else "else"
     return _valid(schema.get(branch, True), value)
 
 
-def _same(a: Any, b: Any) -> bool:
-    """Equal as JSON: ``1`` is not ``true``.  Of scalars alone; schemas have no others here."""
+def _equal(a: Any, b: Any) -> bool:
+    """Compares scalars as JSON: ``1`` is not ``true``."""
     return isinstance(a, bool) == isinstance(b, bool) and bool(a == b)
 
 
 _Check = Callable[[Any, Any, Any], bool]
+"""Arguments: argument ``w`` of the keyword, value ``v``, schema ``s`` that contains it."""
 
 
-def _on(kind: type | tuple[type, ...], check: _Check) -> _Check:
-    """The check of a keyword that says something of values of one type."""
+def _for_type(kind: type | tuple[type, ...], check: _Check) -> _Check:
+    """Restricts the check of a keyword to values of the types to which it applies."""
     return lambda w, v, s: not isinstance(v, kind) or isinstance(v, bool) or check(w, v, s)
 
 
 _NUMBER = (int, float)
-# Keywords that say nothing about whether a value is valid by themselves.
-_SILENT = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
-_SILENT |= {"x-quantity", "x-words", "x-expression", "x-verbatim"}
+# Annotations, and keywords that `if` evaluates.
+_IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
+_IGNORED |= {"x-quantity", "x-words", "x-expression", "x-verbatim"}
 _CHECKS: dict[str, _Check] = {
     "type": _type,
-    "const": lambda w, v, s: _same(w, v),
-    "enum": lambda w, v, s: any(_same(one, v) for one in w),
-    "anyOf": lambda w, v, s: any(_valid(one, v) for one in w),
+    "const": lambda w, v, s: _equal(w, v),
+    "enum": lambda w, v, s: any(_equal(option, v) for option in w),
+    "anyOf": lambda w, v, s: any(_valid(option, v) for option in w),
     "not": lambda w, v, s: not _valid(w, v),
     "if": _if,
-    "properties": _on(dict, lambda w, v, s: all(_valid(w[k], v[k]) for k in v if k in w)),
-    "additionalProperties": _on(dict, _additional),
-    "propertyNames": _on(dict, lambda w, v, s: all(_valid(w, key) for key in v)),
-    "required": _on(dict, lambda w, v, s: all(key in v for key in w)),
-    "dependentRequired": _on(
+    "properties": _for_type(dict, lambda w, v, s: all(_valid(w[k], v[k]) for k in v if k in w)),
+    "additionalProperties": _for_type(dict, _additional),
+    "propertyNames": _for_type(dict, lambda w, v, s: all(_valid(w, key) for key in v)),
+    "required": _for_type(dict, lambda w, v, s: all(key in v for key in w)),
+    "dependentRequired": _for_type(
         dict, lambda w, v, s: all(k not in v or all(d in v for d in w[k]) for k in w)
     ),
-    "minProperties": _on(dict, lambda w, v, s: len(v) >= w),
-    "maxProperties": _on(dict, lambda w, v, s: len(v) <= w),
-    "items": _on(list, lambda w, v, s: all(_valid(w, item) for item in v)),
-    "minItems": _on(list, lambda w, v, s: len(v) >= w),
-    "maxItems": _on(list, lambda w, v, s: len(v) <= w),
-    "pattern": _on(str, lambda w, v, s: matches(w, v)),
-    "minLength": _on(str, lambda w, v, s: len(v) >= w),
-    "minimum": _on(_NUMBER, lambda w, v, s: v >= w),
-    "maximum": _on(_NUMBER, lambda w, v, s: v <= w),
+    "minProperties": _for_type(dict, lambda w, v, s: len(v) >= w),
+    "maxProperties": _for_type(dict, lambda w, v, s: len(v) <= w),
+    "items": _for_type(list, lambda w, v, s: all(_valid(w, item) for item in v)),
+    "minItems": _for_type(list, lambda w, v, s: len(v) >= w),
+    "maxItems": _for_type(list, lambda w, v, s: len(v) <= w),
+    "pattern": _for_type(str, lambda w, v, s: matches(w, v)),
+    "minLength": _for_type(str, lambda w, v, s: len(v) >= w),
+    "minimum": _for_type(_NUMBER, lambda w, v, s: v >= w),
+    "maximum": _for_type(_NUMBER, lambda w, v, s: v <= w),
 }
