@@ -1,4 +1,4 @@
-"""A build as a whole process, over a process that only imports what others import."""
+"""Time of a build as a whole process, relative to a process that only imports usual packages."""
 
 from __future__ import annotations
 

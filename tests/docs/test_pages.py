@@ -1,4 +1,4 @@
-"""The pages are true: links lead somewhere, shown commands print what is shown."""
+"""The pages are correct: links exist, and commands print the output that a page shows."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_readme_shows_what_the_commands_print(tmp_path: Path) -> None:
             text=True,
             check=True,
         )
-        # How fast the simulation ran, and its last digits, are the machine's.
+        # Speed and last digits of a simulation depend on the machine.
         rounded = [
             re.sub(r"\d+x|\.\d+ mm|\d m\b", "~", " ".join(t.split())) for t in (done.stdout, output)
         ]
@@ -69,11 +69,11 @@ def test_the_architecture_page_has_the_layers_that_are_checked() -> None:
         assert (ROOT / "thorvaldc" / name).is_dir() or (ROOT / f"thorvaldc/{name}.py").is_file()
 
 
-def script(page: str, begins: str) -> str:
+def script(page: str, first_line: str) -> str:
     text = (ROOT / page).read_text(encoding="utf-8")
-    found = re.search(rf"```python\n({begins}.*?)```", text, re.S)
-    assert found is not None
-    return found[1]
+    block = re.search(rf"```python\n({first_line}.*?)```", text, re.S)
+    assert block is not None
+    return block[1]
 
 
 def test_the_rollouts_of_the_page_run() -> None:
@@ -85,7 +85,7 @@ def test_the_rollouts_of_the_page_run() -> None:
 
 
 def test_the_environment_of_the_page_runs() -> None:
-    """In a process that has not heard of it, with warnings as errors."""
+    """In a new process, with warnings as errors."""
     example = script("docs/batches.md", "import gymnasium")
     last = "print(info['true_pose'], sorted(info))\n"
     done = subprocess.run(
@@ -98,4 +98,4 @@ def test_the_environment_of_the_page_runs() -> None:
     )
     assert done.stderr == ""
     assert done.stdout.startswith("[")
-    assert "cause" not in done.stdout  # the last step but one ended it
+    assert "cause" not in done.stdout
