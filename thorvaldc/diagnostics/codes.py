@@ -47,63 +47,35 @@ _TABLE: tuple[Code, ...] = (
     _error("TV105", "yaml-several-documents", "the file contains more than one document"),
     _error("TV106", "yaml-duplicate-key", "a mapping contains the same key twice"),
     _error("TV107", "yaml-key-not-text", "a key of a mapping is not text"),
-    _error(
-        "TV108",
-        "yaml-merge-key",
-        "the document uses a merge key (<<), which YAML 1.2 does not have",
-    ),
+    _error("TV108", "yaml-merge-key", "a merge key (<<) is used, which YAML 1.2 does not have"),
     _error("TV109", "yaml-tag", "a value has a YAML tag"),
-    _error(
-        "TV110",
-        "yaml-ambiguous-word",
-        "an unquoted on, off, yes or no: YAML readers disagree on its meaning",
-    ),
-    _error(
-        "TV111",
-        "yaml-leading-zero",
-        "a number starts with 0: YAML readers disagree whether it is octal",
-    ),
+    _error("TV110", "yaml-ambiguous-word", "an unquoted on, off, yes or no: YAML readers disagree"),
+    _error("TV111", "yaml-leading-zero", "a number starts with 0: YAML readers disagree on octal"),
     _error("TV112", "yaml-not-finite", "a number is infinite or not a number"),
     _error("TV113", "yaml-number-range", "a number is too large for 64 bits"),
     _error("TV114", "yaml-too-deep", "the document is nested too deeply"),
-    _error(
-        "TV115", "yaml-too-many-values", "the document contains too many values, aliases expanded"
-    ),
+    _error("TV115", "yaml-too-many-values", "the document has too many values, aliases expanded"),
     _error("TV116", "yaml-recursive-alias", "an alias refers to a value that contains the alias"),
     _error("TV117", "yaml-tab", "a tab is used for indentation; YAML allows only spaces"),
     _error("TV118", "yaml-file-too-large", "the file exceeds the size limit of a document"),
     # 2xx: schema and units
     _error("TV201", "unknown-key", "the schema does not define a key"),
     _error("TV202", "missing-key", "a required key is missing"),
-    _error(
-        "TV203", "wrong-type", "a value has the wrong type, such as a list instead of a mapping"
-    ),
+    _error("TV203", "wrong-type", "a value has the wrong type, such as a list for a mapping"),
     _error("TV204", "bad-id", "a name is not a valid id (lower-case letters, digits, `_`)"),
     _error("TV205", "unknown-value", "a value is not one of the allowed values"),
     _error("TV206", "out-of-range", "a number is outside the allowed range"),
     _error("TV207", "wrong-length", "a list has the wrong number of elements"),
-    _error(
-        "TV208",
-        "conflicting-keys",
-        "keys exclude each other, or none of a required choice is set",
-    ),
-    _error(
-        "TV209", "language-version", "the compiler does not support this version of the language"
-    ),
+    _error("TV208", "conflicting-keys", "keys exclude each other, or a required choice is missing"),
+    _error("TV209", "language-version", "the compiler does not support this language version"),
     _error("TV210", "bad-quantity", "a text is not a number with a unit"),
     _error("TV211", "wrong-dimension", "a quantity has the wrong dimension"),
     _error("TV212", "expression-not-allowed", "this kind of document does not allow expressions"),
     _error("TV213", "expression-syntax", "an expression has a syntax error"),
     _error("TV214", "expression-name", "an expression uses an unknown name"),
-    _error(
-        "TV215", "expression-value", "an expression has no valid result, such as a division by zero"
-    ),
+    _error("TV215", "expression-value", "an expression has no result, such as a division by zero"),
     _error("TV216", "expression-cycle", "a value depends on itself"),
-    _warning(
-        "TV217",
-        "angle-in-radians",
-        "an angle without a unit exceeds a full turn: degrees may be meant",
-    ),
+    _warning("TV217", "angle-in-radians", "an angle without a unit exceeds a full turn"),
     _error("TV218", "other-document", "the file is another kind of document"),
     # 3xx: references
     _error("TV301", "module-type-unknown", "no library contains the type of a module"),
@@ -114,28 +86,14 @@ _TABLE: tuple[Code, ...] = (
     _error("TV306", "root-missing", "a robot or an assembly has no root module"),
     _error("TV307", "root-ambiguous", "more than one module has no mount"),
     _error("TV308", "mount-cycle", "modules are mounted on each other in a cycle"),
-    _error(
-        "TV309",
-        "mount-not-free",
-        "a module is mounted without a port on one that requires a port",
-    ),
-    _error(
-        "TV310",
-        "mount-without-hardware",
-        "a module without links is mounted",
-    ),
+    _error("TV309", "mount-not-free", "a module without `free_mount` carries one without a port"),
+    _error("TV310", "mount-without-hardware", "a module without links is mounted"),
     _error("TV311", "param-unknown", "a parameter is set that the module does not have"),
     _error("TV312", "param-missing", "a required parameter is not set"),
     _error("TV313", "param-range", "a parameter is outside its range or its choices"),
     _error("TV314", "module-category", "a selected module has the wrong category"),
-    _warning(
-        "TV315", "default-unused", "defaults are set for a category that the robot does not use"
-    ),
-    _error(
-        "TV316",
-        "can-without-device",
-        "a module that is not a CAN device has an address or channels",
-    ),
+    _warning("TV315", "default-unused", "defaults are set for a category that is not used"),
+    _error("TV316", "can-without-device", "a module without CAN device has an address or channels"),
     _error("TV317", "name-twice", "two links or two joints have the same name"),
     _error("TV318", "assembly-recursive", "an assembly contains itself"),
     _error("TV319", "link-unknown", "a module names a link that it does not have"),
@@ -145,25 +103,15 @@ _TABLE: tuple[Code, ...] = (
     _error("TV323", "calculator-unknown", "no base calculator has this name"),
     _error("TV324", "fleet-robot-missing", "a fleet names a robot file that does not exist"),
     _error("TV325", "fleet-in-fleet", "a fleet names another fleet as a robot"),
-    _error(
-        "TV326", "too-many-parts", "a module or a robot exceeds the limit for its number of parts"
-    ),
+    _error("TV326", "too-many-parts", "a module or a robot exceeds the limit of its parts"),
     _error("TV327", "parameter-set-radii", "a parameter set names radii that no wheel has"),
     _error("TV328", "fleet-name-twice", "two robots of a fleet have the same name"),
     _error("TV340", "calibration-missing", "a robot names a calibration file that does not exist"),
-    _error(
-        "TV341", "calibration-wheel", "a calibration names a wheel that the robot does not have"
-    ),
+    _error("TV341", "calibration-wheel", "a calibration names a wheel that does not exist"),
     _warning("TV342", "calibration-robot", "a calibration names another robot"),
     _error("TV350", "scenario-robots-missing", "a scenario has no robots"),
-    _error(
-        "TV351", "scenario-robot-unknown", "a scenario refers to a robot that it does not contain"
-    ),
-    _error(
-        "TV352",
-        "scenario-wheel-unknown",
-        "an injected fault names a wheel that the robot does not have",
-    ),
+    _error("TV351", "scenario-robot-unknown", "a scenario refers to a robot that does not exist"),
+    _error("TV352", "scenario-wheel-unknown", "an injected fault names an unknown wheel"),
     # 4xx: geometry and physics
     _error("TV401", "link-massless", "a moving link has no mass"),
     _error("TV402", "inertia-impossible", "no rigid body can have this inertia"),
@@ -178,29 +126,15 @@ _TABLE: tuple[Code, ...] = (
     _error("TV411", "no-free-motion", "the fixed wheels block each other"),
     _error("TV412", "twist-uncontrolled", "the wheels do not determine the robot's motion"),
     _warning("TV413", "skid-steering", "the robot can turn only by skidding"),
-    _error(
-        "TV414",
-        "slope-too-steep",
-        "motors or wheel friction are too weak for the required slope",
-    ),
-    _error(
-        "TV415",
-        "frame-height",
-        "the given frame height differs from the height that the wheels give",
-    ),
-    _warning(
-        "TV416",
-        "driver-limit-too-high",
-        "a limit of the base driver exceeds what the modules allow",
-    ),
+    _error("TV414", "slope-too-steep", "motors or wheel friction are too weak for the slope"),
+    _error("TV415", "frame-height", "the given frame height differs from that of the wheels"),
+    _warning("TV416", "driver-limit-too-high", "a limit of the driver exceeds that of the modules"),
     _error("TV417", "mass-negative", "a mass is negative"),
     _error("TV418", "inertia-unknown", "a mass has no shape from which an inertia can be computed"),
     _error("TV419", "size-not-positive", "a size, a speed or a ratio is not positive"),
     _error("TV420", "axis-zero", "the axis of a joint has length zero"),
     _error("TV421", "joint-limit-missing", "a revolute or prismatic joint has no limit"),
-    _error(
-        "TV422", "joint-limits-reversed", "the lower limit of a joint is not below the upper limit"
-    ),
+    _error("TV422", "joint-limits-reversed", "the lower limit of a joint is not below the upper"),
     _error("TV423", "wheel-does-not-spin", "no joint turns a wheel about its axis"),
     _error("TV424", "wheel-lies-flat", "a wheel spins about a vertical axis"),
     _error("TV425", "steering-axis-tilted", "a steering axis is far from vertical"),
@@ -212,28 +146,20 @@ _TABLE: tuple[Code, ...] = (
     _error("TV431", "driver-cycle", "the cycle or time-out of the base driver is not possible"),
     _error("TV440", "calibration-value", "a calibration contains an impossible value"),
     # 5xx: CAN bus
-    _error(
-        "TV501", "can-id-duplicate", "two devices of the same id space use the same id on a bus"
-    ),
+    _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),
     _error("TV503", "can-ids-exhausted", "no id is free for a device with an automatic id"),
     _error("TV504", "can-bus-unknown", "a device is on a bus that the robot does not have"),
     _warning("TV505", "can-address-unused", "a module has an address, but no device on the bus"),
     _error("TV506", "can-serial-duplicate", "two devices have the same serial number"),
-    _error(
-        "TV507",
-        "can-serial-format",
-        "the serial number of a device with LSS is not a 32-bit number",
-    ),
+    _error("TV507", "can-serial-format", "the serial number for LSS is not a 32-bit number"),
     _error("TV508", "can-lock-invalid", "a lock file is invalid"),
     _error("TV509", "can-lock-conflict", "an id in the lock file is not possible"),
     _error("TV510", "can-cob-id-conflict", "two frames on a bus have the same COB-ID"),
     _error("TV511", "can-cob-id-restricted", "a frame uses a COB-ID that CANopen reserves"),
     _error("TV512", "can-cob-id-range", "a COB-ID does not fit into 11 bits"),
     _error("TV513", "can-name-conflict", "two frames or two devices on a bus have the same name"),
-    _warning(
-        "TV514", "can-lock-unused", "the lock file and the robot file give a device different ids"
-    ),
+    _warning("TV514", "can-lock-unused", "lock file and robot file give a device different ids"),
     _warning("TV515", "can-lock-unwritable", "the lock file cannot be written"),
     _error("TV520", "can-frame-length", "a frame is longer than 8 bytes"),
     _error("TV521", "can-signal-bounds", "a signal is outside its frame"),
@@ -245,30 +171,18 @@ _TABLE: tuple[Code, ...] = (
     _error("TV527", "can-pdo-mapping", "the mapped objects of a PDO do not match its frame"),
     _error("TV528", "can-object-range", "a value does not fit into its object"),
     _error("TV529", "can-object-duplicate", "an object of a node is defined twice"),
-    _error(
-        "TV530",
-        "can-bitrate",
-        "a device does not support the bitrate of its bus",
-    ),
-    _error(
-        "TV531", "can-overload", "the load of the periodic frames exceeds the safe limit of the bus"
-    ),
+    _error("TV530", "can-bitrate", "a device does not support the bitrate of its bus"),
+    _error("TV531", "can-overload", "the load of the periodic frames exceeds the limit"),
     _warning("TV532", "can-load", "the periodic frames use more than half of the bus"),
     _error("TV533", "can-deadline", "a frame can arrive after its deadline"),
-    _error(
-        "TV534", "can-heartbeat-consumer", "a CiA 402 drive does not monitor the master's heartbeat"
-    ),
-    _error(
-        "TV535", "can-heartbeat-time", "the time-out of a heartbeat is less than twice its period"
-    ),
+    _error("TV534", "can-heartbeat-consumer", "a CiA 402 drive does not monitor the heartbeat"),
+    _error("TV535", "can-heartbeat-time", "a heartbeat time-out is less than twice the period"),
     _note("TV536", "can-bitrate-chosen", "the compiler selected a bitrate above the default"),
     _error("TV540", "channel-unknown", "a controller has no channel with this name"),
     _error("TV542", "motor-conflict", "one motor is connected to two channels"),
     _error("TV543", "channel-role", "a channel is for another kind of motor"),
     _warning("TV544", "motor-without-controller", "a motor is not connected to a controller"),
-    _note(
-        "TV545", "robot-without-controller", "no motor of the robot is connected to a controller"
-    ),
+    _note("TV545", "robot-without-controller", "no motor of the robot has a motor controller"),
     _warning("TV546", "controller-without-motor", "a controller drives no motor"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
@@ -284,38 +198,18 @@ _TABLE: tuple[Code, ...] = (
     _error("TV740", "extra-missing", "a xacro file does not exist"),
     _error("TV741", "extra-xml", "a xacro file is not well-formed XML, or has no <robot> element"),
     _error("TV742", "extra-expansion", "xacro cannot expand a file"),
-    _error(
-        "TV743",
-        "extra-limit",
-        "the expansion of a xacro file exceeds a limit on time, memory or size",
-    ),
+    _error("TV743", "extra-limit", "the expansion exceeds a limit on time, memory or size"),
     _error("TV744", "extra-package", "a ROS package that an extra uses cannot be found"),
     _warning("TV745", "extra-empty", "a xacro file adds nothing to the robot"),
     _error("TV746", "extra-argument", "a required argument of a xacro file is missing"),
-    _warning(
-        "TV747", "extra-argument-unused", "an extra sets an argument that its file does not use"
-    ),
-    _error(
-        "TV748",
-        "extra-element",
-        "an element of an extra lacks an element or attribute that URDF requires",
-    ),
+    _warning("TV747", "extra-argument-unused", "an extra sets an argument that is not used"),
+    _error("TV748", "extra-element", "an extra lacks a required element or attribute"),
     _error("TV749", "extra-number", "a number in an extra is invalid or out of range"),
-    _error(
-        "TV750",
-        "extra-name-duplicate",
-        "a link or joint of an extra has a name that is already used",
-    ),
-    _error(
-        "TV751",
-        "extra-link-unknown",
-        "a joint of an extra refers to a link or joint that does not exist",
-    ),
+    _error("TV750", "extra-name-duplicate", "a name in an extra is already used"),
+    _error("TV751", "extra-link-unknown", "a joint of an extra refers to an unknown name"),
     _error("TV752", "extra-two-parents", "a link of an extra has two parents"),
     _error("TV753", "extra-cycle", "the links of an extra form a cycle"),
-    _error(
-        "TV754", "extra-joint-type", "the model does not support the type of a joint of an extra"
-    ),
+    _error("TV754", "extra-joint-type", "the model does not support the type of a joint"),
     _error("TV755", "extra-joint-limits", "a joint of an extra has impossible limits"),
     _error("TV756", "extra-inertia", "a link of an extra has an impossible mass or inertia"),
     _error("TV757", "extra-massless", "a moving link of an extra has no mass"),
@@ -335,49 +229,29 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV808", "twist-infeasible", "fixed wheels do not allow the commanded twist"),
     _error("TV809", "model-unreadable", "a model file cannot be read"),
     _error("TV810", "parameter-set-unknown", "no parameter set has this name"),
-    _warning(
-        "TV811",
-        "parameter-set-scene",
-        "a parameter set and the scene have different wheel radii",
-    ),
+    _warning("TV811", "parameter-set-scene", "parameter set and scene have different radii"),
     _error("TV820", "expectation-failed", "a run does not meet an expectation of its scenario"),
     _error("TV821", "record-unreadable", "a file is not a record of a run, or is damaged"),
     _error("TV822", "record-robot", "a record is from other robots"),
-    _error(
-        "TV823",
-        "record-value",
-        "a value of a record is not a number, or its time does not increase",
-    ),
+    _error("TV823", "record-value", "a value is not a number, or the time does not increase"),
     _warning("TV824", "record-truncated", "a record ends in the middle of a line"),
     _error("TV825", "record-incomplete", "a record lacks the data for the requested output"),
     _error("TV826", "script-log", "a log contains no velocities for a script"),
-    _error(
-        "TV830", "joint-log-header", "the first line of a file is not the header of a joint log"
-    ),
+    _error("TV830", "joint-log-header", "the first line of a file is no joint log header"),
     _error("TV831", "joint-log-joint", "the joints of a joint log differ from those of the robot"),
     _error("TV832", "joint-log-value", "a value of a joint log is not a finite number"),
     _error("TV833", "joint-log-time", "the time of a joint log does not increase"),
     _warning("TV834", "joint-log-gap", "a joint log has gaps"),
     _error("TV835", "joint-log-short", "the robot hardly moves in a joint log"),
-    _warning(
-        "TV836",
-        "calibration-forced",
-        "the controllers forced the wheels of a log to their commands",
-    ),
-    _warning(
-        "TV837",
-        "calibration-undetermined",
-        "a log does not determine some dimensions of the wheels",
-    ),
+    _warning("TV836", "calibration-forced", "the wheels of a log follow their commands exactly"),
+    _warning("TV837", "calibration-undetermined", "a log does not determine some wheel values"),
     _error("TV838", "calibration-distance", "a measured distance does not agree with the log"),
     _error("TV839", "calibration-fit", "no wheel errors explain a log"),
     _error("TV840", "hidden-error", "the hidden error of a simulated wheel is impossible"),
     _note("TV841", "calibration-steering", "the steering of a log only confirms the robot file"),
     _error("TV846", "variation-path", "the scenario does not contain the value to vary"),
     _error("TV847", "variation-value", "the values of a variation are invalid"),
-    _warning(
-        "TV848", "scenario-imu-missing", "a scenario sets gyro errors, but no robot has a gyro"
-    ),
+    _warning("TV848", "scenario-imu-missing", "gyro errors are set, but no robot has a gyro"),
     _error("TV849", "zone-under-robot", "a robot starts inside raised ground"),
     _error("TV850", "bus-missing", "a robot without a bus cannot run on a bus"),
     _error("TV851", "bus-fault-node", "an injected fault names a device that does not exist"),
@@ -386,22 +260,16 @@ _TABLE: tuple[Code, ...] = (
     _error("TV861", "bus-other-master", "another master is active on the bus", outside=True),
     _error("TV862", "bus-wrong-robot", "the devices on a bus differ from the robot file"),
     _error("TV863", "bus-drive-enabled", "a drive can move during the configuration of the bus"),
-    _error(
-        "TV864", "plan-impossible", "no safe sequence of steps leads to the requested configuration"
-    ),
+    _error("TV864", "plan-impossible", "no safe sequence of steps exists for the request"),
     _error("TV865", "plan-changed", "the bus changed after the plan was made"),
     _error("TV866", "journal-mismatch", "a journal belongs to another operation"),
-    _error(
-        "TV867", "journal-unreadable", "a file is not a journal, or the journal cannot be written"
-    ),
+    _error("TV867", "journal-unreadable", "a file is not a journal, or cannot be written"),
     _error("TV868", "flash-stopped", "a step of a flash failed", outside=True),
     _error("TV869", "flash-ambiguous", "another program changed the bus during a flash"),
     _error("TV870", "bus-locked", "another program is configuring the bus", outside=True),
     _error("TV875", "bus-interface", "the CAN interface cannot be used", outside=True),
     _error("TV876", "bus-driver-unknown", "no driver supports the protocol of a controller"),
-    _error(
-        "TV877", "bus-motor-unconnected", "a motor of the base is not connected to a controller"
-    ),
+    _error("TV877", "bus-motor-unconnected", "a motor of the base has no motor controller"),
     _error("TV878", "bus-start", "the robot on a bus cannot start", outside=True),
     _error("TV879", "bus-mismatch", "the devices on a bus do not match the robot file"),
     _error("TV880", "bus-stopped", "a fault stopped the robot", outside=True),
@@ -410,18 +278,14 @@ _TABLE: tuple[Code, ...] = (
     _error("TV901", "file-not-found", "a file does not exist"),
     _error("TV902", "file-is-a-directory", "a folder is given instead of a file"),
     _error("TV903", "file-unreadable", "a file cannot be read"),
-    _error(
-        "TV930", "import-not-original", "a file is not a configuration file of the original system"
-    ),
+    _error("TV930", "import-not-original", "a file is not one of the original system"),
     _error("TV931", "import-value", "a value of an original file is invalid"),
     _error("TV932", "import-missing", "an original file lacks a required value"),
     _error("TV933", "import-node-duplicate", "an original file uses a node id twice"),
     _error("TV934", "import-reference", "an original file refers to a drive that does not exist"),
     _warning("TV935", "import-unknown-key", "an original file contains an unknown key"),
     _note("TV936", "import-left-out", "a value of an original file cannot be converted"),
-    _warning(
-        "TV937", "import-assumed", "the import assumes a value that an original file does not give"
-    ),
+    _warning("TV937", "import-assumed", "the import assumes a value that a file does not give"),
     _warning("TV938", "import-duplicate-key", "an original file contains the same key twice"),
 )
 

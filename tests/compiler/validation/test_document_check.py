@@ -91,8 +91,7 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "wrong-type",
             "5:1",
             "`driver` has no value",
-            "leave the key out, or give it a value, "
-            "as in `{rate: 50 Hz, max_linear_velocity: 1 m/s}`",
+            "remove the key, or give it a value, as in `{rate: 50 Hz, max_linear_velocity: 1 m/s}`",
         ),
         (
             ROBOT.replace("{type: x}", "{type: x, can: 3.0}"),

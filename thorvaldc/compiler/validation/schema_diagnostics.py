@@ -184,7 +184,7 @@ class _Explanation:
             self._one_key()
             return
         self.add(
-            "wrong-length", f"{self.value_name} is empty", self.start, "it needs at least one entry"
+            "wrong-length", f"{self.value_name} is empty", self.start, "add at least one entry"
         )
 
     def _maxproperties(self) -> None:
@@ -215,14 +215,20 @@ class _Explanation:
     # -- values --------------------------------------------------------------------------
 
     def _type(self) -> None:
-        example = _example(self.schema)
-        hint = f"as in `{example}`" if example is not None else None
         if self.node.value is None:
-            hint = f"leave the key out, or give it a value{f', {hint}' if hint else ''}"
+            example = self.example_hint()
+            hint = f"remove the key, or give it a value{f', {example}' if example else ''}"
             self.add("wrong-type", f"{self.value_name} has no value", self.start, hint)
-            return
+        else:
+            self.wrong_type()
+
+    def wrong_type(self) -> None:
         message = f"expected {_expected(self.schema)}, got {_actual(self.node)}"
-        self.add("wrong-type", message, self.node.span, hint)
+        self.add("wrong-type", message, self.node.span, self.example_hint())
+
+    def example_hint(self) -> str | None:
+        example = _example(self.schema)
+        return f"as in `{example}`" if example is not None else None
 
     def _enum(self, values: list[Any] | None = None) -> None:
         values = values if values is not None else list(self.error.validator_value)
@@ -276,19 +282,13 @@ class _Explanation:
         span = self.node.span
         types = self.schema.get("type")
         if pattern == _EXPRESSION or pattern.startswith(_AUTO):
-            example = _example(self.schema)
-            self.add(
-                "wrong-type",
-                f"expected {_expected(self.schema)}, got {_actual(self.node)}",
-                span,
-                f"as in `{example}`" if example is not None else None,
-            )
+            self.wrong_type()
         elif pattern.startswith("^(datasheet"):
             self.add(
                 "unknown-value",
                 f"{self.value_name} does not name the source of the number",
                 span,
-                "begin with `datasheet:`, `measured:`, `published:`, `estimated:`, `chosen:` "
+                "start with `datasheet:`, `measured:`, `published:`, `estimated:`, `chosen:` "
                 "or `derived:`",
             )
         elif "\\." in pattern or pattern.startswith("^[A-Za-z"):
@@ -312,32 +312,26 @@ class _Explanation:
         count = len(self.node.value) if isinstance(self.node.value, tuple) else 0
         plural = "" if count == 1 else "s"
         expected = f"{minimum}" if minimum == maximum else f"at least {minimum}"
-        example = _example(self.schema)
         self.add(
             "wrong-length",
             f"{self.value_name} has {count} element{plural}; expected {expected}",
             self.node.span,
-            f"as in `{example}`" if example is not None else None,
+            self.example_hint(),
         )
 
     def _maxitems(self) -> None:
         self._minitems()
 
     def _minimum(self) -> None:
-        minimum = self.error.validator_value
-        self.add(
-            "out-of-range",
-            f"{self.value_name} is {_text(self.node)}; it must be at least {minimum}",
-            self.node.span,
-        )
+        self.out_of_range("at least")
 
     def _maximum(self) -> None:
-        maximum = self.error.validator_value
-        self.add(
-            "out-of-range",
-            f"{self.value_name} is {_text(self.node)}; it must be at most {maximum}",
-            self.node.span,
-        )
+        self.out_of_range("at most")
+
+    def out_of_range(self, comparison: str) -> None:
+        message = f"{self.value_name} is {_text(self.node)}"
+        message += f"; it must be {comparison} {self.error.validator_value}"
+        self.add("out-of-range", message, self.node.span)
 
     def unspecific(self) -> None:
         """Reports an error of a schema keyword that has no method in this class."""
