@@ -1,4 +1,4 @@
-"""A robot with a bus, built directly as a model: two drives, a battery."""
+"""A robot model with one bus, built in Python: two drives and a battery."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CYCLE = 0.02
 
 
 def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[FrameDefinition, ...]:
-    """Four frames of a propulsion and steering controller, with its scalings by formula."""
+    """Returns the frames of a propulsion and steering controller, with calculated scalings."""
     return (
         FrameDefinition(
             f"{name}_rpdo1",
@@ -145,7 +145,7 @@ def drive_node(name: str, n: int, wheel: str) -> Node:
 
 
 def robot_with_bus() -> Robot:
-    """Two steered drives on one bus, with a battery on the same."""
+    """Returns a robot with two steered drives and a battery on one bus."""
     robot = make_robot([(0.5, 0.4, "steered"), (0.5, -0.4, "steered"), (-0.5, 0.0, "swivel")])
     battery = Node("battery", "battery", "kc", 1, "kc_battery", None, "0x12", (), (), SPAN)
     frames = (

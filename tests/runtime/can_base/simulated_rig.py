@@ -18,9 +18,10 @@ FORWARD = Twist(0.5, 0.0, 0.0)
 
 
 class Rig:
-    """``twist`` is commanded in every cycle; ``None``: nothing is.
+    """A running robot with its simulated bus.
 
-    ``frames`` holds (time in ns, frame) of all that went over the first bus.
+    ``twist`` is commanded in every cycle; ``None``: no command.  ``frames`` has time (ns) and frame
+    of all traffic on the first bus.
     """
 
     def __init__(
@@ -32,7 +33,7 @@ class Rig:
         power: bool = True,
         drives: Robot | None = None,
     ) -> None:
-        """``drives``: whose devices are on the bus, where it is not the driver's own robot."""
+        """``drives``: robot whose devices are on the bus; ``None``: those of ``robot``."""
         self.robot = robot
         self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base)
         if power:
@@ -69,7 +70,7 @@ class Rig:
         self.runner.run(self.now + seconds)
 
     def until(self, condition: Callable[[], bool], limit: float = 30.0) -> float:
-        """Run until it holds; how long (s) that took."""
+        """Runs until ``condition()`` is true; returns the time (s) that this took."""
         start = self.now
         self.runner.run(start + limit, stop=condition)
         assert condition(), f"not within {limit} s: {self.state} {self.reason}"
@@ -80,7 +81,7 @@ class Rig:
         self.run(0.1)
 
     def drive(self, twist: Twist = FORWARD, seconds: float = 2.0) -> None:
-        """Be ready first, then drive."""
+        """Waits until the robot is ready, then drives."""
         if not self.runner.ready:
             self.ready()
         self.twist = twist
@@ -88,11 +89,11 @@ class Rig:
         assert self.state is State.ACTIVE, f"{self.state} {self.reason}"
 
     def speed(self) -> float:
-        """m/s of the fastest wheel, by its motor: what it really does."""
-        rolling = []
+        """Returns the true speed (m/s) of the fastest wheel, from its simulated motor."""
+        speeds = []
         for wheel in self.robot.wheels:
             actuator = self.robot.actuator_of(wheel.spin_joint)
             if actuator is not None and actuator.name in self.simulated.motors:
                 motor = self.simulated.motors[actuator.name]
-                rolling.append(abs(motor.read(self.now).velocity) * wheel.radius)
-        return max(rolling)
+                speeds.append(abs(motor.read(self.now).velocity) * wheel.radius)
+        return max(speeds)

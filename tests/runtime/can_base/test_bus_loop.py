@@ -1,4 +1,4 @@
-"""The rules of the loop on the bus, one by one, in virtual time."""
+"""The rules of the control cycle, the watchdogs and the state machine, in virtual time."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.runtime.can_base.test_can_base import drives, four_wheels
 from tests.simulation.bus.robots import cia402_robot
+from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands
@@ -32,13 +33,13 @@ Make = Callable[[], Robot]
 
 
 def device(rig: Rig, name: str = "fl_controller") -> CanopenDevice:
-    found = rig.simulated.devices[name]
-    assert isinstance(found, CanopenDevice)
-    return found
+    simulated_device = rig.simulated.devices[name]
+    assert isinstance(simulated_device, CanopenDevice)
+    return simulated_device
 
 
 def commands(rig: Rig) -> set[int]:
-    """COB-IDs of what the master sends in every cycle."""
+    """Returns the COB-IDs of the frames that the master sends in every cycle."""
     return {
         f.cob_id
         for bus in rig.robot.buses
@@ -48,14 +49,14 @@ def commands(rig: Rig) -> set[int]:
 
 
 def cycles(rig: Rig, start: float, end: float) -> list[list[CanFrame]]:
-    """What the master sent between two times, cycle by cycle."""
+    """Returns the frames that the master sent between two times (s), cycle by cycle."""
     master = {f.cob_id for f in rig.robot.buses[0].frames if f.producer == "master"}
-    found: dict[int, list[CanFrame]] = {}
+    by_cycle: dict[int, list[CanFrame]] = {}
     for time, frame in rig.frames:
-        at = time / 1e9
-        if start <= at < end and frame.id in master:
-            found.setdefault(math.floor((at + 1e-9) / PERIOD), []).append(frame)
-    return list(found.values())
+        seconds = time / 1e9
+        if start <= seconds < end and frame.id in master:
+            by_cycle.setdefault(math.floor((seconds + 1e-9) / PERIOD), []).append(frame)
+    return list(by_cycle.values())
 
 
 # -- a cycle ------------------------------------------------------------------
@@ -65,18 +66,18 @@ def cycles(rig: Rig, start: float, end: float) -> list[list[CanFrame]]:
 def test_commands_in_order_then_sync_then_the_heartbeat(make: Make) -> None:
     rig = Rig(make())
     rig.drive(seconds=1.0)
-    wanted = sorted(commands(rig))
+    command_ids = sorted(commands(rig))
     for cycle in cycles(rig, rig.now - 0.5, rig.now):
         ids = [frame.id for frame in cycle]
-        assert ids[: len(wanted) + 1] == [*wanted, SYNC]
-        assert MASTER_HEARTBEAT not in ids[: len(wanted) + 1]
-    beats = [t / 1e9 for t, f in rig.frames if f.id == MASTER_HEARTBEAT]
-    gaps = [b - a for a, b in itertools.pairwise(beats)]
+        assert ids[: len(command_ids) + 1] == [*command_ids, SYNC]
+        assert MASTER_HEARTBEAT not in ids[: len(command_ids) + 1]
+    heartbeats = [t / 1e9 for t, f in rig.frames if f.id == MASTER_HEARTBEAT]
+    gaps = [b - a for a, b in itertools.pairwise(heartbeats)]
     assert max(gaps) < 0.125
     assert min(gaps) > 0.075
 
 
-def test_a_cycle_begins_every_20_ms() -> None:
+def test_a_cycle_starts_every_20_ms() -> None:
     rig = Rig(four_wheels())
     rig.drive(seconds=1.0)
     syncs = [t for t, f in rig.frames if f.id == SYNC]
@@ -85,12 +86,12 @@ def test_a_cycle_begins_every_20_ms() -> None:
     assert min(gaps) > 0.018
 
 
-def test_nothing_is_sent_beside_the_loop() -> None:
-    """A loop that hangs falls silent at once, and the drives stop by themselves."""
+def test_nothing_is_sent_outside_the_loop() -> None:
+    """When the loop hangs nothing is sent any more, and the drives stop by themselves."""
     for make in (four_wheels, drives):
         rig = Rig(make())
         rig.drive()
-        hung_at = rig.now + 0.005  # what was queued before goes out
+        hung_at = rig.now + 0.005  # frames that were queued before are still sent
         rig.simulated.run(3.0)
         master = {f.cob_id for f in rig.robot.buses[0].frames if f.producer == "master"}
         late = [f for t, f in rig.frames if t / 1e9 > hung_at and f.id in master]
@@ -101,7 +102,7 @@ def test_nothing_is_sent_beside_the_loop() -> None:
 def test_an_exception_in_the_cycle_leaves_no_heartbeat() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    before = len([f for _, f in rig.frames if f.id == MASTER_HEARTBEAT])
+    heartbeats = len([f for _, f in rig.frames if f.id == MASTER_HEARTBEAT])
 
     def broken(*_: object) -> None:
         raise ZeroDivisionError
@@ -111,7 +112,7 @@ def test_an_exception_in_the_cycle_leaves_no_heartbeat() -> None:
         with pytest.raises(ZeroDivisionError):
             rig.run(PERIOD)
         rig.simulated.run(PERIOD)
-    assert len([f for _, f in rig.frames if f.id == MASTER_HEARTBEAT]) <= before + 1
+    assert len([f for _, f in rig.frames if f.id == MASTER_HEARTBEAT]) <= heartbeats + 1
 
 
 def test_an_incomplete_cycle_has_neither_sync_nor_heartbeat() -> None:
@@ -148,7 +149,7 @@ def test_overruns_are_counted_and_never_caught_up() -> None:
 
     def slow(runner: object, state: object) -> None:
         if rig.now < at + 1.5 * PERIOD:
-            rig.interface.sleep(0.03)  # the second half of it belongs to cycles that are left out
+            rig.interface.sleep(0.03)  # longer than a cycle: the next one is skipped
 
     rig.runner.run(at + 0.5, watch=slow)
     timing = rig.runner.timing
@@ -158,7 +159,7 @@ def test_overruns_are_counted_and_never_caught_up() -> None:
     gaps = [b - a for a, b in itertools.pairwise(syncs)]
     assert min(gaps) > 0.018  # no burst
     assert max(gaps) < 0.045
-    # Back on the same deadlines as before.
+    # The loop is back on its old deadlines.
     grid = [(s - at) / PERIOD for s in syncs[-5:]]
     assert all(abs(g - round(g)) < 0.12 for g in grid)
 
@@ -169,13 +170,13 @@ def test_commands_that_are_not_finite_stop_the_robot() -> None:
     n = len(rig.robot.wheels)
     bad = JointCommands([1.0] * (n - 1) + [math.nan], [0.0] * n)
     rig.base.read(rig.now)
-    before = len(rig.frames)
+    earlier = len(rig.frames)
     rig.base.write(bad, rig.now)
     assert rig.state is State.FAULT
     assert "finite" in rig.reason
     rig.simulated.run(0.01)
     speeds = [
-        struct.unpack("<ii", f.data)[1] for _, f in rig.frames[before:] if f.id & 0x780 == 0x200
+        struct.unpack("<ii", f.data)[1] for _, f in rig.frames[earlier:] if f.id & 0x780 == 0x200
     ]
     assert speeds
     assert not any(speeds)
@@ -184,12 +185,12 @@ def test_commands_that_are_not_finite_stop_the_robot() -> None:
 # -- commands ------------------------------------------------------------------
 
 
-def test_a_stale_command_is_ramped_to_zero_with_the_steering_held() -> None:
+def test_after_a_stale_command_the_robot_ramps_to_rest_and_holds_its_steering() -> None:
     rig = Rig(four_wheels())
     rig.drive(Twist(0.6, 0.0, 0.4), 3.0)
     angles = rig.runner.driver.state.joints
     assert angles is not None
-    held = list(angles.angles)
+    steering_angles = list(angles.angles)
     rig.twist = None
     took = rig.until(lambda: rig.state is State.STOPPING)
     assert 0.48 < took < 0.56
@@ -199,7 +200,7 @@ def test_a_stale_command_is_ramped_to_zero_with_the_steering_held() -> None:
         speeds.append(rig.speed())
         joints = rig.runner.driver.state.joints
         assert joints is not None
-        assert list(joints.angles) == pytest.approx(held, abs=0.02)
+        assert list(joints.angles) == pytest.approx(steering_angles, abs=0.02)
     assert speeds[-1] < 0.02
     largest = max(a - b for a, b in itertools.pairwise(speeds))
     limit = rig.robot.driver.max_linear_acceleration
@@ -208,7 +209,7 @@ def test_a_stale_command_is_ramped_to_zero_with_the_steering_held() -> None:
 
 
 def test_a_command_from_before_the_start_does_not_move_it() -> None:
-    """A stick that is pushed while the robot gets ready: it stands until the stick was let go."""
+    """A joystick that is deflected during the start: the robot stands until it was centred."""
     rig = Rig(four_wheels())
     rig.twist = FORWARD
     rig.until(lambda: rig.state is State.READY)
@@ -227,12 +228,12 @@ def test_a_command_from_before_the_start_does_not_move_it() -> None:
 
 
 def lose(rig: Rig, cob_id: int, number: int) -> None:
-    """The master does not hear the next frames of that identifier."""
-    left = [number]
+    """Lets the master lose the next ``number`` frames of an identifier."""
+    remaining = [number]
 
     def accepts(frame: CanFrame) -> bool:
-        if frame.id == cob_id and left[0] > 0:
-            left[0] -= 1
+        if frame.id == cob_id and remaining[0] > 0:
+            remaining[0] -= 1
             return False
         return True
 
@@ -240,7 +241,7 @@ def lose(rig: Rig, cob_id: int, number: int) -> None:
 
 
 @both
-def test_one_report_missed_is_no_fault_two_are(make: Make) -> None:
+def test_one_missed_report_is_tolerated_two_are_a_fault(make: Make) -> None:
     rig = Rig(make())
     rig.drive()
     lose(rig, 0x181, 1)
@@ -254,7 +255,7 @@ def test_one_report_missed_is_no_fault_two_are(make: Make) -> None:
 
 
 @both
-def test_a_heartbeat_that_stays_away_is_a_fault(make: Make) -> None:
+def test_a_missing_heartbeat_is_a_fault(make: Make) -> None:
     rig = Rig(make())
     rig.drive()
     at = rig.now
@@ -265,7 +266,7 @@ def test_a_heartbeat_that_stays_away_is_a_fault(make: Make) -> None:
 
 
 @both
-def test_one_wheel_at_fault_stops_all(make: Make) -> None:
+def test_a_device_error_of_one_wheel_stops_all(make: Make) -> None:
     rig = Rig(make())
     rig.drive()
     device(rig).emergency(0x3210)
@@ -301,14 +302,14 @@ def test_a_node_that_restarts_is_a_fault_and_unhomed(make: Make) -> None:
     rig.drive()
 
 
-def test_a_driver_that_was_held_up_does_not_blame_others() -> None:
-    """Its own pause of 80 ms is no silence of the nodes; silence after it is."""
+def test_a_driver_that_was_late_itself_does_not_judge_silence() -> None:
+    """A pause of the driver of 80 ms is no silence of the nodes; silence after it is."""
     rig = Rig(four_wheels())
     rig.drive()
     drain = rig.base.connections[0].receiver.drain
     rig.simulated.run(0.08)
     rig.base.connections[0].receiver.drain = list  # type: ignore[method-assign]
-    rig.run(PERIOD)  # the thread that receives has not come to it yet
+    rig.run(PERIOD)  # the receiving thread has not run yet
     rig.base.connections[0].receiver.drain = drain  # type: ignore[method-assign]
     rig.run(0.5)
     assert rig.state is State.ACTIVE
@@ -320,13 +321,11 @@ def test_a_driver_that_was_held_up_does_not_blame_others() -> None:
 def test_a_node_that_leaves_operational_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()
-    from thorvaldc.can.canopen import NmtState
-
     device(rig).enter(NmtState.PRE_OPERATIONAL)
     rig.until(lambda: rig.state is State.FAULT, 1.0)
 
 
-def test_the_interface_off_the_bus_is_a_fault() -> None:
+def test_a_bus_off_interface_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     rig.interface.controller.go_bus_off()  # type: ignore[attr-defined]
@@ -347,15 +346,15 @@ def test_the_interface_off_the_bus_is_a_fault() -> None:
 @pytest.mark.parametrize(
     "frame", [CanFrame(SYNC), CanFrame(0x000, b"\x01\x00"), CanFrame(MASTER_HEARTBEAT, b"\x05")]
 )
-def test_another_master_is_noticed_before_anything_is_sent(frame: CanFrame) -> None:
+def test_another_master_is_detected_before_anything_is_sent(frame: CanFrame) -> None:
     rig = Rig(four_wheels())
     other = rig.simulated.interface(name="other")
 
-    def again() -> None:
+    def send_again() -> None:
         other.send(frame)
-        rig.simulated.timeline.after(100_000_000, again)
+        rig.simulated.timeline.after(100_000_000, send_again)
 
-    again()
+    send_again()
     rig.until(lambda: rig.state is State.FAULT, 1.0)
     assert "another master" in rig.reason
     rig.run(0.5)
@@ -410,11 +409,11 @@ def test_home_steering_homes_again() -> None:
     assert drive.homed
 
 
-# -- who it is ------------------------------------------------------------------
+# -- identity ------------------------------------------------------------------
 
 
 def writes(rig: Rig) -> list[CanFrame]:
-    """Whatever changes something in a device: PDOs to it, and SDO downloads."""
+    """Returns the frames that change something in a device: PDOs to it, and SDO downloads."""
     pdos = {
         f.cob_id for f in rig.robot.buses[0].frames if f.producer == "master" and f.kind == "pdo"
     }
@@ -426,25 +425,25 @@ def writes(rig: Rig) -> list[CanFrame]:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "reason"),
     [
         ({"version": (1, 2, 0)}, "version 1.2.0, not 1.0.0"),
         ({"controller_type": 1}, "the type 1, not 0"),
     ],
 )
-def test_another_script_is_refused(change: dict[str, object], says: str) -> None:
+def test_another_script_is_refused(change: dict[str, object], reason: str) -> None:
     rig = Rig(four_wheels())
     for name, value in change.items():
         setattr(device(rig), name, value)
     rig.until(lambda: rig.state is State.FAULT)
-    assert says in rig.reason
+    assert reason in rig.reason
     assert rig.base.supervisor.mismatch
     rig.run(1.0)
     assert writes(rig) == []
 
 
 def test_another_encoder_is_refused() -> None:
-    """One real robot has a drive with 4096 pulses among those with 1024."""
+    """One real robot has a drive with 4096 pulses among drives with 1024."""
     rig = Rig(four_wheels())
     drive = device(rig)
     assert isinstance(drive, RoboteqController)
@@ -458,7 +457,7 @@ def test_another_product_is_refused_before_any_write() -> None:
     rig = Rig(drives())
     drive = device(rig)
     assert isinstance(drive, Cia402Drive)
-    drive.profile = replace(drive.profile, product=403)
+    drive.description = replace(drive.description, product=403)
     drive.power_off()
     drive.power_on()
     rig.until(lambda: rig.state is State.FAULT)
@@ -471,7 +470,7 @@ def test_a_parameter_that_was_never_flashed_is_refused_before_any_write() -> Non
     rig = Rig(drives())
     rig.run(0.2)
     drive = device(rig)
-    drive.objects[0x1016, 1].value = 0  # nobody would stop it when the master is gone
+    drive.objects[0x1016, 1].value = 0  # it would not stop when the master has ended
     rig.until(lambda: rig.state is State.FAULT)
     assert "heartbeat_consumer_time" in rig.reason
     assert rig.base.supervisor.mismatch
@@ -479,25 +478,25 @@ def test_a_parameter_that_was_never_flashed_is_refused_before_any_write() -> Non
     assert writes(rig) == []
 
 
-def test_nobody_there() -> None:
+def test_no_controller_responds() -> None:
     rig = Rig(four_wheels(), power=False)
     rig.until(lambda: rig.state is State.FAULT)
     assert "no controller responds" in rig.reason
     assert rig.now < 6.0
 
 
-def test_one_is_missing() -> None:
+def test_one_controller_is_missing() -> None:
     rig = Rig(four_wheels())
     device(rig).power_off()
     rig.until(lambda: rig.state is State.FAULT)
     assert "no heartbeat of fl_controller" in rig.reason
 
 
-# -- stops, and the way back ------------------------------------------------------------------
+# -- stop and reset ------------------------------------------------------------------
 
 
 @both
-def test_the_safety_stop_stops_at_once_and_takes_three_things_to_leave(make: Make) -> None:
+def test_the_safety_stop_and_the_three_conditions_to_leave_it(make: Make) -> None:
     rig = Rig(make())
     rig.drive()
     rig.runner.safety_stop()
@@ -509,13 +508,13 @@ def test_the_safety_stop_stops_at_once_and_takes_three_things_to_leave(make: Mak
         rig.runner.reset()
     rig.runner.safety_stop(False)
     rig.run(1.0)
-    assert rig.state is State.ESTOP  # a release alone starts nothing
+    assert rig.state is State.ESTOP  # the release alone does not start the robot
     with pytest.raises(RequestRefused, match="command zero first"):
         rig.runner.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.05)
     rig.runner.reset()
-    rig.twist = FORWARD  # too early: it is not what it was reset for
+    rig.twist = FORWARD  # too early: without a pause the base does not follow
     rig.until(lambda: rig.state is State.READY)
     rig.run(1.0)
     assert rig.speed() == 0.0
@@ -524,7 +523,7 @@ def test_the_safety_stop_stops_at_once_and_takes_three_things_to_leave(make: Mak
     rig.drive()
 
 
-def test_there_is_nothing_to_reset_where_nothing_is_wrong() -> None:
+def test_a_reset_without_a_fault_is_refused() -> None:
     rig = Rig(four_wheels())
     rig.ready()
     with pytest.raises(RequestRefused, match="nothing to reset"):
@@ -547,7 +546,7 @@ def test_a_power_stage_without_power_is_an_emergency_stop() -> None:
     rig.ready()
 
 
-def test_a_cause_that_stays_brings_the_fault_back() -> None:
+def test_a_cause_that_remains_leads_to_the_fault_again() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     device(rig).heartbeat_stopped = True
@@ -561,7 +560,7 @@ def test_a_cause_that_stays_brings_the_fault_back() -> None:
 
 
 @both
-def test_the_end_is_a_quick_stop_then_pre_operational(make: Make) -> None:
+def test_the_shutdown_is_a_quick_stop_then_pre_operational(make: Make) -> None:
     rig = Rig(make())
     rig.drive(Twist(0.8, 0.0, 0.0), 3.0)
     at = rig.now
@@ -575,7 +574,7 @@ def test_the_end_is_a_quick_stop_then_pre_operational(make: Make) -> None:
     )
 
 
-def test_a_stop_in_the_middle_of_homing_ends_it() -> None:
+def test_a_safety_stop_during_homing_ends_it() -> None:
     rig = Rig(cia402_robot())
     rig.until(lambda: rig.state is State.HOMING)
     rig.run(1.0)

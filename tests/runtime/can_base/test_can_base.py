@@ -1,4 +1,4 @@
-"""The base on its simulated buses: it starts, drives and stops."""
+"""The base on its simulated buses: start, drive, stop, shutdown."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def four_wheels() -> Robot:
 
 @functools.cache
 def drives() -> Robot:
-    """Drives after CiA 402 whose home is where they stand: a search takes twelve seconds."""
+    """A robot with CiA 402 drives that home where they stand: a search would take 12 s."""
     robot = cia402_robot()
-    here = {"steering_homing_method": 35, "steering_home_offset": 0}
+    homing_objects = {"steering_homing_method": 35, "steering_home_offset": 0}
 
     def at_home(node: Node) -> Node:
-        objects = [replace(o, value=here.get(o.name, o.value)) for o in node.objects]
+        objects = [replace(o, value=homing_objects.get(o.name, o.value)) for o in node.objects]
         return replace(node, objects=tuple(objects))
 
     buses = [replace(bus, nodes=tuple(at_home(n) for n in bus.nodes)) for bus in robot.buses]
@@ -57,7 +57,7 @@ ROBOTS = {
 
 
 @pytest.mark.parametrize("make", ROBOTS.values(), ids=list(ROBOTS))
-def test_a_robot_starts_drives_stops_and_is_let_go(make: functools.partial[Robot]) -> None:
+def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robot]) -> None:
     rig = Rig(make())
     rig.ready()
     names = [change.state for change in rig.runner.changes]
@@ -83,7 +83,7 @@ def test_a_robot_starts_drives_stops_and_is_let_go(make: functools.partial[Robot
     assert rig.now > start
 
 
-def test_the_drives_are_off_at_the_end() -> None:
+def test_the_drives_are_off_after_the_shutdown() -> None:
     rig = Rig(drives())
     rig.drive()
     rig.runner.shutdown()
@@ -92,7 +92,7 @@ def test_the_drives_are_off_at_the_end() -> None:
             assert all(a.states.state is DriveState.SWITCH_ON_DISABLED for a in device.axes)
 
 
-def test_the_same_run_twice_is_the_same() -> None:
+def test_equal_runs_give_equal_frames() -> None:
     runs = []
     for _ in range(2):
         rig = Rig(four_wheels(), seed=7)

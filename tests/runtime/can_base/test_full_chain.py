@@ -21,8 +21,8 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
 def test_the_odometry_experiment_over_the_bus() -> None:
     """The asymmetric six-wheeler drives about 80 m in 77 s; odometry ends within 0.1 m.
 
-    All that is known of the joints are the controllers' frames: whole revolutions per minute
-    and whole counts, at times that nothing keeps together.
+    The driver knows the joints only from the controllers' frames: whole revolutions per minute and
+    whole counts, measured at different times.
     """
     scenario = compile_file(EXAMPLES / "odometry_experiment" / "ideal.yaml").scenario
     assert scenario is not None
@@ -32,7 +32,7 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     rig.ready()
     commands = scenario.commands[0][1]
     plan = [Segment(rig.now + c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
-    at = rig.now + scenario.duration
+    end = rig.now + scenario.duration
 
     def feed(driver: BaseDriver, now: float) -> None:
         driver.command(twist_at(plan, now), now)
@@ -41,24 +41,24 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     rig.runner.reset_odometry()
     start = last = base.true_pose()
     path = 0.0
-    begun = rig.now
-    while rig.now < at + 0.5:
+    start_time = rig.now
+    while rig.now < end + 0.5:
         rig.run(0.1)
         pose = base.true_pose()
         path += math.hypot(pose.x - last.x, pose.y - last.y)
         last = pose
-    assert 77.0 < rig.now - begun < 78.5
+    assert 77.0 < rig.now - start_time < 78.5
     assert path > 75.0
-    true, found = base.true_pose().relative_to(start), rig.runner.driver.state.pose
-    assert math.hypot(true.x - found.x, true.y - found.y) <= 0.1
-    assert abs(math.remainder(true.yaw - found.yaw, math.tau)) < 0.02
+    true, estimated = base.true_pose().relative_to(start), rig.runner.driver.state.pose
+    assert math.hypot(true.x - estimated.x, true.y - estimated.y) <= 0.1
+    assert abs(math.remainder(true.yaw - estimated.yaw, math.tau)) < 0.02
     assert rig.base.incomplete == 0
     rig.runner.shutdown()
 
 
 @pytest.mark.parametrize("make", [drives, four_wheels], ids=["cia402", "roboteq"])
 def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> None:
-    """Motors with a load are late: neither a drive nor the driver takes that for a fault."""
+    """Loaded motors lag behind their targets: neither the drives nor the driver report a fault."""
     robot = make()
     rig = Rig(robot, base=MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"]))), seed=3)
     rig.ready()
@@ -67,5 +67,5 @@ def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> 
         rig.twist = Twist(vx, vy, wz)
         rig.run(2.0)
         assert rig.state is State.ACTIVE, rig.reason
-    rig.twist = None  # and the longest ramp that there is, to rest
+    rig.twist = None  # the longest ramp: from full speed to rest
     rig.until(lambda: rig.state is State.READY, 5.0)

@@ -1,4 +1,4 @@
-"""Drivers of other packages, by entry point."""
+"""Drivers that other packages offer by entry points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from thorvaldc.simulation.bus.device_table import SIMULATED_DEVICES
 
 
 class Mine(RoboteqScriptController):
-    """A controller of another kind, which happens to speak the same."""
+    """Another package's driver, with the same protocol as the Roboteq script."""
 
 
 class MyBattery(KcBatteryDriver):
@@ -31,26 +31,26 @@ class MyBattery(KcBatteryDriver):
 @dataclass
 class Entry:
     name: str
-    found: object
+    loaded: object
     value: str = "mine:Mine"
 
     def load(self) -> object:
-        if isinstance(self.found, Exception):
-            raise self.found
-        return self.found
+        if isinstance(self.loaded, Exception):
+            raise self.loaded
+        return self.loaded
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, group: str, *entries: Entry) -> None:
-    real = metadata.entry_points
+    real_entry_points = metadata.entry_points
 
-    def offered(**given: str) -> object:
-        return list(entries) if given.get("group") == group else real(**given)
+    def entry_points(**given: str) -> object:
+        return list(entries) if given.get("group") == group else real_entry_points(**given)
 
-    monkeypatch.setattr(metadata, "entry_points", offered)
+    monkeypatch.setattr(metadata, "entry_points", entry_points)
 
 
 def renamed(robot: Robot, node: str, protocol: str) -> Robot:
-    """The robot with another protocol for a node; its simulated device stays what it is."""
+    """Returns the robot with another protocol for a node; the simulated device stays the same."""
     bus = robot.buses[0]
     before = next(n.protocol for n in bus.nodes if n.name == node)
     nodes = tuple(replace(n, protocol=protocol) if n.name == node else n for n in bus.nodes)
@@ -82,7 +82,7 @@ def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "says"),
+    ("loaded", "reason"),
     [
         (ImportError("no acme"), "cannot be loaded: no acme"),
         (KcBatteryDriver, "is no MotorController"),
@@ -90,11 +90,11 @@ def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_a_driver_that_cannot_be_used(
-    found: object, says: str, monkeypatch: pytest.MonkeyPatch
+    loaded: object, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", found))
+    offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", loaded))
     monkeypatch.setattr(SIMULATED_DEVICES, "builtin", dict(SIMULATED_DEVICES.builtin))
     with pytest.raises(DiagnosticError) as caught:
         Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
     assert caught.value.diagnostic.code.name == "bus-driver-unknown"
-    assert says in caught.value.diagnostic.message
+    assert reason in caught.value.diagnostic.message

@@ -1,4 +1,4 @@
-"""Frames compiled from the model against cantools by our DBC; the receiver's ring."""
+"""Frame codecs compared with cantools and our DBC; the queue of the frame receiver."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 
 @pytest.mark.parametrize("make", [four_wheels, drives], ids=["roboteq", "cia402"])
-def test_values_are_those_of_cantools(make: Callable[[], Robot]) -> None:
+def test_values_agree_with_cantools(make: Callable[[], Robot]) -> None:
     robot = make()
     text = emit(robot, ["can"])["can/robot.dbc"].decode("cp1252")
     database = cantools.database.load_string(text, "dbc")
@@ -37,7 +37,7 @@ def test_values_are_those_of_cantools(make: Callable[[], Robot]) -> None:
             try:
                 theirs = message.decode(data, decode_choices=False)
             except cantools.database.DecodeError:
-                continue  # a multiplexer's value that is none
+                continue  # a value that selects no signals
             ours = codec.decode_named(data)
             assert ours.keys() == theirs.keys(), frame.name
             for name, value in theirs.items():
@@ -53,7 +53,7 @@ def frame(*signals: Signal, length: int = 8) -> FrameDefinition:
     return FrameDefinition("f", 0x181, "pdo", "n", ("master",), length, None, None, signals, SPAN)
 
 
-def test_values_beyond_their_bounds_are_drawn_back() -> None:
+def test_values_beyond_their_bounds_are_limited() -> None:
     codec = FrameCodec(
         frame(
             Signal("a", 0, 16, True, 0.5),
@@ -65,7 +65,7 @@ def test_values_beyond_their_bounds_are_drawn_back() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_never_encoded(value: float) -> None:
+def test_values_that_are_not_finite_are_not_encoded(value: float) -> None:
     codec = FrameCodec(frame(Signal("a", 0, 32, True)))
     with pytest.raises(ValueError, match="a is"):
         codec.encode([value])
@@ -78,14 +78,14 @@ def test_scale_and_offset_both_ways() -> None:
     assert codec.encode_named({}) == bytes(8)
 
 
-def test_a_short_frame_is_refused_and_a_long_one_cut() -> None:
+def test_a_short_frame_is_refused_and_surplus_bytes_are_ignored() -> None:
     codec = FrameCodec(frame(Signal("a", 0, 16), length=2))
     with pytest.raises(ValueError, match="1 bytes, not 2"):
         codec.decode(b"\1")
     assert codec.decode(b"\1\0\xff\xff") == [1]
 
 
-def test_signals_need_not_stand_in_order_or_on_bytes() -> None:
+def test_signals_in_any_order_and_at_any_bit() -> None:
     swapped = FrameCodec(frame(Signal("high", 32, 32), Signal("low", 0, 32, True)))
     data = swapped.encode([7, -2])
     assert data == b"\xfe\xff\xff\xff\x07\0\0\0"
@@ -98,8 +98,8 @@ def test_signals_need_not_stand_in_order_or_on_bytes() -> None:
 # -- the receiver -----------------------------------------------------------------------
 
 
-class Fed:
-    """A port that gives what it is fed."""
+class FedInterface:
+    """A CAN interface that receives the frames it is given."""
 
     now = 0.0
     overruns = 0
@@ -117,56 +117,56 @@ class Fed:
         self.waiting += [ReceivedFrame(1_000_000 * i, f, own) for i, f in enumerate(frames)]
 
 
-def receiver(limit: int = 4) -> tuple[FrameReceiver, Fed]:
-    fed = Fed()
+def receiver(limit: int = 4) -> tuple[FrameReceiver, FedInterface]:
+    fed = FedInterface()
     return FrameReceiver(fed, {0x181}, limit=limit), fed  # type: ignore[arg-type]
 
 
-def test_a_full_ring_loses_the_oldest() -> None:
-    """The original kept the oldest and lost what was news."""
-    found, fed = receiver()
+def test_a_full_queue_drops_the_oldest() -> None:
+    """The original software kept the oldest and lost the new ones."""
+    frame_receiver, fed = receiver()
     fed.feed(*(CanFrame(0x181, bytes([i])) for i in range(10)))
-    assert [data[0] for _, _, data in found.drain()] == [6, 7, 8, 9]
-    assert found.dropped == 6
-    assert found.latest[0x181].data == b"\x09"
-    assert found.latest[0x181].number == 10
-    assert found.drain() == []
+    assert [data[0] for _, _, data in frame_receiver.drain()] == [6, 7, 8, 9]
+    assert frame_receiver.dropped == 6
+    assert frame_receiver.latest[0x181].data == b"\x09"
+    assert frame_receiver.latest[0x181].number == 10
+    assert frame_receiver.drain() == []
 
 
-def test_of_reports_only_the_newest_counts() -> None:
-    found, fed = receiver()
+def test_only_the_newest_report_is_kept() -> None:
+    frame_receiver, fed = receiver()
     fed.feed(*(CanFrame(0x281, bytes([i])) for i in range(10)))
-    assert found.drain() == []
-    assert found.dropped == 0
-    assert found.latest[0x281].data == b"\x09"
-    assert found.latest[0x281].time == 0.009
+    assert frame_receiver.drain() == []
+    assert frame_receiver.dropped == 0
+    assert frame_receiver.latest[0x281].data == b"\x09"
+    assert frame_receiver.latest[0x281].time == 0.009
 
 
-def test_strange_frames_and_own_ones_do_not_count() -> None:
-    found, fed = receiver()
+def test_extended_remote_and_own_frames_are_ignored() -> None:
+    frame_receiver, fed = receiver()
     fed.feed(CanFrame(0x181, b"\1", extended=True), CanFrame(0x181, remote=True, requested=8))
     fed.feed(CanFrame(0x181, b"\1"), own=True)
-    assert found.drain() == []
-    assert found.latest == {}
-    assert found.ignored == 2
+    assert frame_receiver.drain() == []
+    assert frame_receiver.latest == {}
+    assert frame_receiver.ignored == 2
 
 
 @pytest.mark.parametrize("threaded", [False, True])
-def test_a_port_that_is_gone_is_said(threaded: bool) -> None:
-    found, fed = receiver()
+def test_a_lost_interface_is_reported(threaded: bool) -> None:
+    frame_receiver, fed = receiver()
     fed.broken = True
     if threaded:
-        found.start()
-        assert found._thread is not None
-        found._thread.join(2.0)
-    found.drain()
-    assert found.lost == "unplugged"
-    found.stop()
+        frame_receiver.start()
+        assert frame_receiver._thread is not None
+        frame_receiver._thread.join(2.0)
+    frame_receiver.drain()
+    assert frame_receiver.lost == "unplugged"
+    frame_receiver.stop()
 
 
-def test_frames_are_replaced_whole() -> None:
-    """A model with another scale gives another codec: nothing is kept between them."""
-    one = frame(Signal("a", 0, 16))
-    two = replace(one, signals=(Signal("a", 0, 16, scale=2.0),))
-    assert FrameCodec(one).decode(b"\2\0" + bytes(6)) == [2]
-    assert FrameCodec(two).decode(b"\2\0" + bytes(6)) == [4]
+def test_codecs_share_no_state() -> None:
+    """A frame with another scale gives another codec."""
+    first = frame(Signal("a", 0, 16))
+    second = replace(first, signals=(Signal("a", 0, 16, scale=2.0),))
+    assert FrameCodec(first).decode(b"\2\0" + bytes(6)) == [2]
+    assert FrameCodec(second).decode(b"\2\0" + bytes(6)) == [4]

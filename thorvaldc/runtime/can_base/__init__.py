@@ -1,1 +1,1 @@
-"""The robot's joints over its buses: frames, devices' drivers, and what guards them."""
+"""The base of a robot on its CAN buses: drivers of the nodes, state machine, watchdogs, relay."""

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 
 from thorvaldc.can.canopen import abort_text, sdo_abort_code, sdo_upload
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model.bus import OBJECT_TYPES, ObjectValue
+from thorvaldc.can.sdo import decode_number
+from thorvaldc.model.bus import ObjectValue
 
 ANSWER_TIME = 0.1
 """s after which a request without a response is repeated."""
@@ -59,9 +60,7 @@ class ObjectReadback:
         if abort_code is not None:
             self.problem = f"{_label(expected)} cannot be read: {abort_text(abort_code)}"
             return
-        size = OBJECT_TYPES[expected.type][1] + 7 >> 3
-        signed = expected.type.startswith("integer")
-        value = int.from_bytes(data[4 : 4 + size], "little", signed=signed)
+        value = decode_number(expected.type, data[4:8])
         if value != expected.value:
             self.problem = f"{_label(expected)} is {value}, but the robot file has {expected.value}"
             return
