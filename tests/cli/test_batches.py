@@ -55,7 +55,7 @@ def planned(path: Path, *settings: str, **more: Any) -> Variations:
 
 
 def values(variations: Variations) -> list[dict[str, Any]]:
-    return [{c.path: c.value.plain() for c in changes} for changes in variations.all()]
+    return [{c.path: c.value.plain() for c in changes} for changes in variations.runs()]
 
 
 def rows(path: Path) -> list[dict[str, str]]:

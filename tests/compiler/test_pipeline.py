@@ -297,7 +297,7 @@ def test_a_grid_too_narrow_is_said_once(workshop: Workshop) -> None:
         workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, columns: 3, spacing: 1 mm}}\n"
     )
     said = [d.message for d in done.report if d.code.name == "fleet-overlap"]
-    assert said == ["`a_2` stands where `a_1` stands"]
+    assert said == ["`a_2` overlaps `a_1`"]
     done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, spacing: -1 m}}\n")
     assert [d.code.name for d in done.report.errors] == ["out-of-range"]
     assert "fleet-overlap" not in [d.code.name for d in done.report]

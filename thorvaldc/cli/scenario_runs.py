@@ -110,7 +110,7 @@ def plan_runs(
 
 def single_run(variations: Variations) -> tuple[Change, ...] | None:
     """Returns the changes of the only run; ``None`` for several runs."""
-    return next(variations.all()) if variations.size == 1 else None
+    return next(variations.runs()) if variations.size == 1 else None
 
 
 def run_batch(

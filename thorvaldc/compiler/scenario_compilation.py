@@ -12,8 +12,8 @@ from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.fleet_compilation import open_named_file, read_fleet
 from thorvaldc.compiler.scenario.fleet_placement import Placements, robots_of
 from thorvaldc.compiler.scenario.scenario_reader import read_scenario
-from thorvaldc.compiler.scenario.twist_log import read_twists
-from thorvaldc.compiler.scenario.variations import Change, changed, without_variations
+from thorvaldc.compiler.scenario.twist_log_reader import read_twists
+from thorvaldc.compiler.scenario.variations import Change, with_changes, without_variations
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Placement, Pose, Robot
@@ -36,7 +36,7 @@ def compile_scenario(
     document = source.document
     if document is not None:
         if changes:
-            document = without_variations(changed(document, changes, source.shape))
+            document = without_variations(with_changes(document, changes, source.shape))
         document = source.check_shape(document)
         fleet = _read_robots(document, source, compile_part, report, parts, robot)
         if fleet is not None:

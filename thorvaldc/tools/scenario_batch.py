@@ -103,7 +103,7 @@ class Batch:
         self.variations = variations
         self._jobs = [
             _Job(number, str(scenario), changes, None if robot is None else str(robot), library)
-            for number, changes in enumerate(variations.all(), 1)
+            for number, changes in enumerate(variations.runs(), 1)
         ]
 
     def __len__(self) -> int:
@@ -118,7 +118,7 @@ class Batch:
             return None
         first = self._jobs[0]
         combinations = [first.changes]
-        for change in self.variations.single():
+        for change in self.variations.single_changes():
             if change not in first.changes:
                 others = (c for c in first.changes if c.path != change.path)
                 combinations.append((*others, change))

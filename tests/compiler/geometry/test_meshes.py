@@ -144,7 +144,7 @@ struct.pack_into("<f", NAN, 84 + 50 + 12 + 20, float("nan"))
         ("a", b"", "mesh-format", "``"),
         ("a.stl", b"", "mesh-invalid", "0 bytes"),
         ("a.stl", binary_stl([]), "mesh-invalid", "0 triangles"),
-        ("a.stl", binary_stl(TETRAHEDRON)[:-1], "mesh-invalid", "cut off"),
+        ("a.stl", binary_stl(TETRAHEDRON)[:-1], "mesh-invalid", "truncated"),
         ("a.stl", bytes(NAN), "mesh-invalid", "finite"),
         ("a.stl", b"solid x\nfacet\nvertex 1 2\n", "mesh-invalid", "three numbers"),
         (
@@ -246,7 +246,7 @@ def test_what_a_download_left_in_place_of_a_mesh(tmp_path: Path) -> None:
     for name in ("a.stl", "a.dae"):
         _, report = load(write(tmp_path / name, pointer))
         (fault,) = report
-        assert fault.message == f"mesh file `{name}` is a pointer of Git LFS, not the mesh"
+        assert fault.message == f"mesh file `{name}` is a Git LFS pointer, not the mesh"
     _, report = load(write(tmp_path / "b.dae", "<html><body>404 not found</body></html>"))
     (fault,) = report
     assert fault.message == "mesh file `b.dae` is no dae file, or has nothing to show"

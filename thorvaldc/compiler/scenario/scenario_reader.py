@@ -1,4 +1,4 @@
-"""A scenario document, of a fleet that is compiled already, as the model of a scenario."""
+"""Reads a scenario document whose fleet is already compiled."""
 
 from __future__ import annotations
 
@@ -6,29 +6,33 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
-from thorvaldc.compiler.modules.scope import Scope
-from thorvaldc.compiler.scenario.ground_zones import check_starts
-from thorvaldc.compiler.scenario.world import friction, read_world, with_friction
+from thorvaldc.compiler.modules.value_reader import ValueReader, entries, items
+from thorvaldc.compiler.scenario.variations import (
+    read_variations,
+    with_changes,
+    without_variations,
+)
+from thorvaldc.compiler.scenario.world_reader import read_world, wheel_friction, with_friction
+from thorvaldc.compiler.scenario.zone_reader import check_starts
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
 
-LONGEST = 86400.0
-"""A day: the longest run (s)."""
+MAX_DURATION = 86400.0  # s: one day
 
-# What a fault needs besides its wheel: (key, quantity, least, most).
+# Parameter of an injected fault: key, quantity, least, most.
 _FAULT_VALUES = {
     "steering_offset": ("angle", "angle", -1.0, 1.0),
     "radius_error": ("error", "number", -0.5, 1.0),
     "ice": ("friction", "number", 0.0, 5.0),
 }
-_OF_MOTORS = ("encoder_frozen", "motor_lost")
+_FAULTS_OF_MOTORS = ("encoder_frozen", "motor_lost")
 
-_QUANTITIES = {
+_METRICS = {
     "end_error": "length",
     "yaw_error": "angle",
     "path": "length",
@@ -43,166 +47,180 @@ _QUANTITIES = {
 
 
 def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
-    """The scenario; its ``fleet`` is the given one in the document's world.
+    """Returns the scenario; its ``fleet`` is the given one in the document's world.
 
-    The values of its variations are tried as well.
+    Also checks each value of the document's variations.
     """
-    found = _read(document, fleet, report)
+    scenario = _read(document, fleet, report)
     if document.get("variations") is not None:
-        _try_variations(document, fleet, report)
-    return found
+        _check_variations(document, fleet, report)
+    return scenario
 
 
-def _try_variations(document: Node, fleet: Fleet, report: Report) -> None:
-    """What is wrong with single values, each in the place of the document's own."""
-    from thorvaldc.compiler.scenario.variations import changed, read_variations, without_variations
-    from thorvaldc.compiler.validation.document_check import check, without_invalid_values
-
+def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
+    """Reports the errors that each single varied value causes in the document."""
     variations = read_variations(document, (), None, None, report)
     if report.has_errors:
         return
-    for change in variations.single():
+    for change in variations.single_changes():
         if change.path.partition(".")[0] in ("robots", "fleet"):
-            continue  # which would be other robots
-        shape, said = Report(), Report()
-        tried = without_variations(changed(document, [change], said))
-        check(tried, "scenario", shape)
-        _read(without_invalid_values(tried, shape), fleet, said)
-        for fault in (*shape.errors, *said.errors):
-            report.put(fault)
+            continue  # Other robots would have to be compiled.
+        shape, content = Report(), Report()
+        varied = without_variations(with_changes(document, [change], content))
+        check(varied, "scenario", shape)
+        _read(without_invalid_values(varied, shape), fleet, content)
+        for diagnostic in (*shape.errors, *content.errors):
+            report.put(diagnostic)
 
 
 def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
-    scope = Scope(None, {}, Library(), report, None)
-    numbers = BoundedQuantities(scope, report)
-    mu = friction(document, numbers)
-    if mu is not None:
-        placed = (replace(p, robot=with_friction(p.robot, mu)) for p in fleet.placements)
-        fleet = replace(fleet, placements=tuple(placed))
-    name = scope.text(document.get("scenario"))
-    description = scope.text(document.get("description"))
-    fleet = replace(
-        fleet, name=name, description=description, world=read_world(document, numbers, report)
-    )
+    reader = ValueReader(report)
+    quantities = BoundedQuantities(reader, report)
+    friction = wheel_friction(document, quantities)
+    if friction is not None:
+        placements = (replace(p, robot=with_friction(p.robot, friction)) for p in fleet.placements)
+        fleet = replace(fleet, placements=tuple(placements))
+    name = reader.text(document.get("scenario"))
+    description = reader.text(document.get("description"))
+    world = read_world(document, quantities, report)
+    fleet = replace(fleet, name=name, description=description, world=world)
     check_starts(fleet, document, report)
-    reader = _Reader(fleet, numbers, report)
+    sections = _SectionReader(fleet, quantities, report)
     record = document.get("record")
     return Scenario(
         name=name,
         description=description,
         fleet=fleet,
-        duration=numbers(document, "duration", "time", 1.0, least=0.0, most=LONGEST, above=True),
-        commands=reader.commands(document.get("script")),
-        faults=tuple(reader.faults(document.get("faults"))),
-        noise=reader.noise(document.get("noise")),
-        expectations=tuple(reader.expectations(document.get("expect"))),
+        duration=quantities(
+            document, "duration", "time", 1.0, least=0.0, most=MAX_DURATION, above=True
+        ),
+        commands=sections.commands(document.get("script")),
+        faults=tuple(sections.wheel_faults(document.get("faults"))),
+        noise=sections.noise(document.get("noise")),
+        expectations=tuple(sections.expectations(document.get("expect"))),
         span=document.span,
-        record=_groups(record),
-        every=numbers(record, "every", "time", least=0.0) if record is not None else 0.0,
+        record=_record_groups(record),
+        every=quantities(record, "every", "time", least=0.0) if record is not None else 0.0,
     )
 
 
-def _groups(record: Node | None) -> tuple[str, ...]:
-    named = {str(node.value) for node in _items(record.get("what") if record else None)}
+def _record_groups(record: Node | None) -> tuple[str, ...]:
+    """Returns the groups of columns to record; by default all."""
+    named = {str(node.value) for node in items(record.get("what") if record else None)}
     return tuple(group for group in GROUPS if not named or group in named)
 
 
-class _Reader:
-    def __init__(self, fleet: Fleet, numbers: BoundedQuantities, report: Report) -> None:
+class _SectionReader:
+    """Reads the sections of a scenario that refer to its robots."""
+
+    def __init__(self, fleet: Fleet, quantities: BoundedQuantities, report: Report) -> None:
         self.robots = {placement.name: placement.robot for placement in fleet.placements}
-        self.numbers = numbers
+        self.quantities = quantities
         self.report = report
 
     def commands(self, script: Node | None) -> tuple[tuple[str, tuple[Command, ...]], ...]:
-        plans: dict[str, list[Command]] = {name: [] for name in self.robots}
-        if script is not None and (named := script.get("robot")) is not None:
-            self._robots(named)  # of a log, whose velocities the pipeline reads
-        before = 0.0
-        for node in _items(script):
-            time = self.numbers(node, "at", "time", before, least=before, most=LONGEST)
-            before = time
+        """Returns the scripted commands of each robot, in order of time.
+
+        A script that names a log has none: ``scenario_compilation`` reads the log.
+        """
+        commands: dict[str, list[Command]] = {name: [] for name in self.robots}
+        if script is not None and (robot_node := script.get("robot")) is not None:
+            self._robot_names(robot_node)  # of a log
+        last_time = 0.0
+        for node in items(script):
+            time = self.quantities(
+                node, "at", "time", last_time, least=last_time, most=MAX_DURATION
+            )
+            last_time = time
+            parameters = node.get("parameters")
             command = Command(
                 time,
-                self.numbers(node, "vx", "velocity"),
-                self.numbers(node, "vy", "velocity"),
-                self.numbers(node, "wz", "angular_velocity"),
-                "" if node.get("parameters") is None else str(node.plain()["parameters"]),
+                self.quantities(node, "vx", "velocity"),
+                self.quantities(node, "vy", "velocity"),
+                self.quantities(node, "wz", "angular_velocity"),
+                "" if parameters is None else str(parameters.plain()),
             )
-            named = node.get("robot")
-            for name in plans if named is None else self._robots(named):
-                plans[name].append(command)
-                self._check_parameters(name, node.get("parameters"))
-        return tuple((name, tuple(plan)) for name, plan in plans.items())
+            robot_node = node.get("robot")
+            for name in commands if robot_node is None else self._robot_names(robot_node):
+                commands[name].append(command)
+                self._check_parameter_set(name, parameters)
+        return tuple((name, tuple(listed)) for name, listed in commands.items())
 
-    def _check_parameters(self, name: str, node: Node | None) -> None:
-        known = [found.name for found in self.robots[name].parameter_sets]
+    def _check_parameter_set(self, robot: str, node: Node | None) -> None:
+        known = [parameter_set.name for parameter_set in self.robots[robot].parameter_sets]
         if node is not None and node.value not in known:
-            there = f"it has {', '.join(known)}" if known else "its file names none"
+            known_hint = f"it has {', '.join(known)}" if known else "its file names none"
             self.report.add(
                 "parameter-set-unknown",
-                f"{name} has no parameter set `{node.value}`",
+                f"{robot} has no parameter set `{node.value}`",
                 node.span,
-                hint=did_you_mean(str(node.value), known, there),
+                hint=did_you_mean(str(node.value), known, known_hint),
             )
 
-    def faults(self, listed: Node | None) -> Iterator[WheelFault]:
-        for node in _items(listed):
-            type_, wheel = node.get("type"), node.get("wheel")
-            if type_ is None or wheel is None or not isinstance(type_.value, str):
+    def wheel_faults(self, section: Node | None) -> Iterator[WheelFault]:
+        for node in items(section):
+            type_node, wheel = node.get("type"), node.get("wheel")
+            if type_node is None or wheel is None or not isinstance(type_node.value, str):
                 continue
-            named = node.get("robot")
-            found = list(self.robots) if named is None else self._robots(named)
-            if len(found) > 1:
+            robot_node = node.get("robot")
+            names = list(self.robots) if robot_node is None else self._robot_names(robot_node)
+            if len(names) > 1:
                 self.report.add(
                     "missing-key",
                     "a fault has no `robot`, and there are several",
                     node.where,
-                    hint=f"add `robot: {found[0]}`",
+                    hint=f"add `robot: {names[0]}`",
                 )
-            if len(found) != 1:
+            if len(names) != 1:
                 continue
-            fault = self._fault(node, type_.value, found[0], wheel)
+            fault = self._wheel_fault(node, type_node.value, names[0], wheel)
             if fault is not None:
                 yield fault
 
-    def _fault(self, node: Node, type_: str, robot: str, wheel: Node) -> WheelFault | None:
-        motor = node.get("motor")
-        of = str(motor.value) if motor is not None else "drive"
-        if type_ == "steering_offset":
-            of = "steering"
-        if not self._has_wheel(self.robots[robot], wheel, of if type_ != "ice" else ""):
+    def _wheel_fault(self, node: Node, fault_type: str, robot: str, wheel: Node) -> WheelFault | None:
+        motor_node = node.get("motor")
+        motor = str(motor_node.value) if motor_node is not None else "drive"
+        if fault_type == "steering_offset":
+            motor = "steering"
+        needed_motor = motor if fault_type != "ice" else ""
+        if not self._has_wheel(self.robots[robot], wheel, needed_motor):
             return None
         value = 0.0
-        keys = {"motor"} if type_ in _OF_MOTORS else set()
-        if type_ in _FAULT_VALUES:
-            key, quantity, least, most = _FAULT_VALUES[type_]
+        keys = {"motor"} if fault_type in _FAULTS_OF_MOTORS else set()
+        if fault_type in _FAULT_VALUES:
+            key, quantity, least, most = _FAULT_VALUES[fault_type]
             keys.add(key)
             if node.get(key) is None:
-                self.report.add("missing-key", f"the fault `{type_}` has no `{key}`", node.where)
+                self.report.add(
+                    "missing-key", f"the fault `{fault_type}` has no `{key}`", node.where
+                )
                 return None
-            value = self.numbers(node, key, quantity, least=least, most=most)
+            value = self.quantities(node, key, quantity, least=least, most=most)
         for key in ("angle", "error", "friction", "motor"):
             entry = node.get(key)
             if entry is not None and key not in keys:
                 self.report.add(
-                    "conflicting-keys", f"the fault `{type_}` has no `{key}`", entry.where
+                    "conflicting-keys", f"the fault `{fault_type}` has no `{key}`", entry.where
                 )
-        start = self.numbers(node, "at", "time", least=0.0)
-        end = self.numbers(node, "until", "time", math.inf, least=start, above=True)
-        return WheelFault(type_, robot, str(wheel.value), of, value, start, end, node.span)
+        start = self.quantities(node, "at", "time", least=0.0)
+        end = self.quantities(node, "until", "time", math.inf, least=start, above=True)
+        return WheelFault(fault_type, robot, str(wheel.value), motor, value, start, end, node.span)
 
     def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
-        names = [wheel.name for wheel in robot.wheels]
+        """Checks that the robot has the wheel, and the wheel the motor (empty: none needed)."""
         for wheel in robot.wheels:
-            if wheel.name == node.value:
-                lacks = {"drive": not wheel.driven, "steering": not wheel.steered}.get(motor, False)
-                if lacks:
-                    self.report.add(
-                        "scenario-wheel-unknown",
-                        f"`{wheel.name}` has no motor for its {motor}",
-                        node.span,
-                    )
-                return not lacks
+            if wheel.name != node.value:
+                continue
+            is_missing = {"drive": not wheel.driven, "steering": not wheel.steered}
+            if is_missing.get(motor, False):
+                self.report.add(
+                    "scenario-wheel-unknown",
+                    f"`{wheel.name}` has no {motor} motor",
+                    node.span,
+                )
+                return False
+            return True
+        names = [wheel.name for wheel in robot.wheels]
         self.report.add(
             "scenario-wheel-unknown",
             f"{robot.name} has no wheel `{node.value}`",
@@ -211,7 +229,8 @@ class _Reader:
         )
         return False
 
-    def _robots(self, node: Node) -> Sequence[str]:
+    def _robot_names(self, node: Node) -> Sequence[str]:
+        """Returns the robot that a key names; reports an unknown one and returns none."""
         if node.value in self.robots:
             return [str(node.value)]
         names = list(self.robots)
@@ -231,28 +250,28 @@ class _Reader:
         if gyro is not None and not any(map(_has_imu, self.robots.values())):
             self.report.add(
                 "scenario-imu-missing",
-                "no robot of the scenario has an IMU, and so none tells its yaw rate",
+                "no robot of the scenario has an IMU that measures its yaw rate",
                 gyro.where,
                 hint="mount a `sensor/imu` on one of them",
             )
+        quantities = self.quantities
         return Noise(
             seed.value if seed is not None and isinstance(seed.value, int) else 0,
-            self.numbers(node, "wheel_speed", "angular_velocity", least=0.0),
-            self.numbers(node, "wheel_position", "angle", least=0.0),
-            self.numbers(node, "steering_angle", "angle", least=0.0),
-            self.numbers(node, "gyro", "angular_velocity", least=0.0) if gyro is not None else None,
-            self.numbers(node, "gyro_bias", "angular_velocity"),
+            quantities(node, "wheel_speed", "angular_velocity", least=0.0),
+            quantities(node, "wheel_position", "angle", least=0.0),
+            quantities(node, "steering_angle", "angle", least=0.0),
+            quantities(node, "gyro", "angular_velocity", least=0.0) if gyro is not None else None,
+            quantities(node, "gyro_bias", "angular_velocity"),
             counts is not None and counts.value is True,
         )
 
     def expectations(self, node: Node | None) -> Iterator[Expectation]:
-        entries = node.value if node is not None else None
-        for metric, bounds in (entries if isinstance(entries, dict) else {}).items():
-            quantity = _QUANTITIES.get(metric)
+        for metric, bounds in entries(node).items():
+            quantity = _METRICS.get(metric)
             if quantity is None:
-                continue
+                continue  # The schema check has reported it.
             least, most = (
-                self.numbers(bounds, key, quantity) if bounds.get(key) is not None else None
+                self.quantities(bounds, key, quantity) if bounds.get(key) is not None else None
                 for key in ("min", "max")
             )
             if least is not None and most is not None and least > most:
@@ -266,8 +285,3 @@ class _Reader:
 
 def _has_imu(robot: Robot) -> bool:
     return any(sensor.type == "imu" for sensor in robot.sensors)
-
-
-def _items(node: Node | None) -> tuple[Node, ...]:
-    items = node.value if node is not None else None
-    return items if isinstance(items, tuple) else ()

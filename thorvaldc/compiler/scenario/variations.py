@@ -1,4 +1,4 @@
-"""Variations of a scenario document: every combination of values, and draws from ranges."""
+"""Variations of a scenario document: all combinations of values, and draws from ranges."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from thorvaldc.compiler.compilation import SETTING
+from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 
-MOST = 100_000
-"""More runs than these are a mistake."""
+MAX_RUNS = 100_000
 NOISE_SEED = "noise.seed"
 
-# A number and what stands behind it: `-0.5 deg`.
+# A number, optionally with a unit: `-0.5 deg`.
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*([^\d\s.][^.]*?)?\s*", re.ASCII)
 _RANGE = re.compile(rf"(\s*{_NUMBER}[^.]*?)\.\.({_NUMBER}.*)", re.ASCII)
 
 
 class Change(NamedTuple):
-    """The value at a path in place of what stands there; its ``where`` is that of the path."""
+    """A new value at a dotted path of a document; ``value.where`` is the span of the path."""
 
     path: str
     value: Node
 
     @property
     def text(self) -> str:
-        """The value in a table."""
+        """The value as text for a table."""
         plain = self.value.plain()
         if isinstance(plain, str):
             return plain
@@ -42,8 +42,11 @@ class Change(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Varied:
-    """What one path gets: ``choices``, or numbers of ``unit`` from ``least`` to ``most``."""
+class VariedPath:
+    """The values of one path: ``choices``, or a range from ``least`` to ``most`` in ``unit``.
+
+    ``whole``: only whole numbers of the range are drawn.
+    """
 
     path: str
     choices: tuple[Node, ...]
@@ -53,16 +56,19 @@ class Varied:
     whole: bool = False
     span: Span | None = None
 
-    def drawn(self, seed: int, draw: int) -> Node:
-        """The value of a draw; it depends on nothing else."""
-        said = f"{seed} {draw} {self.path}"
-        chance = random.Random(hashlib.sha256(said.encode()).digest())
-        if self.whole:
-            return self._node(chance.randint(int(self.least), int(self.most)))
-        return self._node(chance.uniform(self.least, self.most))
+    def draw(self, seed: int, number: int) -> Node:
+        """Returns the random value of draw ``number``.
 
-    def ends(self) -> tuple[Node, Node]:
-        """The least and the largest value of a range."""
+        It depends only on the seed, the number and the path, so that other paths do not change it.
+        """
+        key = f"{seed} {number} {self.path}"
+        generator = random.Random(hashlib.sha256(key.encode()).digest())
+        if self.whole:
+            return self._node(generator.randint(int(self.least), int(self.most)))
+        return self._node(generator.uniform(self.least, self.most))
+
+    def limits(self) -> tuple[Node, Node]:
+        """Returns the least and the largest value of a range."""
         return self._node(self.least), self._node(self.most)
 
     def _node(self, value: float) -> Node:
@@ -73,196 +79,200 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class Variations:
-    """What varies, how often the ranges are drawn from, and by which seed."""
+    """The varied paths, the number of draws from the ranges, and the seed of the draws.
 
-    varied: tuple[Varied, ...]
+    ``noise_seed`` is the seed of the scenario's noise; ``None`` without noise.
+    """
+
+    varied: tuple[VariedPath, ...]
     draws: int = 1
     seed: int = 0
     noise_seed: int | None = None
 
     @property
     def size(self) -> int:
-        found = self.draws
-        for one in self.varied:
-            found *= max(len(one.choices), 1)
-        return found
+        """The number of runs."""
+        size = self.draws
+        for varied in self.varied:
+            size *= max(len(varied.choices), 1)
+        return size
 
-    def all(self) -> Iterator[tuple[Change, ...]]:
-        """Every run's changes: combinations in order, the last value the fastest, then draws.
+    def runs(self) -> Iterator[tuple[Change, ...]]:
+        """Yields the changes of every run.
 
-        A draw is the same for every combination.  Where there are several, a scenario's
-        noise is drawn anew for each.
+        Combinations come in order, the last path varies fastest, and each has all draws.  Draw k
+        is the same for all combinations.  With several draws, each has its own noise.
         """
-        lists = [one for one in self.varied if one.choices]
-        ranges = [one for one in self.varied if not one.choices]
-        for values in itertools.product(*(one.choices for one in lists)):
-            chosen = dict(zip((one.path for one in lists), values, strict=True))
-            for draw in range(self.draws):
-                drawn = {one.path: one.drawn(self.seed, draw) for one in ranges}
-                here = {**chosen, **drawn}
-                changes = [Change(one.path, here[one.path]) for one in self.varied]
-                if self.noise_seed is not None and self.draws > 1 and NOISE_SEED not in here:
+        lists = [varied for varied in self.varied if varied.choices]
+        ranges = [varied for varied in self.varied if not varied.choices]
+        for values in itertools.product(*(varied.choices for varied in lists)):
+            chosen = dict(zip((varied.path for varied in lists), values, strict=True))
+            for number in range(self.draws):
+                drawn = {varied.path: varied.draw(self.seed, number) for varied in ranges}
+                value_by_path = {**chosen, **drawn}
+                changes = [Change(v.path, value_by_path[v.path]) for v in self.varied]
+                is_varied = NOISE_SEED in value_by_path
+                if self.noise_seed is not None and self.draws > 1 and not is_varied:
                     span = Span("")
-                    changes.append(Change(NOISE_SEED, Node(self.noise_seed + draw, span, span)))
+                    changes.append(Change(NOISE_SEED, Node(self.noise_seed + number, span, span)))
                 yield tuple(changes)
 
-    def single(self) -> Iterator[Change]:
-        """Every value that a path gets, one by one; of ranges the ends."""
-        for one in self.varied:
-            for value in one.choices or one.ends():
-                yield Change(one.path, value)
+    def single_changes(self) -> Iterator[Change]:
+        """Yields each value of each path; of ranges, the limits."""
+        for varied in self.varied:
+            for value in varied.choices or varied.limits():
+                yield Change(varied.path, value)
 
 
 def read_variations(
     document: Node, settings: Sequence[str], draws: int | None, seed: int | None, report: Report
 ) -> Variations:
-    """What a scenario's document says under ``variations``, and ``PATH=...`` of ``settings``.
+    """Returns the ``variations`` of a scenario document, changed by command line options.
 
-    A setting is a list of values with commas or a range ``LOW..HIGH``; it takes the place
-    of what the document says of the path, as do ``draws`` and ``seed``.
+    A setting is ``PATH=VALUES`` with values separated by commas, or a range ``LOW..HIGH``.  It
+    replaces the document's values of the path.  ``draws`` and ``seed`` replace those of the
+    document.
     """
     node = document.get("variations")
     vary = node.get("vary") if node is not None else None
-    entries = vary.value if vary is not None and isinstance(vary.value, dict) else {}
-    varied = {path: _varied(path, value, report) for path, value in entries.items()}
+    varied = {path: _read_values(path, value, report) for path, value in entries(vary).items()}
     for text in settings:
         path, _, values = text.partition("=")
-        varied[path.strip()] = _setting(path.strip(), values, report)
+        varied[path.strip()] = _read_setting(path.strip(), values, report)
     noise = document.get("noise")
-    own = noise.get("seed") if noise is not None else None
-    first = own.value if own is not None and isinstance(own.value, int) else 0
-    found = Variations(
-        tuple(one for one in varied.values() if one is not None),
-        draws if draws is not None else _whole(node, "draws", 1),
-        seed if seed is not None else _whole(node, "seed", 0),
-        None if noise is None else first,
+    variations = Variations(
+        tuple(varied_path for varied_path in varied.values() if varied_path is not None),
+        draws if draws is not None else _integer(node, "draws", 1),
+        seed if seed is not None else _integer(node, "seed", 0),
+        None if noise is None else _integer(noise, "seed", 0),
     )
-    for change in found.single():
-        changed(document, [change], report)
-    if found.size > MOST:
+    for change in variations.single_changes():
+        with_changes(document, [change], report)
+    if variations.size > MAX_RUNS:
         report.add(
             "out-of-range",
-            f"there are {found.size} variations; there must be at most {MOST}",
+            f"there are {variations.size} variations; there must be at most {MAX_RUNS}",
             (node or document).where,
         )
-    return found
+    return variations
 
 
-def _varied(path: str, node: Node, report: Report) -> Varied | None:
+def _read_values(path: str, node: Node, report: Report) -> VariedPath | None:
+    """Reads an entry of `vary`: a list of values, or a range with `min` and `max`."""
     if isinstance(node.value, tuple):
         choices = tuple(value._replace(key_span=value.span) for value in node.value)
-        return Varied(path, choices, span=node.where)
+        return VariedPath(path, choices, span=node.where)
     low, high = node.get("min"), node.get("max")
     if low is None or high is None:
         return None
-    return _range(path, str(low.value), str(high.value), node.where, report)
+    return _read_range(path, str(low.value), str(high.value), node.where, report)
 
 
-def _setting(path: str, text: str, report: Report) -> Varied | None:
-    name = f"{SETTING}{path}"
-    ends = _RANGE.fullmatch(text)
-    if ends is not None:
-        return _range(path, ends[1], ends[2], Span(name), report)
-    said = Report()
-    node = read_text(f"[{text}]".encode(), name, said)
+def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
+    """Reads the values of a setting as YAML."""
+    span = Span(f"{SETTING}{path}")
+    limits = _RANGE.fullmatch(text)
+    if limits is not None:
+        return _read_range(path, limits[1], limits[2], span, report)
+    yaml_report = Report()
+    node = read_text(f"[{text}]".encode(), span.file, yaml_report)
     values = node.value if node is not None else None
-    if said.has_errors or not isinstance(values, tuple) or not values:
+    if yaml_report.has_errors or not isinstance(values, tuple) or not values:
         report.add(
             "variation-value",
-            f"`{text}` is no list of values",
-            Span(name),
-            hint="values with commas between them, or a range such as 0.3..0.9",
+            f"`{text}` is not a list of values",
+            span,
+            hint="separate values by commas, or write a range such as 0.3..0.9",
         )
         return None
-    span = Span(name)
-    return Varied(path, tuple(_at(value, span) for value in values), span=span)
+    return VariedPath(path, tuple(_with_span(value, span) for value in values), span=span)
 
 
-def _at(node: Node, span: Span) -> Node:
-    """The node as if all of it stood at ``span``: on the command line there are no lines."""
+def _with_span(node: Node, span: Span) -> Node:
+    """Returns the node with ``span`` everywhere: a command line has no line numbers."""
     value = node.value
     if isinstance(value, dict):
-        value = {key: _at(entry, span) for key, entry in value.items()}
+        value = {key: _with_span(entry, span) for key, entry in value.items()}
     elif isinstance(value, tuple):
-        value = tuple(_at(entry, span) for entry in value)
+        value = tuple(_with_span(element, span) for element in value)
     return Node(value, span, span, node.quoted)
 
 
-def _range(path: str, low: str, high: str, span: Span, report: Report) -> Varied | None:
+def _read_range(path: str, low: str, high: str, span: Span, report: Report) -> VariedPath | None:
+    """Reads the limits of a range; they need the same unit, except that 0 needs none."""
     first, last = _QUANTITY.fullmatch(low), _QUANTITY.fullmatch(high)
     if first is None or last is None:
-        wrong = low if first is None else high
+        invalid = low if first is None else high
         report.add(
             "variation-value",
-            f"`{wrong}` is no end of a range of `{path}`; it must be a number, with its unit",
+            f"`{invalid}` is not a limit of a range of `{path}`; "
+            "it must be a number, with its unit",
             span,
         )
         return None
     least, most = float(first[1]), float(last[1])
-    units = [unit or "" for unit in (first[2], last[2])]
-    if least == 0.0 and not units[0]:
-        units[0] = units[1]
-    if most == 0.0 and not units[1]:
-        units[1] = units[0]
-    if units[0] != units[1]:
+    low_unit, high_unit = first[2] or "", last[2] or ""
+    if least == 0.0 and not low_unit:
+        low_unit = high_unit
+    if most == 0.0 and not high_unit:
+        high_unit = low_unit
+    range_text = f"the range of `{path}` is from {low.strip()} to {high.strip()}"
+    if low_unit != high_unit:
         report.add(
             "variation-value",
-            f"the range of `{path}` is from {low.strip()} to {high.strip()}, in two units",
+            f"{range_text}, in two units",
             span,
-            hint="give both ends in the same unit",
+            hint="give both limits in the same unit",
         )
         return None
     if not least < most:
         report.add(
-            "variation-value",
-            f"the range of `{path}` is from {low.strip()} to {high.strip()}; "
-            "its end must be more than its beginning",
-            span,
+            "variation-value", f"{range_text}; its end must be more than its beginning", span
         )
         return None
-    whole = not units[0] and all(re.fullmatch(r"\s*[-+]?\d+\s*", text) for text in (low, high))
-    return Varied(path, (), least, most, units[0], whole, span)
+    whole = not low_unit and all(re.fullmatch(r"\s*[-+]?\d+\s*", text) for text in (low, high))
+    return VariedPath(path, (), least, most, low_unit, whole, span)
 
 
-def _whole(node: Node | None, key: str, default: int) -> int:
-    found = node.get(key) if node is not None else None
-    return found.value if found is not None and isinstance(found.value, int) else default
+def _integer(node: Node | None, key: str, default: int) -> int:
+    entry = node.get(key) if node is not None else None
+    return entry.value if entry is not None and isinstance(entry.value, int) else default
 
 
-def changed(document: Node, changes: Sequence[Change], report: Report) -> Node:
-    """The document with other values at some paths; mappings on the way are made."""
+def with_changes(document: Node, changes: Sequence[Change], report: Report) -> Node:
+    """Returns the document with other values at some paths; adds missing mappings."""
     for change in changes:
-        document = _put(document, change.path.split("."), change, report)
+        document = _with_change(document, change.path.split("."), change, report)
     return document
 
 
 def without_variations(document: Node) -> Node:
-    """The document without its own variations."""
+    """Returns the document without its ``variations``."""
     if not isinstance(document.value, dict):
         return document
     rest = {key: node for key, node in document.value.items() if key != "variations"}
     return document._replace(value=rest)
 
 
-def _put(node: Node, steps: Sequence[str], change: Change, report: Report) -> Node:
-    if not steps:
+def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
+    """Returns the node with the changed value at a path of keys and list indices."""
+    if not keys:
         return change.value
-    step, inner = steps[0], node.value
-    if isinstance(inner, dict):
-        below = inner.get(step, Node({}, change.value.span, change.value.where))
-        return node._replace(value={**inner, step: _put(below, steps[1:], change, report)})
-    if isinstance(inner, tuple) and step.isascii() and step.isdigit() and int(step) < len(inner):
-        number = int(step)
-        entry = _put(inner[number], steps[1:], change, report)
-        return node._replace(value=(*inner[:number], entry, *inner[number + 1 :]))
-    what = "a list" if isinstance(inner, tuple) else "a single value"
-    hint = None
-    if isinstance(inner, tuple):
-        what = f"a list of {len(inner)}"
-        hint = f"its entries are 0 to {len(inner) - 1}" if inner else None
+    key, value = keys[0], node.value
+    if isinstance(value, dict):
+        entry = value.get(key, Node({}, change.value.span, change.value.where))
+        return node._replace(value={**value, key: _with_change(entry, keys[1:], change, report)})
+    if isinstance(value, tuple) and key.isascii() and key.isdigit() and int(key) < len(value):
+        index = int(key)
+        element = _with_change(value[index], keys[1:], change, report)
+        return node._replace(value=(*value[:index], element, *value[index + 1 :]))
+    container, hint = "a single value", None
+    if isinstance(value, tuple):
+        container = f"a list of {len(value)}"
+        hint = f"its elements are 0 to {len(value) - 1}" if value else None
     report.add(
         "variation-path",
-        f"`{change.path}` leads nowhere: `{step}` is looked for in {what}",
+        f"`{change.path}` does not exist: there is no `{key}` in {container}",
         change.value.where,
         hint=hint,
     )

@@ -150,7 +150,7 @@ def test_what_no_velocities_are_to_be_had_of_is_told(tmp_path: Path) -> None:
     for script, code, message, hint in (
         ("{log: none.csv}", "script-log", "there is no file `none.csv`", ""),
         ("{log: bag, robot: cart}", "script-log", "2 topics with velocities", "it has /a, /b"),
-        ("{log: bag, topic: /c}", "script-log", "is not there", "it has /a, /b"),
+        ("{log: bag, topic: /c}", "script-log", "does not exist", "it has /a, /b"),
         ("{log: wild, robot: cart}", "script-log", "beyond reason", ""),
         ("{log: drive.csv, topic: /a}", "script-log", "no bag", ""),
         ("{log: holes.csv}", "script-log", "no velocity at 1 s", ""),

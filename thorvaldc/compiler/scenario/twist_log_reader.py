@@ -1,0 +1,223 @@
+"""Reads recorded twists as the script of a scenario, from CSV files and ROS bags."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.compiler.source.csv_table import TIME, Table, read_table
+from thorvaldc.compiler.source.ros_bag import (
+    COMMANDED_TWIST,
+    LIMITED_TWIST,
+    MissingPackageError,
+    is_bag,
+    read_bag,
+)
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model import Robot
+from thorvaldc.model.scenario import Command
+
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+_COMPONENTS = ("vx", "vy", "wz")
+_LARGEST = 1e9  # m/s, rad/s; a larger velocity is an error of the log
+
+
+def read_twists(
+    path: Path,
+    display: str,
+    span: Span,
+    robots: Sequence[tuple[str, Robot]],
+    topic: str,
+    files: dict[str, Path],
+    report: Report,
+) -> dict[str, tuple[Command, ...]]:
+    """Returns the commands of each robot by its name; times count from the start of the log.
+
+    Parameters
+    ----------
+    path : a record folder, a bag or a CSV file.
+    display : its name in diagnostics.
+    span : where the document names the log.
+    topic : topic of a bag; empty: the topic of each robot.
+    files : gets the files that are read, by their names in spans.
+    """
+    if not path.exists():
+        report.add("script-log", f"there is no file `{display}`", span)
+        return {}
+    if is_bag(path):
+        bag_files = sorted(path.iterdir()) if path.is_dir() else [path]
+        files.update((f"{display}/{f.name}" if path.is_dir() else display, f) for f in bag_files)
+        return _read_bag(path, display, span, robots, topic, report)
+    if topic:
+        report.add("script-log", f"`{display}` is not a ROS bag: it has no topics", span)
+        return {}
+    if not path.is_dir():
+        files[display] = path
+        commands = _read_csv(path, display, report)
+        return {name: commands or () for name, _ in robots}
+    commands_by_robot: dict[str, tuple[Command, ...]] = {}
+    for name, _ in robots:
+        file, file_display = path / f"{name}.csv", f"{display}/{name}.csv"
+        if not file.is_file():
+            report.add("script-log", f"`{display}` has no file {name}.csv, for {name}", span)
+            continue
+        files[file_display] = file
+        commands = _read_csv(file, file_display, report)
+        if commands is not None:
+            commands_by_robot[name] = commands
+    return commands_by_robot
+
+
+def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] | None:
+    table = read_table(path, display, report)
+    return _commands_of_table(table, report) if table is not None else None
+
+
+def _commands_of_table(table: Table, report: Report) -> tuple[Command, ...] | None:
+    """Returns the commanded twists of a record or table; missing components are 0."""
+    columns = table.columns
+    prefix = "asked_" if "asked_vx" in columns else ""
+    names = [prefix + component for component in _COMPONENTS]
+    if not any(name in columns for name in names):
+        report.add(
+            "script-log",
+            f"`{table.display}` has no velocities: no column `asked_vx` of a record, nor `vx`, "
+            "`vy` or `wz`",
+            Span(table.display, 1, 1, 1, 1),
+        )
+        return None
+    rows = zip(
+        columns[TIME],
+        *(columns.get(name, [0.0] * len(table)) for name in names),
+        strict=True,
+    )
+    commands: list[Command] = []
+    for row in rows:
+        if not all(map(math.isfinite, row)):
+            report.add(
+                "script-log",
+                f"`{table.display}` has no velocity at {row[0]:.6g} s",
+                Span(table.display, 1, 1, 1, 1),
+            )
+            return None
+        _append(commands, Command(*row))
+    return tuple(commands)
+
+
+def _append(commands: list[Command], command: Command) -> None:
+    """Appends a command unless its twist equals that of the last command."""
+    last = commands[-1] if commands else Command(0.0, 0.0, 0.0, 0.0)
+    if (command.vx, command.vy, command.wz) != (last.vx, last.vy, last.wz):
+        commands.append(command)
+
+
+# -- bags -----------------------------------------------------------------------------
+
+
+def _read_bag(
+    path: Path,
+    display: str,
+    span: Span,
+    robots: Sequence[tuple[str, Robot]],
+    topic: str,
+    report: Report,
+) -> dict[str, tuple[Command, ...]]:
+    def choose_topics(topics: Mapping[str, str]) -> list[str]:
+        return _twist_topics(topics) if not topic else [topic] if topic in topics else []
+
+    try:
+        bag = read_bag(path, display, span, choose_topics, report)
+    except MissingPackageError as error:
+        report.add("script-log", str(error), span)
+        return {}
+    if bag is None:
+        return {}
+    candidates = _twist_topics(bag.topics)
+    if topic and topic not in candidates:
+        problem = f"has the type {bag.topics[topic]}" if topic in bag.topics else "does not exist"
+        report.add(
+            "script-log",
+            f"the topic `{topic}` of `{display}` {problem}; expected a Twist or TwistStamped",
+            span,
+            hint=did_you_mean(topic, candidates, _list_topics(candidates)),
+        )
+        return {}
+    commands_by_robot: dict[str, tuple[Command, ...]] = {}
+    for name, robot in robots:
+        robot_topic = topic or _topic_of(name, candidates)
+        if robot_topic is None:
+            report.add(
+                "script-log",
+                f"`{display}` has "
+                + (f"{len(candidates)} topics" if candidates else "no topic")
+                + f" with velocities, and none is `/{name}/{COMMANDED_TWIST}`",
+                span,
+                hint=f"add `topic:`; {_list_topics(candidates)}" if candidates else None,
+            )
+            continue
+        # In a record of this program a twist is valid until the next one.  In the log of a robot
+        # it is valid for the driver's command time-out.
+        limited_topic = f"{robot_topic.removesuffix(COMMANDED_TWIST)}{LIMITED_TWIST}"
+        timeout = math.inf if limited_topic in bag.topics else robot.driver.command_timeout
+        commands = _commands_of_messages(bag.messages[robot_topic], timeout)
+        if commands is None:
+            report.add(
+                "script-log",
+                f"`{robot_topic}` of `{display}` has a velocity that is no number or above "
+                f"{_LARGEST:g}",
+                span,
+            )
+            continue
+        commands_by_robot[name] = commands
+    return commands_by_robot
+
+
+def _twist_topics(topics: Mapping[str, str]) -> list[str]:
+    """Returns the topics of commanded twists, sorted, without the limited twists of records."""
+    twists = {name for name, type_ in topics.items() if type_ in (TWIST, TWIST_STAMPED)}
+    limited_suffix = f"/{LIMITED_TWIST}"
+    limited_twists = {
+        name
+        for name in twists
+        if name.endswith(limited_suffix)
+        and f"{name.removesuffix(LIMITED_TWIST)}{COMMANDED_TWIST}" in twists
+    }
+    return sorted(twists - limited_twists)
+
+
+def _topic_of(robot: str, candidates: Sequence[str]) -> str | None:
+    """Returns the topic of a robot: that with its name, else the only one."""
+    robot_topic = f"/{robot}/{COMMANDED_TWIST}"
+    if robot_topic in candidates:
+        return robot_topic
+    return candidates[0] if len(candidates) == 1 else None
+
+
+def _list_topics(topics: Sequence[str]) -> str:
+    return f"it has {', '.join(topics)}" if topics else "it has none of them"
+
+
+def _commands_of_messages(
+    messages: Iterable[tuple[float, Any]], timeout: float
+) -> tuple[Command, ...] | None:
+    """Returns the commands; zero when a twist is older than ``timeout`` (s).
+
+    Returns ``None`` if a velocity is not a number or too large.
+    """
+    commands: list[Command] = []
+    last_time = math.inf
+    for time, message in messages:
+        twist = getattr(message, "twist", message)
+        command = Command(time, twist.linear.x, twist.linear.y, twist.angular.z)
+        if not abs(command.vx) + abs(command.vy) + abs(command.wz) < _LARGEST:
+            return None
+        if time - last_time > timeout:
+            _append(commands, Command(last_time + timeout, 0.0, 0.0, 0.0))
+        _append(commands, command)
+        last_time = time
+    if math.isfinite(last_time) and math.isfinite(timeout):
+        _append(commands, Command(last_time + timeout, 0.0, 0.0, 0.0))
+    return tuple(commands)
