@@ -249,7 +249,7 @@ def test_what_a_download_left_in_place_of_a_mesh(tmp_path: Path) -> None:
         assert fault.message == f"mesh file `{name}` is a Git LFS pointer, not the mesh"
     _, report = load(write(tmp_path / "b.dae", "<html><body>404 not found</body></html>"))
     (fault,) = report
-    assert fault.message == "mesh file `b.dae` is no dae file, or has nothing to show"
+    assert fault.message == "mesh file `b.dae` is not a dae file, or has no triangles"
 
 
 def test_a_sensor_in_millimetres_is_noticed(tmp_path: Path) -> None:

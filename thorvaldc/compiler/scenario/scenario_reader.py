@@ -177,7 +177,9 @@ class _SectionReader:
             if fault is not None:
                 yield fault
 
-    def _wheel_fault(self, node: Node, fault_type: str, robot: str, wheel: Node) -> WheelFault | None:
+    def _wheel_fault(
+        self, node: Node, fault_type: str, robot: str, wheel: Node
+    ) -> WheelFault | None:
         motor_node = node.get("motor")
         motor = str(motor_node.value) if motor_node is not None else "drive"
         if fault_type == "steering_offset":
