@@ -144,7 +144,14 @@ def _cell(character: str) -> tuple[str, int]:
 
 
 def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
-    """Cuts the line to ``width`` columns around the columns ``begin`` to ``end``."""
+    """Cuts the line to ``width`` columns around the columns ``begin`` to ``end``.
+
+        |<------------------ total ------------------>|
+        aaaaaaaaaaaaaaaaaaaaXXXXXXaaaaaaaaaaaaaaaaaaaaa
+                  |<------- width ------>|
+                 left    begin  end    right
+    shown:        …aaaaaaaaaXXXXXXaaaaaaa…
+    """
     total = line.starts[-1]
     if max(total, end) <= width:
         return Excerpt("".join(line.cells).rstrip(), begin, end - begin)

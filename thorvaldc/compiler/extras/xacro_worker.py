@@ -148,6 +148,7 @@ class Expansion:
     # -- replacements of functions of xacro --------------------------------------
 
     def parse(self, inp: Any, filename: str | None = None) -> Any:
+        """Replaces ``parse``; limits the size and stores the positions of the elements."""
         if inp is not None or filename is None:
             return inp
         try:
@@ -171,7 +172,7 @@ class Expansion:
             text = str(error).partition(": line")[0]
             raise ExpansionError("xml", text, (index, error.lineno, error.offset + 1)) from error
 
-    def located(self, function: Callable[..., Any], label: str = "") -> Callable[..., Any]:
+    def with_position(self, function: Callable[..., Any], label: str = "") -> Callable[..., Any]:
         """Wraps a function of an element; on an exception, stores the position of the element."""
 
         def call(node: Any, *rest: Any) -> Any:
@@ -192,14 +193,16 @@ class Expansion:
 
         return call
 
-    def required(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def with_current(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``reqd_attrs``; stores the element whose attributes xacro reads."""
+
         def call(node: Any, names: Any) -> Any:
             self.current = node
             return function(node, names)
 
         return call
 
-    def replaced(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def with_calls(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps ``replace_node``; adds the macro call to the elements that it inserts."""
 
         def call(node: Any, by: Any, content_only: bool = False) -> None:
@@ -214,14 +217,18 @@ class Expansion:
 
         return call
 
-    def grab_property(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def recording_property(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``grab_property``; stores the position of the definition."""
+
         def call(node: Any, table: Any) -> Any:
             self.properties[node.getAttribute("name")] = _position(node)
             return function(node, table)
 
-        return self.located(call)
+        return self.with_position(call)
 
-    def grab_macro(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def recording_macro(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``grab_macro``; stores the required parameters and the position."""
+
         def call(node: Any, macros: Any) -> Any:
             name = node.getAttribute("name").removeprefix("xacro:")
             result = function(node, macros)
@@ -230,16 +237,20 @@ class Expansion:
             self.macros[name] = (required, _position(node))
             return result
 
-        return self.located(call)
+        return self.with_position(call)
 
-    def macro_call(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def recording_call(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``handle_macro_call``; stores the names of the called macros."""
+
         def call(node: Any, *rest: Any) -> Any:
             self.called[node.tagName.rpartition(":")[2].rpartition(".")[2]] = None
             return function(node, *rest)
 
-        return self.located(call, "called here")
+        return self.with_position(call, "called here")
 
-    def resolved(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def with_definition(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``Table._resolve_``; on an exception, adds the definition to the trail."""
+
         def call(table: Any, key: str) -> Any:
             try:
                 return function(table, key)
@@ -252,6 +263,7 @@ class Expansion:
         return call
 
     def find(self, name: str) -> str:
+        """Replaces ``$(find name)``, which would search the ROS installation."""
         near = self.xacro.filestack[-1] or self.entry["file"]
         folder = find_package(name, self.entry["packages"], self.entry["search"], near)
         if folder is None:
@@ -259,7 +271,9 @@ class Expansion:
         self.packages[name] = folder
         return folder
 
-    def absolute(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def with_packages(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``abs_filename_spec``; supports package:// and file:// in includes."""
+
         def call(spec: str) -> Any:
             if spec.startswith("package://"):
                 name, _, rest = spec.removeprefix("package://").partition("/")
@@ -268,7 +282,9 @@ class Expansion:
 
         return call
 
-    def extension(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def with_substitutions(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps ``eval_extension``: ``$(find)`` uses our search, ``$(env)`` is an error."""
+
         def environment(name: str) -> str:
             raise ExpansionError("expression", f"$(env {name}): the environment is not passed on")
 
@@ -290,6 +306,7 @@ class Expansion:
         return call
 
     def warn(self, *words: Any, **_: Any) -> str:
+        """Replaces the functions of xacro that print warnings and errors."""
         text = " ".join(str(w) for w in words)
         if "deprecated" not in text:
             self.warnings.append((text, _position(self.current) if self.current else None))
@@ -298,23 +315,25 @@ class Expansion:
     # -- the run -----------------------------------------------------------------
 
     def patches(self) -> dict[str, Any]:
+        """Returns the replacements of functions of the module xacro by name."""
         x = self.xacro
         return {
             "parse": self.parse,
-            "eval_all": self.located(x.eval_all),
-            "process_include": self.located(x.process_include, "included here"),
-            "grab_property": self.grab_property(x.grab_property),
-            "grab_macro": self.grab_macro(x.grab_macro),
-            "handle_macro_call": self.macro_call(x.handle_macro_call),
-            "reqd_attrs": self.required(x.reqd_attrs),
-            "replace_node": self.replaced(x.replace_node),
-            "abs_filename_spec": self.absolute(x.abs_filename_spec),
-            "eval_extension": self.extension(x.eval_extension),
+            "eval_all": self.with_position(x.eval_all),
+            "process_include": self.with_position(x.process_include, "included here"),
+            "grab_property": self.recording_property(x.grab_property),
+            "grab_macro": self.recording_macro(x.grab_macro),
+            "handle_macro_call": self.recording_call(x.handle_macro_call),
+            "reqd_attrs": self.with_current(x.reqd_attrs),
+            "replace_node": self.with_calls(x.replace_node),
+            "abs_filename_spec": self.with_packages(x.abs_filename_spec),
+            "eval_extension": self.with_substitutions(x.eval_extension),
             "warning": self.warn,
             "error": self.warn,
         }
 
     def run(self) -> dict[str, Any]:
+        """Expands the file with the patched xacro."""
         path = self.entry["file"]
         arguments = _Arguments(self.entry["args"])
         self.xacro.init_stacks(path)
@@ -345,7 +364,7 @@ class Expansion:
         try:
             for name, value in patches.items():
                 setattr(x, name, value)
-            x.Table._resolve_ = self.resolved(resolve)
+            x.Table._resolve_ = self.with_definition(resolve)
             x.safe_eval = _with_syntax_errors(evaluate)
             # Functions that expressions can call as xacro.warning(...) and so on.
             functions = x._global_symbols["xacro"]

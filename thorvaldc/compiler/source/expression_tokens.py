@@ -39,7 +39,9 @@ def syntax_error(message: str, offset: int, hint: str | None = None) -> Expressi
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 _KEYWORDS = ("and", "or", "not", "if", "else")
 _NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
-# `%` is the remainder, and quotes begin a text; neither is a unit here.
+# A number takes as many units after it as possible: `20 N m / s` is one token.  A further factor
+# before `(`, `.` or `[` is not a unit: in `60 s/min(2, 3)`, `min` is a function.  Keywords are
+# not units.  `%` is the remainder and quotes start a text, although both are units elsewhere.
 _UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{UNIT_NAME})(?:{UNIT_POWER})?"
 _TOKENS = re.compile(
     rf"""\s*(?:

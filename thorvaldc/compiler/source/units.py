@@ -2,6 +2,8 @@
 
 The factor of a unit is an exact fraction times a power of pi, and a number is an integer
 times a power of ten.  The result is rounded once: ``650 mm`` is the float nearest to 0.65.
+For example 1.5 cm = (15 * 10**-1) * (1 / 100) m = 15 / 1000 m.  The quotient of two integers is
+the nearest float in Python, while 1.5 * 0.01 rounds twice (0.01 and the product).
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""Converts the syntax errors of libyaml to diagnostics with plain messages and hints."""
+"""Converts the syntax errors of libyaml to diagnostics with plain messages and hints.
+
+libyaml reports two positions: where it noticed the problem, and where the enclosing structure
+("context") starts.  After a missing bracket or quote, the first can be many lines too late; the
+diagnostic then marks the start of the structure.
+"""
 
 from __future__ import annotations
 
