@@ -1,4 +1,4 @@
-"""The control channel: what clients ask, and what becomes of those that do it wrong."""
+"""The control channel: requests, refusals, and clients that misbehave."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ from thorvaldc.simulation.physics.sim_base import SimBase
 ROBOT = make_robot(FOUR_STEERED)
 
 
-class Running:
-    """A driver with a channel, whose cycles are done by hand."""
+class RunningDriver:
+    """A driver with a control channel; the test runs its cycles."""
 
     def __init__(self) -> None:
         self.driver = BaseDriver(ROBOT, SimBase(ROBOT))
@@ -56,18 +56,18 @@ class Running:
 
 
 @pytest.fixture
-def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
+def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[RunningDriver]:
     with tempfile.TemporaryDirectory(prefix="tv") as folder:  # a socket's path is short
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        running = Running()
+        running = RunningDriver()
         yield running
         running.server.close()
 
 
-class Wire:
-    """A client that sends bytes as they are."""
+class RawClient:
+    """A client that sends raw bytes."""
 
-    def __init__(self, running: Running) -> None:
+    def __init__(self, running: RunningDriver) -> None:
         self.running = running
         self.stream = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self.stream.connect(str(running.server.path))
@@ -84,12 +84,12 @@ class Wire:
                 break
         while b"\n" not in self.unread:
             data = self.stream.recv(1 << 16)
-            assert data, "let go"
+            assert data, "the server has closed the connection"
             self.unread += data
         line, _, self.unread = self.unread.partition(b"\n")
-        found = json.loads(line)
-        assert isinstance(found, dict)
-        return found
+        answer = json.loads(line)
+        assert isinstance(answer, dict)
+        return answer
 
     def ask(self, line: bytes) -> dict[str, Any]:
         self.send(line + b"\n")
@@ -103,30 +103,32 @@ def select_ready(stream: socket.socket) -> bool:
 
 
 @pytest.fixture
-def wire(running: Running) -> Iterator[Wire]:
-    wire = Wire(running)
-    yield wire
-    wire.stream.close()
+def client(running: RunningDriver) -> Iterator[RawClient]:
+    client = RawClient(running)
+    yield client
+    client.stream.close()
 
 
-# -- what is asked ----------------------------------------------------------------------------
+# -- requests ----------------------------------------------------------------------------
 
 
-def test_a_client_drives_and_reads_the_state(running: Running, wire: Wire) -> None:
+def test_a_client_drives_and_reads_the_state(running: RunningDriver, client: RawClient) -> None:
     twist = b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}, "id": 7}'
-    assert wire.ask(twist) == {"ok": True, "result": None, "id": 7}
+    assert client.ask(twist) == {"ok": True, "result": None, "id": 7}
     running.cycles(23)
-    state = wire.ask(b'{"call": "state"}')["result"]
+    state = client.ask(b'{"call": "state"}')["result"]
     assert state["source"] == "auto_nav"
     assert state["in_force"]["vx"] == pytest.approx(0.4)
     assert state["mode"] == "driving"
     assert state["pose"]["x"] > 0.0
 
 
-def test_a_client_that_dies_lets_its_twist_time_out(running: Running, wire: Wire) -> None:
-    wire.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
-    wire.send(b'{"call": "twist", "argum')  # in the middle of a line
-    wire.stream.close()
+def test_the_twist_of_a_client_that_ends_times_out(
+    running: RunningDriver, client: RawClient
+) -> None:
+    client.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
+    client.send(b'{"call": "twist", "argum')  # the line is incomplete
+    client.stream.close()
     running.cycles(23)
     assert running.driver.state.ramped.vx == pytest.approx(0.4)
     running.cycles(60)
@@ -134,51 +136,53 @@ def test_a_client_that_dies_lets_its_twist_time_out(running: Running, wire: Wire
     assert running.driver.state.ramped.vx == 0.0
 
 
-def test_a_client_that_leaves_its_answers_unread(running: Running, wire: Wire) -> None:
-    wire.send(b'{"call": "description"}\n' * 3)
+def test_a_client_that_does_not_read_its_answers(running: RunningDriver, client: RawClient) -> None:
+    client.send(b'{"call": "description"}\n' * 3)
     running.cycles()
-    wire.send(b'{"call": "description"}\n')
-    wire.stream.close()  # the driver reads "connection reset" then
+    client.send(b'{"call": "description"}\n')
+    client.stream.close()  # the server then reads "connection reset"
     running.cycles(3)
-    other = Wire(running)
-    assert other.ask(b'{"call": "state"}')["ok"]
-    other.stream.close()
+    second = RawClient(running)
+    assert second.ask(b'{"call": "state"}')["ok"]
+    second.stream.close()
 
 
-def test_the_stop_holds_until_it_is_released(running: Running, wire: Wire) -> None:
+def test_the_safety_stop_remains_until_its_release(
+    running: RunningDriver, client: RawClient
+) -> None:
     twist = b'{"call": "twist", "arguments": {"source": "teleop_joy", "vx": 0.4}}'
-    assert wire.ask(b'{"call": "safety-stop"}')["ok"]
-    wire.ask(twist)
+    assert client.ask(b'{"call": "safety-stop"}')["ok"]
+    client.ask(twist)
     running.cycles(5)
     assert running.driver.state.ramped.vx == 0.0
-    assert wire.ask(b'{"call": "state"}')["result"]["locks"] == ["safety_stop"]
-    assert wire.ask(b'{"call": "release_safety_stop"}')["ok"]
-    wire.ask(twist)
+    assert client.ask(b'{"call": "state"}')["result"]["locks"] == ["safety_stop"]
+    assert client.ask(b'{"call": "release_safety_stop"}')["ok"]
+    client.ask(twist)
     running.cycles(5)
     assert running.driver.state.ramped.vx > 0.0
 
 
-def test_parameters_and_odometry(running: Running, wire: Wire) -> None:
+def test_parameters_and_odometry(running: RunningDriver, client: RawClient) -> None:
     call = b'{"call": "set_drive_parameters", "arguments": %s}'
-    assert wire.ask(call % b'{"max_linear_velocity": 0.3, "radii": {"w0": 0.19}}')["ok"]
+    assert client.ask(call % b'{"max_linear_velocity": 0.3, "radii": {"w0": 0.19}}')["ok"]
     running.cycles(2)
     assert running.driver.settings.max_linear_velocity == 0.3
     assert running.driver.parameters.radii[0] == 0.19
-    refused = {
+    refusals = {
         b"{}": "needs `set`, `radii` or a limit",
         b'{"set": "rail"}': "has no parameter set `rail`",
         b'{"max_linear_velocity": -1}': "must be positive",
         b'{"radii": {"w9": 0.2}}': "no wheel `w9`",
         b'{"set": "", "radii": {"w0": 0.2}}': "`set` cannot be combined",
     }
-    for arguments, reason in refused.items():
-        answer = wire.ask(call % arguments)
+    for arguments, reason in refusals.items():
+        answer = client.ask(call % arguments)
         assert not answer["ok"]
         assert reason in answer["error"], answer
-    wire.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
+    client.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
     running.cycles(20)
     assert running.driver.state.pose.x > 0.0
-    assert wire.ask(b'{"call": "reset_odometry"}')["ok"]
+    assert client.ask(b'{"call": "reset_odometry"}')["ok"]
     assert running.driver.state.pose.x < 0.02
 
 
@@ -208,57 +212,61 @@ def test_parameters_and_odometry(running: Running, wire: Wire) -> None:
         (b'{"call": "lock", "arguments": {"name": "x"}}', "there is no lock `x`"),
     ],
 )
-def test_what_cannot_be_done_is_one_plain_line(wire: Wire, line: bytes, reason: str) -> None:
-    answer = wire.ask(line)
+def test_a_refusal_is_one_line(client: RawClient, line: bytes, reason: str) -> None:
+    answer = client.ask(line)
     assert answer["ok"] is False
     assert reason in answer["error"]
     assert "\n" not in answer["error"]
-    assert wire.ask(b'{"call": "state"}')["ok"]  # the channel goes on
+    assert client.ask(b'{"call": "state"}')["ok"]  # the connection still works
 
 
-def test_an_endless_line_is_broken_off(running: Running, wire: Wire) -> None:
+def test_the_connection_of_an_endless_line_is_closed(
+    running: RunningDriver, client: RawClient
+) -> None:
     piece = b"x" * LONGEST_LINE
-    wire.send(piece)
+    client.send(piece)
     running.cycles()
-    wire.send(piece)
-    answer = wire.answer()
+    client.send(piece)
+    answer = client.answer()
     assert "longer than" in answer["error"]
     running.cycles(3)
-    assert wire.stream.recv(1) == b""
+    assert client.stream.recv(1) == b""
 
 
-def test_a_flood_does_not_hold_the_cycle(running: Running, wire: Wire) -> None:
-    """Requests that come faster than they are answered wait for the cycles to come."""
-    wire.send(b'{"call": "description"}\n' * 1000)
+def test_a_flood_of_requests_does_not_delay_the_cycle(
+    running: RunningDriver, client: RawClient
+) -> None:
+    """Surplus requests wait for later cycles."""
+    client.send(b'{"call": "description"}\n' * 1000)
     running.cycles()
-    other = Wire(running)
-    assert other.ask(b'{"call": "state"}')["ok"]
-    other.stream.close()
+    second = RawClient(running)
+    assert second.ask(b'{"call": "state"}')["ok"]
+    second.stream.close()
     for _ in range(1000):
-        assert wire.answer()["ok"]
+        assert client.answer()["ok"]
 
 
-def test_too_many_clients_are_let_go(running: Running) -> None:
-    wires = [Wire(running) for _ in range(MOST_CLIENTS)]
+def test_too_many_clients_are_refused(running: RunningDriver) -> None:
+    clients = [RawClient(running) for _ in range(MOST_CLIENTS)]
     running.cycles(MOST_CLIENTS)
-    one_more = Wire(running)
+    surplus = RawClient(running)
     running.cycles()
-    assert one_more.stream.recv(1) == b""
-    assert wires[-1].ask(b'{"call": "state"}')["ok"]
-    for wire in [*wires, one_more]:
-        wire.stream.close()
+    assert surplus.stream.recv(1) == b""
+    assert clients[-1].ask(b'{"call": "state"}')["ok"]
+    for client in [*clients, surplus]:
+        client.stream.close()
 
 
-def test_only_the_user_can_connect(running: Running) -> None:
+def test_only_the_user_can_connect(running: RunningDriver) -> None:
     assert stat.S_IMODE(running.server.path.stat().st_mode) == 0o600
 
 
-def test_a_name_is_run_once_and_free_again_after(running: Running) -> None:
+def test_a_name_can_be_used_again_after_its_driver_has_ended(running: RunningDriver) -> None:
     with pytest.raises(OSError, match="a driver already runs at"):
         ControlServer("r", running.services)
     running.server.close()
     assert not control_path("r").exists()
-    # One that was killed leaves its socket behind.
+    # A driver that was killed leaves its socket behind.
     killed = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     killed.bind(str(control_path("r")))
     killed.close()
@@ -266,8 +274,8 @@ def test_a_name_is_run_once_and_free_again_after(running: Running) -> None:
     server.close()
 
 
-def test_a_file_of_the_users_is_left_alone(running: Running, tmp_path: Path) -> None:
-    """As where somebody names the robot's file in place of a channel."""
+def test_a_file_of_the_user_is_not_removed(running: RunningDriver, tmp_path: Path) -> None:
+    """A user may name the robot file instead of a channel."""
     with tempfile.TemporaryDirectory(prefix="tv") as folder:
         file = Path(folder, "robot.yaml")
         file.write_text("mine")
@@ -278,7 +286,7 @@ def test_a_file_of_the_users_is_left_alone(running: Running, tmp_path: Path) -> 
         assert file.read_text() == "mine"
 
 
-def test_a_path_is_taken_as_it_stands(running: Running, tmp_path: Path) -> None:
+def test_a_name_with_a_slash_is_a_path(running: RunningDriver, tmp_path: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="tv") as folder:
         server = ControlServer(f"{folder}/x", running.services)
         assert os.listdir(folder) == ["x"]
@@ -288,26 +296,26 @@ def test_a_path_is_taken_as_it_stands(running: Running, tmp_path: Path) -> None:
 # -- the client ---------------------------------------------------------------------------------
 
 
-def test_a_client_calls_from_another_thread(running: Running) -> None:
-    found: list[Any] = []
+def test_a_client_calls_from_another_thread(running: RunningDriver) -> None:
+    robots: list[Any] = []
 
-    def talk() -> None:
+    def call_services() -> None:
         client = ControlClient("r")
-        found.append(client.call("description")["robot"])
+        robots.append(client.call("description")["robot"])
         with pytest.raises(ServiceError, match="no lock `x`"):
             client.call("lock", name="x")
-        found.append(client.call("state")["robot"])
+        robots.append(client.call("state")["robot"])
         client.close()
 
-    thread = threading.Thread(target=talk)
+    thread = threading.Thread(target=call_services)
     thread.start()
     while thread.is_alive():
         running.cycles()
         thread.join(0.001)
-    assert found == ["test_robot", "test_robot"]
+    assert robots == ["test_robot", "test_robot"]
 
 
-def test_where_no_driver_is_run_or_it_ends(running: Running) -> None:
+def test_a_driver_that_does_not_run_or_has_ended(running: RunningDriver) -> None:
     with pytest.raises(OSError, match=r"no driver runs at .*x-control"):
         ControlClient("x")
     client = ControlClient("r", answer_time=0.05)
@@ -338,7 +346,7 @@ def test_services_are_listed_with_their_arguments() -> None:
         services.call("a", {"n": 2.0}, 0.0)
 
 
-# -- whatever is sent ---------------------------------------------------------------------------
+# -- random requests ---------------------------------------------------------------------------
 
 TEXTS = st.text('aé\ud800\n"\\', max_size=6)
 VALUES = st.recursive(
@@ -368,13 +376,13 @@ LINES = st.binary(max_size=60).filter(lambda line: b"\n" not in line) | REQUESTS
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(LINES)
-def test_every_line_has_one_answer(running: Running, line: bytes) -> None:
-    wire = Wire(running)
-    with contextlib.closing(wire.stream):
-        answer = wire.ask(line)
+def test_every_line_has_one_answer(running: RunningDriver, line: bytes) -> None:
+    client = RawClient(running)
+    with contextlib.closing(client.stream):
+        answer = client.ask(line)
         assert answer["ok"] in (True, False)
         if not answer["ok"]:
             assert answer["error"]
             assert "\n" not in answer["error"]
-        assert wire.unread == b""
+        assert client.unread == b""
     running.cycles()

@@ -1,4 +1,4 @@
-"""What can be asked of a robot that runs: services, outputs, batteries, foreign devices."""
+"""Services of a running robot: settings, outputs, batteries, foreign devices."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ def test_the_present_angle_becomes_zero_at_the_next_homing() -> None:
     assert drive.channels[1].state.position == pytest.approx(true, abs=0.02)
 
 
-def test_zero_of_all_and_of_none() -> None:
+def test_zero_of_all_controllers_and_of_none() -> None:
     rig = Rig(four_wheels())
     rig.ready()
     rig.runner.set_home_count_current_position_zero()
     with pytest.raises(RequestRefused, match="no controller `nobody`"):
         rig.runner.set_home_count_current_position_zero("nobody")
-    other = Rig(drives())
-    other.ready()
+    without_switch = Rig(drives())
+    without_switch.ready()
     with pytest.raises(RequestRefused, match="home switch"):
-        other.runner.set_home_count_current_position_zero()
+        without_switch.runner.set_home_count_current_position_zero()
 
 
-def test_a_controllers_own_settings() -> None:
+def test_settings_of_a_motor_controller() -> None:
     rig = Rig(four_wheels())
     rig.ready()
     rig.runner.setup_motor_controller("fl_controller", "max_propulsion_speed", 300)
@@ -95,20 +95,20 @@ def test_drive_parameters_and_odometry() -> None:
     assert rig.runner.driver.state.pose == ORIGIN
 
 
-def test_services_from_another_thread_are_done_by_the_loop() -> None:
+def test_services_of_another_thread_run_in_the_loop() -> None:
     rig = Rig(four_wheels())
     rig.ready()
     seen: list[str] = []
 
-    def ask() -> None:
+    def call_services() -> None:
         stop = rig.runner.submit(lambda: seen.append(threading.current_thread().name))
         stop.result(10.0)
-        refused = rig.runner.submit(rig.runner.reset)
-        seen.append(str(refused.exception(10.0)))
+        reset = rig.runner.submit(rig.runner.reset)
+        seen.append(str(reset.exception(10.0)))
 
-    asker = threading.Thread(target=ask)
-    asker.start()
-    while asker.is_alive():
+    caller = threading.Thread(target=call_services)
+    caller.start()
+    while caller.is_alive():
         rig.run(0.02)
     assert seen == [threading.current_thread().name, "there is nothing to reset"]
 
@@ -121,7 +121,7 @@ def test_outputs_of_an_io_board() -> None:
     board = rig.simulated.devices["board"]
     assert isinstance(board, IoBoard)
     rig.ready()
-    assert board.outputs == 0b10  # relay_1_at_start, and nothing was switched
+    assert board.outputs == 0b10  # relay_1_at_start; no output was switched
     rig.runner.set_output("board", "beacon_red", True)
     rig.run(0.3)
     assert board.outputs == 0b110
@@ -137,21 +137,21 @@ def test_outputs_of_an_io_board() -> None:
         rig.runner.set_output("bord", "relay_0", True)
 
 
-def test_all_three_frames_of_a_battery_are_its_own() -> None:
-    """The original took one and let two go to the foreign devices."""
+def test_the_battery_driver_decodes_all_three_frames() -> None:
+    """The original software decoded one and relayed two as frames of foreign devices."""
     rig = Rig(drives())
     battery = rig.simulated.devices["battery"]
     assert isinstance(battery, KcBattery)
     battery.voltage, battery.current, battery.charge, battery.health = 47.5, -3.25, 0.64, 0.9
     battery.temperatures = [21, 22, 23, 24, 25, -6]
     rig.ready()
-    found = rig.runner.batteries()["battery"]
-    assert found.voltage == 47.5
-    assert found.current == -3.25
-    assert found.charge == pytest.approx(0.64, abs=0.011)
-    assert found.health == 0.9
-    assert found.cycles == 12
-    assert found.temperatures == [21, 22, 23, 24, 25, -6]
+    state = rig.runner.batteries()["battery"]
+    assert state.voltage == 47.5
+    assert state.current == -3.25
+    assert state.charge == pytest.approx(0.64, abs=0.011)
+    assert state.health == 0.9
+    assert state.cycles == 12
+    assert state.temperatures == [21, 22, 23, 24, 25, -6]
     assert rig.runner.from_devices() == [] or all(
         r.cob_id == STATE for r in rig.runner.from_devices()
     )
@@ -165,13 +165,13 @@ def test_all_three_frames_of_a_battery_are_its_own() -> None:
     battery.power_off()
     rig.run(1.5)
     assert "battery: no reports" in rig.runner.warnings()
-    assert rig.state is State.READY  # it drives nothing
+    assert rig.state is State.READY  # a battery drives nothing
 
 
 # -- foreign devices --------------------------------------------------------------------
 
 
-def test_frames_of_foreign_devices_pass_both_ways() -> None:
+def test_frames_of_foreign_devices_are_relayed_both_ways() -> None:
     rig = Rig(drives())
     sprayer = rig.simulated.devices["sprayer"]
     assert isinstance(sprayer, ForeignDevice)
@@ -180,7 +180,7 @@ def test_frames_of_foreign_devices_pass_both_ways() -> None:
     rig.runner.send_to_device(COMMAND, b"\x01\x02")
     rig.run(0.1)
     assert sprayer.commands == [CanFrame(COMMAND, b"\x01\x02")]
-    assert [found.cob_id for found in rig.runner.from_devices()] == [STATE]  # its answer
+    assert [frame.cob_id for frame in rig.runner.from_devices()] == [STATE]  # its response
     rig.runner.mute_devices()
     with pytest.raises(RequestRefused, match="muted"):
         rig.runner.send_to_device(COMMAND, b"")
@@ -191,8 +191,8 @@ def test_frames_of_foreign_devices_pass_both_ways() -> None:
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x201, 0x601, 0x700 + 127, STATE, 0x241])
-def test_nothing_else_passes(cob_id: int) -> None:
-    """In the original any node could send any identifier through the relay."""
+def test_no_other_frame_is_relayed(cob_id: int) -> None:
+    """In the original software any program could send any identifier through the relay."""
     rig = Rig(drives())
     rig.ready()
     at = rig.now
@@ -203,52 +203,52 @@ def test_nothing_else_passes(cob_id: int) -> None:
     assert rig.runner.relay_drops() == {f"{cob_id:#05x} not allowed": 1}
 
 
-def relay() -> Relay:
+def make_relay() -> Relay:
     return Relay(drives().buses[0])
 
 
-def test_the_rate_is_limited_on_the_average() -> None:
-    """10 Hz: what jitters passes, what comes too often does not."""
-    found = relay()
+def test_the_mean_rate_is_limited() -> None:
+    """At 10 Hz a frame may be half a period early; more frequent frames are dropped."""
+    relay = make_relay()
     jittery = [0.1 * i + (0.03 if i % 2 else 0.0) for i in range(20)]
-    assert [found.offer(CanFrame(COMMAND, b""), t) for t in jittery] == [""] * 20
-    found = relay()
-    said = [found.offer(CanFrame(COMMAND, b""), 0.01 * i) for i in range(1000)]
-    assert 98 <= said.count("") <= 102 or said.count("queue full")
-    assert found.dropped[COMMAND, "too often"] >= 890
+    assert [relay.offer(CanFrame(COMMAND, b""), t) for t in jittery] == [""] * 20
+    relay = make_relay()
+    reasons = [relay.offer(CanFrame(COMMAND, b""), 0.01 * i) for i in range(1000)]
+    assert 98 <= reasons.count("") <= 102 or reasons.count("queue full")
+    assert relay.dropped[COMMAND, "too often"] >= 890
 
 
-def test_a_burst_keeps_what_is_allowed_and_counts_the_rest() -> None:
-    """In the original a hundred frames in a cycle lost all of them."""
-    found = relay()
-    reasons = [found.offer(CanFrame(COMMAND, bytes([i])), 1.0) for i in range(100)]
+def test_of_a_burst_the_first_frames_pass_and_the_others_are_counted() -> None:
+    """The original software dropped all of a hundred frames in a cycle."""
+    relay = make_relay()
+    reasons = [relay.offer(CanFrame(COMMAND, bytes([i])), 1.0) for i in range(100)]
     assert 1 <= reasons.count("") <= 2
-    assert found.dropped[COMMAND, "too often"] == 100 - reasons.count("")
-    assert found.next_outgoing() == CanFrame(COMMAND, b"\0")
+    assert relay.dropped[COMMAND, "too often"] == 100 - reasons.count("")
+    assert relay.next_outgoing() == CanFrame(COMMAND, b"\0")
 
 
-def test_a_full_queue_of_reports_loses_the_oldest() -> None:
-    found = relay()
+def test_a_full_queue_of_device_frames_drops_the_oldest() -> None:
+    relay = make_relay()
     for i in range(QUEUE_LIMIT + 10):
-        found.take(STATE, bytes([i]), 0.1 * i)
-    kept = found.received()
+        relay.take(STATE, bytes([i]), 0.1 * i)
+    kept = relay.received()
     assert [r.data[0] for r in kept] == list(range(10, QUEUE_LIMIT + 10))
-    assert found.dropped[STATE, "queue full"] == 10
-    found.take(0x1C1, b"", 0.0)
-    assert found.received() == []
+    assert relay.dropped[STATE, "queue full"] == 10
+    relay.take(0x1C1, b"", 0.0)
+    assert relay.received() == []
 
 
-def test_too_long_a_frame_and_one_that_could_not_be_sent() -> None:
+def test_frames_that_are_too_long_or_cannot_be_sent() -> None:
     bus = drives().buses[0]
     short = [replace(f, length=2) if f.cob_id == COMMAND else f for f in bus.frames]
-    found = Relay(replace(bus, frames=tuple(short)))
-    assert found.offer(CanFrame(COMMAND, b"123"), 0.0) == "too long"
-    assert found.offer(CanFrame(COMMAND, b"12"), 1.0) == ""
-    frame = found.next_outgoing()
+    relay = Relay(replace(bus, frames=tuple(short)))
+    assert relay.offer(CanFrame(COMMAND, b"123"), 0.0) == "too long"
+    assert relay.offer(CanFrame(COMMAND, b"12"), 1.0) == ""
+    frame = relay.next_outgoing()
     assert frame is not None
-    found.count_sent(frame, False)
-    assert found.dropped == {(COMMAND, "too long"): 1, (COMMAND, "not sent"): 1}
-    assert found.passed[COMMAND] == 0
+    relay.count_sent(frame, False)
+    assert relay.dropped == {(COMMAND, "too long"): 1, (COMMAND, "not sent"): 1}
+    assert relay.passed[COMMAND] == 0
 
 
 # -- several buses ----------------------------------------------------------------------

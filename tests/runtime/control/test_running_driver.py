@@ -1,4 +1,4 @@
-"""A robot on its bus, driven and asked over the channel; in virtual time."""
+"""A robot on its bus that other programs drive by services, in virtual time."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from thorvaldc.tools.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation.teleop_loop import operate
 
 
-class Driven:
-    """A rig whose commands come through its control."""
+class DrivenRobot:
+    """A rig whose commands come from the services of its control."""
 
     def __init__(self) -> None:
         self.rig = Rig(example_robot("4wd4ws_wide"))
@@ -38,18 +38,18 @@ class Driven:
 
 
 @pytest.fixture
-def driven() -> Driven:
-    return Driven()
+def driven() -> DrivenRobot:
+    return DrivenRobot()
 
 
-def test_a_source_drives_the_robot_on_its_bus(driven: Driven) -> None:
+def test_a_source_drives_the_robot_on_its_bus(driven: DrivenRobot) -> None:
     driven.speeds["auto_nav"] = 0.4
     driven.rig.run(2.0)
     state = driven.call("state")
     assert (state["supervisor"], state["source"]) == ("active", "auto_nav")
     assert driven.rig.speed() == pytest.approx(0.4, abs=0.02)
     assert state["batteries"]["battery_left"]["charge"] == pytest.approx(0.9)
-    # A person takes over, and leaves.
+    # The joystick has the higher priority; then its twist times out.
     driven.speeds["teleop_joy"] = 0.0
     driven.rig.run(2.0)
     assert driven.rig.speed() == 0.0
@@ -58,7 +58,7 @@ def test_a_source_drives_the_robot_on_its_bus(driven: Driven) -> None:
     assert driven.rig.speed() == pytest.approx(0.4, abs=0.02)
 
 
-def test_nobody_publishes_and_it_comes_to_rest(driven: Driven) -> None:
+def test_without_a_source_the_robot_comes_to_rest(driven: DrivenRobot) -> None:
     driven.speeds["auto_nav"] = 0.4
     driven.rig.run(2.0)
     driven.speeds.clear()
@@ -67,7 +67,7 @@ def test_nobody_publishes_and_it_comes_to_rest(driven: Driven) -> None:
     assert driven.rig.state is State.READY
 
 
-def test_the_safety_stop_stops_the_drives_and_not_only_zeroes_the_speed(driven: Driven) -> None:
+def test_the_safety_stop_switches_the_drives_off(driven: DrivenRobot) -> None:
     driven.speeds["auto_nav"] = 0.4
     driven.rig.run(2.0)
     driven.call("safety_stop")
@@ -81,7 +81,7 @@ def test_the_safety_stop_stops_the_drives_and_not_only_zeroes_the_speed(driven: 
         driven.call("reset_faults")
     driven.call("release_safety_stop")
     driven.rig.run(1.0)
-    assert driven.rig.speed() == 0.0  # released is not yet allowed
+    assert driven.rig.speed() == 0.0  # the release alone does not start the robot
     with pytest.raises(ServiceError, match="command zero first"):
         driven.call("reset_faults")
     driven.speeds.clear()
@@ -90,7 +90,7 @@ def test_the_safety_stop_stops_the_drives_and_not_only_zeroes_the_speed(driven: 
     driven.rig.until(lambda: driven.rig.state is State.READY)
 
 
-def test_services_of_the_original(driven: Driven) -> None:
+def test_services_of_the_original_software(driven: DrivenRobot) -> None:
     driven.call("set_output", board="io", output="beacon_red")
     driven.call("mute_devices")
     driven.call("reset_odometry")
@@ -115,16 +115,16 @@ def test_services_of_the_original(driven: Driven) -> None:
         ("from_devices", {"bus": "x"}, "there is no bus `x`"),
     ],
 )
-def test_what_is_refused(
-    driven: Driven, service: str, arguments: dict[str, Any], reason: str
+def test_refusals(
+    driven: DrivenRobot, service: str, arguments: dict[str, Any], reason: str
 ) -> None:
-    with pytest.raises(ServiceError) as refused:
+    with pytest.raises(ServiceError) as refusal:
         driven.call(service, **arguments)
-    assert reason in str(refused.value)
+    assert reason in str(refusal.value)
 
 
 def test_an_operator_drives_the_robot_on_its_bus() -> None:
-    """Keys by the bus's own virtual time."""
+    """The keys follow the virtual time of the bus."""
     rig = Rig(example_robot("4wd4ws_wide"))
     control = RunnerControl(rig.runner)
     rig.runner.feed = control.feed
@@ -133,7 +133,7 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
 
     def typed() -> Iterator[list[str]]:
         while not rig.runner.ready:
-            yield ["i"]  # held too early: it does not drive off once it can
+            yield ["i"]  # pressed too early: the robot does not start by itself
         early = rig.now + 0.5
         while rig.now < early:
             yield ["i"]
@@ -152,8 +152,8 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
     assert rig.runner.driver.state.pose.x > 1.0
     assert rig.speed() < 0.1
     assert any("homing  drives: teleop_joy" in lines[1] for lines in shown)
-    held = "ready  drives: teleop_joy  held: a motion was commanded before the base was ready"
-    assert any(held in lines[1] for lines in shown)
+    hold_line = "ready  drives: teleop_joy  held: a motion was commanded before the base was ready"
+    assert any(hold_line in lines[1] for lines in shown)
     assert any("active  drives: teleop_joy" in lines[1] for lines in shown)
     vehicle.close()
     assert rig.speed() == 0.0
