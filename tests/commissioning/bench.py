@@ -13,7 +13,8 @@ from thorvaldc.commissioning.bus_configuration import BusConfiguration, configur
 from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.flash import Flash, Operator
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.commissioning.plan import Plan, make_plan
+from thorvaldc.commissioning.plan import Plan
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot
@@ -48,7 +49,7 @@ class Dead(BaseException):
     """The master's process is gone; nothing of it may catch this."""
 
 
-class MortalClient(VirtualTimeInterface):
+class MortalInterface(VirtualTimeInterface):
     """A master whose process dies where ``dead`` is set: it does nothing more."""
 
     dead = False
@@ -139,7 +140,7 @@ class Bench:
     ) -> None:
         self.robot = robot
         self.bus = robot.buses[0]
-        self.target: BusConfiguration = configuration_of(robot, self.bus)
+        self.configuration: BusConfiguration = configuration_of(robot, self.bus)
         self.simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=kept)
         for device in self.simulated.devices.values():
             device.torn_writes = torn
@@ -151,18 +152,18 @@ class Bench:
         self.simulated.run(0.15)
 
     def master(self) -> BusMaster:
-        self.client = MortalClient(self.wire, "master", receive_limit=100_000)
-        return BusMaster(self.client, self.bus, self.timing)
+        self.interface = MortalInterface(self.wire, "master", receive_limit=100_000)
+        return BusMaster(self.interface, self.bus, self.timing)
 
     def scan(self, **options: Any) -> ScanResult:
         master = self.master()
         try:
-            return Scanner(master, self.target).active(**options)
+            return Scanner(master, self.configuration).active(**options)
         finally:
-            master.port.close()
+            master.interface.close()
 
     def plan(self) -> Plan:
-        return make_plan(self.target, self.scan())
+        return make_plan(self.configuration, self.scan())
 
     def run(
         self,
@@ -173,10 +174,12 @@ class Bench:
         """A process of its own: a new place on the bus, the journal read anew."""
         master = self.master()
         try:
-            flash = Flash(master, target or self.target, Journal(self.store), operator=operator)
+            flash = Flash(
+                master, target or self.configuration, Journal(self.store), operator=operator
+            )
             return how(flash)
         finally:
-            master.port.close()
+            master.interface.close()
 
     def apply(self, expected: str | None = None) -> Plan:
         return self.run(lambda flash: flash.apply(expected))

@@ -1,4 +1,4 @@
-"""Each fault of a bus in each phase of a flash: how it ends, how soon, and what a resume does.
+"""Each injected fault in each phase of a flash: its result, its duration, and the resume.
 
 ``python -m tests.commissioning.fault_matrix`` writes the table into docs/commissioning.md.
 """
@@ -20,53 +20,55 @@ from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 PAGE = Path(__file__).parents[2] / "docs" / "commissioning.md"
 BEGIN, END = (
-    "<!-- made by tests/runtime/commissioning/fault_matrix.py -->\n",
+    "<!-- made by tests/commissioning/fault_matrix.py -->\n",
     "<!-- end -->\n",
 )
 PHASES = {"scanning": 160, "addresses": 390, "values": 450}
-"""In the middle of which frame of the flash it happens."""
+"""Frame of the flash, counted from its start, in the middle of which the fault begins."""
 LONGEST = 7.0
-"""s that it takes at most to stop: 5 s for a node to start, and what is asked after that."""
+"""s: longest time until the flash stops, with 5 s for a node to start and further requests."""
 
 
-class Striking(FaultInjector):
-    """FaultInjector that end when they are told to."""
+class ManualFaultInjector(FaultInjector):
+    """Starts a fault with ``strike``; the test ends it with ``remove``."""
 
-    mend: Callable[[], None]
-    struck = 0.0
+    remove: Callable[[], None]
+    struck_at = 0.0
 
     def strike(self, fault: BusFault) -> None:
-        self.struck = self.simulated.timeline.seconds
-        self.mend = self._begin(fault)
+        self.struck_at = self.simulated.timeline.seconds
+        self.remove = self._inject(fault)
 
 
 class Reaction(NamedTuple):
-    """The name of the fault that the flash ends with, empty where it goes on; s until then.
+    """Result of a flash with an injected fault.
 
-    ``resumed``: with the cause gone and the power off and on, the bus came to what was planned.
+    ``code``: name of the diagnostic that stops it, empty if it goes on.  ``after``: s from the
+    fault to the stop.  ``resumed``: without the fault and after a power cycle, a resume reaches
+    the planned configuration.
     """
 
-    fault: str
+    code: str
     after: float
     resumed: bool
 
     def __str__(self) -> str:
-        return f"`{self.fault}`, {1000 * self.after:.0f} ms" if self.fault else "goes on"
+        return f"`{self.code}`, {1000 * self.after:.0f} ms" if self.code else "goes on"
 
 
 def react(fault: BusFault, frame: int) -> Reaction:
     if fault.kind == "duplicate_id":
         fault = dataclasses.replace(fault, id=1 if frame == PHASES["scanning"] else 2)
     bench = Bench(four_drives(), SWAPPED)
-    faults = Striking(bench.simulated, BusFaults(()))
-    bench.wire.at_frame(bench.wire.frames + frame, lambda: faults.strike(fault))
-    name = ""
+    injector = ManualFaultInjector(bench.simulated, BusFaults(()))
+    bench.wire.at_frame(bench.wire.frames + frame, lambda: injector.strike(fault))
+    code = ""
     try:
         bench.apply()
-    except DiagnosticError as stopped:
-        name = stopped.diagnostic.code.name
-    after = bench.simulated.timeline.seconds - faults.struck
-    faults.mend()
+    except DiagnosticError as error:
+        code = error.diagnostic.code.name
+    after = bench.simulated.timeline.seconds - injector.struck_at
+    injector.remove()
     bench.simulated.power_off()
     bench.simulated.power_on()
     bench.simulated.run(0.2)
@@ -77,20 +79,20 @@ def react(fault: BusFault, frame: int) -> Reaction:
         bench.apply()
     ids = [bench.devices()[node].node_id for node in NODES]
     doubles = bench.watch.doubles if fault.kind != "duplicate_id" else []
-    whole = ids == [1, 2, 3, 4] and not bench.plan().steps and not doubles
-    return Reaction(name, after, whole)
+    as_planned = ids == [1, 2, 3, 4] and not bench.plan().steps and not doubles
+    return Reaction(code, after, as_planned)
 
 
-Found = dict[str, Reaction]
+Reactions = dict[str, Reaction]
 """By phase."""
 
 
-def found(case: Case) -> Found:
+def reactions(case: Case) -> Reactions:
     return {phase: react(case.fault, frame) for phase, frame in PHASES.items()}
 
 
-def row(case: Case, reactions: Found) -> str:
-    cells = [str(reactions[phase]) for phase in PHASES]
+def row(case: Case, by_phase: Reactions) -> str:
+    cells = [str(by_phase[phase]) for phase in PHASES]
     return f"| {case.name} | {' | '.join(cells)} |"
 
 
@@ -98,13 +100,13 @@ def table() -> Iterator[str]:
     yield f"| fault | {' | '.join(PHASES)} |"
     yield f"| --- |{' --- |' * len(PHASES)}"
     for case in CASES:
-        yield row(case, found(case))
+        yield row(case, reactions(case))
 
 
 def main() -> int:
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    head, _, tail = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     lines = "".join(f"{line}\n" for line in table())
-    PAGE.write_text(before + BEGIN + lines + END + rest.partition(END)[2], encoding="utf-8")
+    PAGE.write_text(head + BEGIN + lines + END + tail.partition(END)[2], encoding="utf-8")
     return 0
 
 

@@ -70,11 +70,11 @@ def trouble(bench: Bench, rng: random.Random) -> Callable[[], object]:
     )
 
     def die() -> None:
-        bench.client.dead = True
+        bench.interface.dead = True
 
     def cut() -> None:
         die()
-        bench.client.controller.switch_off()
+        bench.interface.controller.switch_off()
         bench.simulated.power_off()
 
     return rng.choice([cut, die, bench.simulated.power_off, device.power_off, later])

@@ -17,7 +17,8 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_configuration import from_json, to_json
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
-from thorvaldc.commissioning.plan import AddressStep, AttachStep, make_plan
+from thorvaldc.commissioning.plan import AddressStep, AttachStep
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
@@ -93,7 +94,7 @@ def test_a_plan_is_a_plan_for_what_was_found() -> None:
     one, other = (Bench(four_drives(), kept, timing=QUICK) for kept in (SWAPPED, None))
     assert one.plan().hash == Bench(four_drives(), SWAPPED, timing=QUICK).plan().hash
     assert one.plan().hash != other.plan().hash
-    assert from_json(to_json(one.target)) == one.target
+    assert from_json(to_json(one.configuration)) == one.configuration
 
 
 # -- guards: nothing is written -------------------------------------------------------------
@@ -115,7 +116,7 @@ def test_the_wrong_robots_file_writes_nothing() -> None:
 
 def test_another_kind_of_robot_writes_nothing() -> None:
     bench = Bench(example_robot("4wd4ws_wide"), delivered=False, timing=QUICK)
-    target = Bench(cia402_robot(), timing=QUICK).target
+    target = Bench(cia402_robot(), timing=QUICK).configuration
     count = writes(bench)
     assert fault_of(lambda: bench.run(lambda f: f.apply(), target=target)) == "bus-wrong-robot"
     assert count() == 0
@@ -168,11 +169,11 @@ def test_a_master_that_appears_in_the_middle_stops_it(frame: CanFrame) -> None:
 
 def test_bus_off_stops_it_and_nothing_is_tried_again() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    bench.wire.at_frame(bench.wire.frames + 450, lambda: bench.client.controller.go_bus_off())
+    bench.wire.at_frame(bench.wire.frames + 450, lambda: bench.interface.controller.go_bus_off())
     assert fault_of(bench.apply) == "bus-error"
-    sent = bench.client.controller.sent
+    sent = bench.interface.controller.sent
     bench.simulated.run(1.0)
-    assert bench.client.controller.sent == sent
+    assert bench.interface.controller.sent == sent
 
 
 # -- ways back ------------------------------------------------------------------------------
@@ -226,7 +227,7 @@ def test_a_resume_is_for_the_plan_that_was_begun() -> None:
     assert fault_of(lambda: stop_halfway(bench)) == "flash-stopped"
     bench.simulated.power_on()
     bench.simulated.run(0.2)
-    other = Bench(without_serials(four_drives(), NODES), timing=QUICK).target
+    other = Bench(without_serials(four_drives(), NODES), timing=QUICK).configuration
     count = writes(bench)
     for how in (Flash.resume, Flash.rollback):
         assert fault_of(lambda how=how: bench.run(how, target=other)) == "journal-mismatch"
@@ -300,7 +301,7 @@ def test_modules_set_by_hand_are_gone_on_with() -> None:
             return len(asked) != 3 and super().attach(step, words)
 
     operator = Tired(bench.simulated)
-    with pytest.raises(DiagnosticError, match="put off by the operator"):
+    with pytest.raises(DiagnosticError, match="the operator declined"):
         bench.run(lambda f: f.apply(), operator=operator)
     bench.simulated.power_on()
     bench.simulated.run(0.3)
@@ -319,40 +320,40 @@ def test_the_journal_on_the_disk(tmp_path: Path) -> None:
         JournalFile(path)
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     master = bench.master()
-    Flash(master, bench.target, Journal(store)).apply()
+    Flash(master, bench.configuration, Journal(store)).apply()
     store.close()
     lines = path.read_bytes().splitlines()
     assert len(lines) == 1 + 2 * 9 + 1
     again = Journal(JournalFile(path))
     assert again.unfinished is None
     assert again.chain[0].plan.hash
-    assert len(again.chain[0].old()) == 4
+    assert len(again.chain[0].previous_values()) == 4
 
 
 def test_verify_reads_only_and_tells_what_differs() -> None:
     bench = Bench(cia402_robot(), delivered=False)
     count = writes(bench)
     master = bench.master()
-    found = verify(master, bench.target, bench.bus)
+    found = verify(master, bench.configuration, bench.bus)
     assert found.passed
     assert count() == 0
     drive = bench.devices()["fl_controller"]
     drive.objects[0x6083, 0].value += 1
     drive.objects[0x1017, 0].value = 150
-    found = verify(master, bench.target, bench.bus)
+    found = verify(master, bench.configuration, bench.bus)
     differing = {check.what for check in found.checks if not check.passed}
     assert differing == {
         "6083:0 propulsion_profile_acceleration",
         "1017:0 heartbeat_period",
         "period of fl_controller_heartbeat",
     }
-    plan = make_plan(bench.target, bench.scan())
+    plan = make_plan(bench.configuration, bench.scan())
     assert [step.description for step in plan.steps] == ["write 2 values of fl_controller (id 1)"]
 
 
 @pytest.mark.parametrize(
     ("frame", "says"),
-    [(330, "somebody has the id 1 already"), (420, "at id 1")],
+    [(330, "another device already has the id 1"), (420, "at id 1")],
 )
 def test_a_second_node_of_an_id_that_comes_in_the_middle_stops_it(frame: int, says: str) -> None:
     """Somebody plugs one in: the id is taken, or another answers there than it should."""

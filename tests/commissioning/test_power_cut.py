@@ -42,13 +42,13 @@ def undisturbed(library: bool = False) -> tuple[str, int, int, dict[str, Any], b
 
 def cut_power(bench: Bench) -> None:
     """Of all that is on the robot, its computer too."""
-    bench.client.dead = True
-    bench.client.controller.switch_off()
+    bench.interface.dead = True
+    bench.interface.controller.switch_off()
     bench.simulated.power_off()
 
 
 def kill_master(bench: Bench) -> None:
-    bench.client.dead = True
+    bench.interface.dead = True
 
 
 def cut_bus(bench: Bench) -> None:
@@ -147,7 +147,7 @@ def test_an_id_that_is_stored_but_not_yet_shown(how: str) -> None:
     def watch(time: int, frame: CanFrame, senders: object) -> None:
         if frame.id == 0x7E4 and frame.data[0] == 0x17:
             stores.append(time)
-            bench.client.dead = len(stores) == 4
+            bench.interface.dead = len(stores) == 4
 
     bench.wire.observers.append(watch)
     assert interrupted(bench, hash_) == "dead"

@@ -11,7 +11,7 @@ from tests.commissioning.robots import without_serials
 from tests.examples import example_robot
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.plan import make_plan
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -20,9 +20,9 @@ from thorvaldc.diagnostics.error import DiagnosticError
 def passive(bench: Bench) -> ScanResult:
     master = bench.master()
     try:
-        return Scanner(master, bench.target).passive()
+        return Scanner(master, bench.configuration).passive()
     finally:
-        master.port.close()
+        master.interface.close()
 
 
 def verdicts(scan: ScanResult) -> dict[str, str]:
@@ -39,13 +39,13 @@ def test_a_robot_as_its_file_says_is_ok_throughout() -> None:
             assert not scan.duplicates
             assert not scan.masters
             assert not scan.enabled
-        assert make_plan(bench.target, bench.scan()).steps == ()
+        assert make_plan(bench.configuration, bench.scan()).steps == ()
 
 
 def test_a_passive_scan_sends_nothing() -> None:
     bench = Bench(cia402_robot(), delivered=False)
     passive(bench)
-    assert bench.client.controller.sent == 0
+    assert bench.interface.controller.sent == 0
 
 
 def test_new_and_exchanged_nodes() -> None:
@@ -125,7 +125,7 @@ def test_another_master_is_not_disturbed() -> None:
     bench.simulated.timeline.after(100_000_000, lambda: other.send(CanFrame(0x77F, b"\5")))
     with pytest.raises(DiagnosticError, match="master_heartbeat"):
         bench.scan()
-    assert bench.client.controller.sent == 0
+    assert bench.interface.controller.sent == 0
 
 
 def test_no_bitrate_is_tried() -> None:

@@ -22,7 +22,8 @@ from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
 from thorvaldc.commissioning.bus_lock import BusLock
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
-from thorvaldc.commissioning.plan import Plan, PlanStep, make_plan
+from thorvaldc.commissioning.plan import Plan, PlanStep
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
 from thorvaldc.diagnostics.error import DiagnosticError

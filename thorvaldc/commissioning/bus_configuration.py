@@ -1,4 +1,4 @@
-"""What a bus is to be: its nodes with their identities, addresses and values."""
+"""The required configuration of a bus: its nodes with identities, addresses and values."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.can.lss import UNCONFIGURED, Identity
+from thorvaldc.can.lss import Identity
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.robot import Robot
 
 CANOPEN = "canopen"
 PARKING = range(112, 127)
-"""Ids that belong to nobody but while addresses are changed."""
+"""Node ids that only a flash uses, while it exchanges the ids of nodes."""
 STATUSWORDS = (0x6041, 0x6841)
+"""Status words (CiA 402) of the first and the second motor of a drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterValue:
-    """An entry of a node's object dictionary that is to have a value."""
+    """A required value of an entry in a node's object dictionary."""
 
     name: str
     index: int
@@ -29,21 +30,24 @@ class ParameterValue:
     value: int
 
     @property
-    def place(self) -> tuple[int, int]:
+    def key(self) -> tuple[int, int]:
+        """Index and subindex."""
         return self.index, self.subindex
 
     @property
-    def shown(self) -> str:
+    def label(self) -> str:
+        """``1017:0``"""
         return f"{self.index:04x}:{self.subindex}"
 
 
 @dataclass(frozen=True, slots=True)
 class NodeConfiguration:
-    """A node as it is to be.
+    """The required configuration of a node.
 
-    ``id`` 255: without one, as only a way back can want it.  ``sdo``: its object dictionary can be
-    read.  ``seen_by``: identifiers that it sends by itself, with their periods (s).
-    ``statuswords``: objects that say whether a drive is enabled.
+    ``id`` 255: no id, which only a rollback can require.  ``sdo``: the node has an object
+    dictionary.  ``seen_by``: identifiers and periods (s) of its periodic frames.
+    ``statuswords``: objects that report whether a drive is enabled.  The names of the fields are
+    keys of the journal.
     """
 
     name: str
@@ -66,26 +70,29 @@ class NodeConfiguration:
 
     @property
     def identity(self) -> Identity | None:
-        """Where the robot says it whole."""
+        """The identity, if the robot file contains all of it."""
         numbers = self.vendor, self.product, self.revision, self.serial
         if self.vendor is None or self.product is None or self.revision is None:
             return None
         return None if self.serial is None else Identity(*(n or 0 for n in numbers))
 
     def is_like(self, identity: Identity) -> bool:
-        """Whether a device of that identity may be it; what the robot does not say fits."""
-        mine = (self.vendor, self.product, self.revision, self.serial)
-        return all(a is None or a == b for a, b in zip(mine, identity, strict=True))
+        """Whether a device with this identity can be the node; absent numbers match all."""
+        required = (self.vendor, self.product, self.revision, self.serial)
+        return all(
+            number is None or number == actual
+            for number, actual in zip(required, identity, strict=True)
+        )
 
     @property
     def by_hand(self) -> bool:
-        """Its address is set with its maker's tool."""
+        """Only the maker's tool can set the id."""
         return self.canopen and not self.lss and self.protocol != "foreign"
 
 
 @dataclass(frozen=True, slots=True)
 class BusConfiguration:
-    """All nodes of a bus.  ``robot`` and ``bus`` are names; ``bitrate`` in bit/s."""
+    """The nodes of a bus.  ``robot`` and ``bus`` are names; ``bitrate`` in bit/s."""
 
     robot: str
     bus: str
@@ -105,13 +112,16 @@ class BusConfiguration:
 
 
 def configuration_of(robot: Robot, bus: Bus) -> BusConfiguration:
-    """What the robot's file wants of one of its buses."""
+    """Returns the configuration that a robot requires of one of its buses."""
     return BusConfiguration(
-        robot.name, bus.name, bus.bitrate, tuple(_wanted(bus, node) for node in bus.nodes)
+        robot.name,
+        bus.name,
+        bus.bitrate,
+        tuple(_node_configuration(bus, node) for node in bus.nodes),
     )
 
 
-def _wanted(bus: Bus, node: Node) -> NodeConfiguration:
+def _node_configuration(bus: Bus, node: Node) -> NodeConfiguration:
     sent = [frame for frame in bus.frames if frame.producer == node.name]
     heartbeat = next((f.period for f in sent if f.kind == "heartbeat"), None)
     return NodeConfiguration(
@@ -150,7 +160,7 @@ def _number(serial: str | None) -> int | None:
 
 
 def digest(value: Any) -> str:
-    """A hash of what can be said in JSON, the same on every machine."""
+    """Returns the SHA-256 of a JSON value, the same on every machine."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -174,14 +184,14 @@ def to_json(target: BusConfiguration) -> dict[str, Any]:
 
 
 def from_json(value: Mapping[str, Any]) -> BusConfiguration:
-    """Raises ``KeyError``, ``TypeError`` or ``ValueError`` where it is none."""
+    """Raises ``KeyError``, ``TypeError`` or ``ValueError`` for another JSON value."""
     nodes = []
     for entry in value["nodes"]:
-        given = dict(entry)
-        given["seen_by"] = tuple((int(a), float(b)) for a, b in entry["seen_by"])
-        given["statuswords"] = tuple(entry["statuswords"])
-        given["values"] = values_from_json(entry["values"])
-        nodes.append(NodeConfiguration(**given))
+        fields = dict(entry)
+        fields["seen_by"] = tuple((int(a), float(b)) for a, b in entry["seen_by"])
+        fields["statuswords"] = tuple(entry["statuswords"])
+        fields["values"] = values_from_json(entry["values"])
+        nodes.append(NodeConfiguration(**fields))
     return BusConfiguration(value["robot"], value["bus"], value["bitrate"], tuple(nodes))
 
 
@@ -191,19 +201,3 @@ def values_to_json(values: Sequence[ParameterValue]) -> list[list[Any]]:
 
 def values_from_json(value: Sequence[Sequence[Any]]) -> tuple[ParameterValue, ...]:
     return tuple(ParameterValue(*entry) for entry in value)
-
-
-__all__ = [
-    "PARKING",
-    "UNCONFIGURED",
-    "BusConfiguration",
-    "Identity",
-    "NodeConfiguration",
-    "ParameterValue",
-    "configuration_of",
-    "digest",
-    "from_json",
-    "to_json",
-    "values_from_json",
-    "values_to_json",
-]

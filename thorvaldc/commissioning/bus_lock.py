@@ -1,4 +1,4 @@
-"""One master on a bus: programs of this computer keep out of each other's way by a file lock."""
+"""A file lock that allows one commissioning program per bus on this computer."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from thorvaldc.diagnostics.error import DiagnosticError
 
 
 class BusLock:
-    """Held from ``with`` on; the system lets it go with the process, however that ends."""
+    """A context manager; the operating system releases the lock when the process ends."""
 
     def __init__(self, spec: str) -> None:
-        """``spec``: the bus as it is named on the command line."""
+        """``spec``: the bus as on the command line."""
         self.spec = spec
         self._file: int | None = None
 
     def __enter__(self) -> BusLock:
-        """Raises ``DiagnosticError`` (``bus-locked``), ``OSError`` where no lock can be made."""
+        """Raises ``DiagnosticError`` (``bus-locked``), or ``OSError`` for the file."""
         name = re.sub(r"[^A-Za-z0-9.]+", "_", self.spec)[-40:]
         path = runtime_directory() / f"master-{name}.lock"
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -31,7 +31,7 @@ class BusLock:
             raise DiagnosticError(
                 "bus-locked",
                 f"another `thorvaldc can` uses the bus {self.spec}",
-                hint="wait until it has finished, or end it",
+                hint="wait until it has finished, or stop it",
             ) from None
         return self
 

@@ -1,10 +1,24 @@
-"""The one master's place on a bus: what it sends, and a judgement of every frame it sees."""
+"""The only master of a bus: sends requests, collects responses, and evaluates every frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from thorvaldc.can import lss
+from thorvaldc.can.canopen import (
+    HEARTBEAT,
+    HIGHEST_NODE_ID,
+    NMT,
+    SDO_REQUEST,
+    SDO_RESPONSE,
+    SYNC,
+    TIME_STAMP,
+    NmtCommand,
+    NmtState,
+    heartbeat_state,
+    nmt_message,
+)
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame, worst_case_bits
 from thorvaldc.can.interface import CanInterface
@@ -13,19 +27,21 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus
 
 MASTER = "master"
-NMT, SYNC, TIME_STAMP, LSS_REQUEST, LSS_RESPONSE = 0x000, 0x080, 0x100, 0x7E5, 0x7E4
-SDO_RESPONSE, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
-OPERATIONAL = 5
-HIGHEST_ID = 127
+"""Producer of the master's frames in the model."""
+SEND_TIMEOUT = 0.1
+"""s"""
+_OWN_FRAME = CanFrame(0x7FF)
+"""Stands for a frame of this program that the interface returned; no node uses its id."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long (s) answers are waited for.
+    """Time-outs (s).
 
-    ``settle`` is how long after a first answer others are waited for, ``absent`` how long for
-    an answer that should not come; ``probe_gap`` is the time between two probes of ids that may
-    belong to nobody, ``probe_tail`` that for late answers after the last.
+    ``sdo``, ``lss``, ``fastscan``: for a response.  ``store``: for a write to non-volatile
+    memory.  ``boot``: for the boot-up message after a reset.  ``settle``: for further responses
+    after the first.  ``absent``: for a response that is not expected.  ``probe_gap``: between
+    requests to ids without a known node.  ``probe_tail``: for late responses after the last.
     """
 
     sdo: float = 0.5
@@ -40,101 +56,105 @@ class Timing:
 
 
 class BusMaster:
-    """Sends for the master, and sorts what comes.
+    """Sends for the master, and sorts the received frames.
 
-    While it is ``exclusive``, a frame that only a master sends stops everything, as does an
-    error state of the own controller.
-
-    Raises ``DiagnosticError`` (``bus-error``, ``bus-other-master``) from all that waits.
+    All waiting methods raise ``DiagnosticError``: ``bus-error`` if the CAN controller is not
+    error-active or the interface is lost, and, while ``exclusive``, ``bus-other-master`` at any
+    frame that only a master sends.
     """
 
-    def __init__(self, port: CanInterface, bus: Bus, timing: Timing | None = None) -> None:
-        self.port = port
+    def __init__(self, interface: CanInterface, bus: Bus, timing: Timing | None = None) -> None:
+        self.interface = interface
         self.bus = bus
         self.timing = timing or Timing()
         self.exclusive = False
         self.masters: dict[str, int] = {}
-        self.heard: dict[int, list[float]] = {}
+        """Number of frames from another master, by description."""
+        self.received: dict[int, list[float]] = {}
+        """Times (s) of the frames, by identifier."""
         self.states: dict[int, int] = {}
+        """NMT state of the last heartbeat, by node id."""
         self.boots: list[int] = []
+        """Node ids of the boot-up messages."""
         self.frames = 0
         self.bits = 0
         self.surplus: dict[int, int] = {}
-        """By node: answers to SDO requests beyond one for each."""
-        self._open_requests: dict[int, int] = {}
+        """Number of SDO responses without a request, by node id."""
+        self._open_requests: set[int] = set()
         self._from_master: dict[int, str] = {}
         self._from_nodes: dict[int, str] = {}
         for frame in bus.frames:
-            who = self._from_master if frame.producer == MASTER else self._from_nodes
-            who[frame.cob_id] = frame.name
-        self._foreign = {f.cob_id for f in bus.frames if f.kind != "sdo"}
+            names = self._from_master if frame.producer == MASTER else self._from_nodes
+            names[frame.cob_id] = frame.name
+        self._other_frames = {frame.cob_id for frame in bus.frames if frame.kind != "sdo"}
 
     @property
     def now(self) -> float:
-        return self.port.now
+        """s"""
+        return self.interface.now
 
     # -- sending ----------------------------------------------------------------------------
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Raises ``DiagnosticError`` where the frame cannot be sent; nothing is tried again."""
+        """Sends a frame once.  Raises ``DiagnosticError`` if that fails."""
         self._check_state()
         try:
-            sent = self.port.send(CanFrame(identifier, data), timeout=0.1)
-        except ConnectionError as fault:
-            raise lost(fault) from None
+            sent = self.interface.send(CanFrame(identifier, data), timeout=SEND_TIMEOUT)
+        except ConnectionError as error:
+            raise bus_lost_error(error) from None
         self._check_state()
         if not sent:
             raise DiagnosticError(
                 "bus-error",
                 f"the frame {identifier:#05x} could not be sent: the queue stays full",
-                hint="are the devices under power, and is the bitrate theirs?",
+                hint="do the devices have power, and do they use this bitrate?",
             )
 
-        if SDO_REQUEST < identifier <= SDO_REQUEST + HIGHEST_ID:
-            self._open_requests[identifier - SDO_REQUEST] = 1
+        if SDO_REQUEST < identifier <= SDO_REQUEST + HIGHEST_NODE_ID:
+            self._open_requests.add(identifier - SDO_REQUEST)
 
-    def nmt(self, command: int, node: int) -> None:
-        self.send(NMT, bytes([command, node]))
+    def nmt(self, command: NmtCommand, node: int) -> None:
+        self.send(NMT, nmt_message(command, node))
 
     # -- waiting ----------------------------------------------------------------------------
 
     def collect(
-        self, wanted: Callable[[CanFrame], bool], timeout: float, settle: float | None = None
+        self, fits: Callable[[CanFrame], bool], timeout: float, settle: float | None = None
     ) -> list[CanFrame]:
-        """Every frame that is ``wanted``: until ``settle`` s after the first, ``timeout`` without.
+        """Returns all frames that fit, until ``settle`` s after the first or ``timeout`` s.
 
-        ``settle`` ``None``: all of the time-out, for those who may be late.
+        ``settle`` ``None``: waits the full time-out, for late responses.
         """
-        found: list[CanFrame] = []
+        frames: list[CanFrame] = []
         limit = self.now + timeout
         while True:
             frame = self._next(limit - self.now)
             if frame is None:
-                return found
-            if wanted(frame):
-                if not found and settle is not None:
+                return frames
+            if fits(frame):
+                if not frames and settle is not None:
                     limit = min(limit, self.now + settle)
-                found.append(frame)
+                frames.append(frame)
 
-    def ask(
+    def request(
         self,
         identifier: int,
         data: bytes,
-        wanted: Callable[[CanFrame], bool],
+        fits: Callable[[CanFrame], bool],
         timeout: float,
         settle: float | None,
     ) -> list[CanFrame]:
-        """Send a request and collect every answer."""
+        """Sends a request and returns all responses."""
         self._drain()
         self.send(identifier, data)
-        return self.collect(wanted, timeout, settle)
+        return self.collect(fits, timeout, settle)
 
     def listen(self, seconds: float) -> None:
-        """Only watch."""
+        """Receives frames for so long, without sending."""
         self.collect(lambda frame: False, seconds)
 
     def wait_for_boots(self, ids: list[int], timeout: float) -> list[int]:
-        """Those of ``ids`` that have not said that they have started; each must do so once."""
+        """Waits for one boot-up message per item of ``ids``; returns those that are missing."""
         missing = list(ids)
         limit = self.now + timeout
         while missing:
@@ -147,15 +167,15 @@ class BusMaster:
         return missing
 
     def wait_for_count(self, count: int, timeout: float) -> None:
-        """Until so many nodes have said that they have started, at whatever ids."""
+        """Waits for this number of boot-up messages, whatever their ids."""
         limit = self.now + timeout
         while len(self.boots) < count and self._next(limit - self.now) is not None:
             pass
 
     def forget(self) -> None:
-        """What was heard so far; what waits in the queue with it."""
+        """Drops everything received so far, including frames in the queue."""
         self._drain()
-        self.heard.clear()
+        self.received.clear()
         self.states.clear()
         self.boots.clear()
         self.masters.clear()
@@ -165,37 +185,37 @@ class BusMaster:
 
     def _next(self, timeout: float) -> CanFrame | None:
         try:
-            received = self.port.receive(max(timeout, 0.0))
-        except ConnectionError as fault:
-            raise lost(fault) from None
+            received = self.interface.receive(max(timeout, 0.0))
+        except ConnectionError as error:
+            raise bus_lost_error(error) from None
         self._check_state()
         if received is None:
             return None
         if received.own:
-            return CanFrame(0x7FF)
-        self._judge(received.frame, received.time / NANOSECONDS)
+            return _OWN_FRAME
+        self._evaluate(received.frame, received.time / NANOSECONDS)
         return received.frame
 
     def _drain(self) -> None:
         while self._next(0.0) is not None:
             pass
 
-    def _judge(self, frame: CanFrame, time: float) -> None:
+    def _evaluate(self, frame: CanFrame, time: float) -> None:
         self.frames += 1
         self.bits += worst_case_bits(frame.length, frame.extended)
         if frame.extended:
             return
-        self.heard.setdefault(frame.id, []).append(time)
-        if HEARTBEAT < frame.id <= HEARTBEAT + HIGHEST_ID and len(frame.data) == 1:
+        self.received.setdefault(frame.id, []).append(time)
+        if HEARTBEAT < frame.id <= HEARTBEAT + HIGHEST_NODE_ID and len(frame.data) == 1:
             node = frame.id - HEARTBEAT
-            self.states[node] = frame.data[0] & 0x7F
-            if frame.data[0] == 0:
+            self.states[node] = heartbeat_state(frame.data)
+            if frame.data[0] == NmtState.INITIALISING:
                 self.boots.append(node)
-        elif SDO_RESPONSE < frame.id <= SDO_RESPONSE + HIGHEST_ID:
+        elif SDO_RESPONSE < frame.id <= SDO_RESPONSE + HIGHEST_NODE_ID:
             node = frame.id - SDO_RESPONSE
-            if not self._open_requests.get(node, 0) and frame.id not in self._foreign:
+            if node not in self._open_requests and frame.id not in self._other_frames:
                 self.surplus[node] = self.surplus.get(node, 0) + 1
-            self._open_requests[node] = 0
+            self._open_requests.discard(node)
         sign = self._sign_of_master(frame)
         if sign:
             self.masters[sign] = self.masters.get(sign, 0) + 1
@@ -203,40 +223,42 @@ class BusMaster:
                 raise other_master_error([sign])
 
     def _sign_of_master(self, frame: CanFrame) -> str:
-        """What of a frame only a master sends; empty for others' frames."""
+        """Describes a frame that only a master sends; empty for other frames."""
         identifier = frame.id
         if identifier in self._from_nodes:
             return ""
         if identifier in self._from_master:
             return self._from_master[identifier]
-        if identifier in (NMT, SYNC, TIME_STAMP, LSS_REQUEST):
+        if identifier in (NMT, SYNC, TIME_STAMP, lss.REQUEST):
             return f"{identifier:#05x}"
-        if SDO_REQUEST < identifier <= SDO_REQUEST + HIGHEST_ID:
+        if SDO_REQUEST < identifier <= SDO_REQUEST + HIGHEST_NODE_ID:
             return f"an SDO request to node {identifier - SDO_REQUEST}"
         if identifier == HEARTBEAT + self.bus.master_id:
             return "a master's heartbeat"
         return ""
 
     def _check_state(self) -> None:
-        state = self.port.state
+        state = self.interface.state
         if state is not ErrorState.ACTIVE:
             raise DiagnosticError(
                 "bus-error",
-                f"the interface is {state.value}: frames do not get through",
-                hint="is the bus under power and terminated, and is the bitrate "
-                f"{self.bus.bitrate // 1000} kbit/s that of all devices? Nothing was tried again",
+                f"the interface is {state.value}: frames do not reach the devices",
+                hint="do the devices have power, is the bus terminated, and do all devices use "
+                f"{self.bus.bitrate // 1000} kbit/s? Nothing was sent again",
             )
 
 
-def lost(fault: ConnectionError) -> DiagnosticError:
+def bus_lost_error(error: ConnectionError) -> DiagnosticError:
     return DiagnosticError(
-        "bus-error", f"the bus is gone: {fault}", hint="nothing more was sent; look at the bus"
+        "bus-error",
+        f"the interface is lost: {error}",
+        hint="nothing more was sent; check the bus and the adapter",
     )
 
 
 def other_master_error(signs: list[str]) -> DiagnosticError:
     return DiagnosticError(
         "bus-other-master",
-        f"another master is on the bus: {', '.join(signs)} was seen",
-        hint="stop the driver, or whatever program uses the bus, and begin again",
+        f"another master is on the bus: it sent {', '.join(signs)}",
+        hint="stop the driver, or any other program that uses the bus, and start again",
     )

@@ -1,8 +1,20 @@
-"""Carrying a plan out: guards first, then step by step, each verified and in the journal.
+"""Executes a plan: first the guards, then step by step, each verified and in the journal.
 
-The bus is the truth.  Before anything is decided the robot's own nodes are reset, so that what
-they have stored is what they show; a step counts as done when a node that was reset again
-shows it.  After a stop at any place, ``resume`` makes a new plan from what it then finds.
+The bus is the truth; the journal records the intention.  A flash in time:
+
+    scan        all devices are the robot's, no other master, no drive enabled
+    reset       the robot's own nodes, so that each shows what it has stored
+    scan        the same ids as before, and the plan is made from this scan
+    journal     run (the plan with its hash)
+    step 0      journal begin (previous values) - write - reset - read back - journal done
+    step 1      ...
+    journal     end
+
+After a power cut or a stop at any point, ``resume`` scans and resets again, checks that each
+device has an id that the journal's plans gave it at some time, and makes a new plan from there.
+The steps that are already stored are missing in the new plan; a step that was cut is either
+stored or not, and a new step does the rest.  ``rollback`` does the same towards the ids and
+values that the journal contains from before the first step.
 """
 
 from __future__ import annotations
@@ -16,118 +28,118 @@ from thorvaldc.commissioning.bus_configuration import BusConfiguration, Paramete
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.journal import APPLY, RESUME, ROLLBACK, Journal
 from thorvaldc.commissioning.lss_master import LssError
-from thorvaldc.commissioning.plan import AttachStep, Plan, PlanStep, make_plan
+from thorvaldc.commissioning.plan import AttachStep, Plan, PlanStep
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
-from thorvaldc.commissioning.scanner import Progress as Scanning
+from thorvaldc.commissioning.scanner import Progress as ScanProgress
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.sdo_client import SdoAborted, SdoMultipleResponses, SdoTimeout
 from thorvaldc.commissioning.step_executor import Operator, StepExecutor, StepFailed
 from thorvaldc.diagnostics.error import DiagnosticError
 
 Progress = Callable[[int, int, PlanStep, bool], None]
-"""Number of the step (from 0), how many, the step, and whether it is done."""
+"""Called with the number of the step (from 0), the number of steps, the step, and ``done``."""
 
 
 class Flash:
-    """One bus and its journal.
+    """A bus and its journal.
 
-    All raise ``DiagnosticError``: ``bus-error``, ``bus-other-master``, ``bus-wrong-robot``,
-    ``bus-drive-enabled``, ``plan-impossible``, ``plan-changed``, ``journal-mismatch``,
-    ``flash-stopped``.  Nothing is written before all guards have passed, nothing after a stop.
+    ``apply``, ``resume`` and ``rollback`` raise ``DiagnosticError``: ``bus-error``,
+    ``bus-other-master``, ``bus-wrong-robot``, ``bus-drive-enabled``, ``plan-impossible``,
+    ``plan-changed``, ``journal-mismatch``, ``flash-ambiguous``, ``flash-stopped``.  Nothing is
+    written before all guards have passed, and nothing after a stop.
     """
 
     def __init__(
         self,
         master: BusMaster,
-        target: BusConfiguration,
+        configuration: BusConfiguration,
         journal: Journal,
         *,
         operator: Operator | None = None,
         progress: Progress | None = None,
-        scanning: Scanning | None = None,
+        scanning: ScanProgress | None = None,
     ) -> None:
         self.master = master
-        self.target = target
+        self.configuration = configuration
         self.journal = journal
-        self.stepper = StepExecutor(master, journal, operator)
+        self.executor = StepExecutor(master, journal, operator)
         self._scanning = scanning
-        self._progress = progress or (lambda number, of, step, done: None)
+        self._progress = progress or (lambda number, total, step, done: None)
 
-    # -- the three ways to begin ---------------------------------------------------------------
+    # -- the three modes -----------------------------------------------------------------------
 
     def apply(self, expected: str | None = None) -> Plan:
-        """Make a plan and carry it out.  ``expected``: the hash that the plan must have."""
-        left = self.journal.unfinished
-        if left is not None:
-            what = "rollback" if left.mode == ROLLBACK else "flash"
+        """Makes a plan and executes it.  ``expected``: the hash that the plan must have."""
+        unfinished = self.journal.unfinished
+        if unfinished is not None:
+            mode = "rollback" if unfinished.mode == ROLLBACK else "flash"
             raise DiagnosticError(
                 "journal-mismatch",
-                f"the journal {self.journal.store.name} has a {what} that was not finished",
-                hint="go on with --resume, or undo it with --rollback",
+                f"the journal {self.journal.storage.name} contains an unfinished {mode}",
+                hint="continue it with --resume, or undo it with --rollback",
             )
-        before, scan = self._look(self.target)
-        plan = make_plan(self.target, scan)
-        changed = before.ids() != scan.ids()
+        first, scan = self._scan_and_reset(self.configuration)
+        plan = make_plan(self.configuration, scan)
+        changed = first.ids() != scan.ids()
         if changed or (expected is not None and plan.hash != expected):
             raise DiagnosticError(
                 "plan-changed",
-                "what is on the bus is not what the plan was made for",
-                hint="look at `thorvaldc can plan` again, and flash that; nothing was written",
+                "the devices on the bus differ from those the plan was made for",
+                hint="nothing was written; look at `thorvaldc can plan` again, and flash that",
             )
-        return self._carry_out(APPLY, plan)
+        return self._execute(APPLY, plan)
 
     def resume(self) -> Plan:
-        """Go on with the run that the journal has, from what is on the bus now."""
-        left = self.journal.unfinished
-        if left is None:
+        """Continues the last run of the journal from the present state of the bus."""
+        unfinished = self.journal.unfinished
+        if unfinished is None:
             raise DiagnosticError(
                 "journal-mismatch",
-                f"the journal {self.journal.store.name} has nothing to go on with",
-                hint="begin with --apply",
+                f"the journal {self.journal.storage.name} contains no unfinished flash",
+                hint="start one with --apply",
             )
-        target = left.plan.configuration
-        if left.mode != ROLLBACK:
-            self._check_target()
-            target = self.target
-        mode = left.mode if left.mode == ROLLBACK else RESUME
-        return self._go_on(mode, target)
+        if unfinished.mode == ROLLBACK:
+            return self._continue(ROLLBACK, unfinished.plan.configuration)
+        self._check_configuration()
+        return self._continue(RESUME, self.configuration)
 
     def rollback(self) -> Plan:
-        """Back to what was there before the last run that was begun afresh."""
+        """Restores the ids and values from before the last ``apply``."""
         chain = self.journal.chain
         if not chain or (chain[-1].mode == ROLLBACK and chain[-1].finished):
             raise DiagnosticError(
                 "journal-mismatch",
-                f"the journal {self.journal.store.name} has nothing to undo",
-                hint="it must hold a flash of this robot",
+                f"the journal {self.journal.storage.name} contains nothing to undo",
+                hint="it must contain a flash of this robot",
             )
-        self._check_target()
-        return self._go_on(ROLLBACK, self._origin())
+        self._check_configuration()
+        return self._continue(ROLLBACK, self._previous_configuration())
 
-    def _go_on(self, mode: str, target: BusConfiguration) -> Plan:
-        _, scan = self._look(target)
+    def _continue(self, mode: str, configuration: BusConfiguration) -> Plan:
+        _, scan = self._scan_and_reset(configuration)
         self._check_reachable(scan)
-        return self._carry_out(mode, make_plan(target, scan))
+        return self._execute(mode, make_plan(configuration, scan))
 
-    def _origin(self) -> BusConfiguration:
-        """The bus as it was: the ids that were found, the values that were changed."""
+    def _previous_configuration(self) -> BusConfiguration:
+        """Returns the bus before the first step: scanned ids, and previous values."""
         chain = self.journal.chain
         first = chain[0].plan
         start, identities = dict(first.start), dict(first.identities)
-        old: dict[str, dict[tuple[int, int], ParameterValue]] = {}
+        previous: dict[str, dict[tuple[int, int], ParameterValue]] = {}
         for run in chain:
-            for name, before in run.old():
-                # The first is what was there; a later one may be what a cut left of it.
-                old.setdefault(name, {v.place: v for v in before})
-        changed = {step.node for step in first.steps} | set(old)
+            for name, values_before in run.previous_values():
+                # The first record counts; a later one may contain a half-written state.
+                previous.setdefault(name, {value.key: value for value in values_before})
+        changed = {step.node for step in first.steps} | set(previous)
         nodes = []
         for node in first.configuration.nodes:
-            values = tuple(old.get(node.name, {}).values())
+            values = tuple(previous.get(node.name, {}).values())
             known = identities.get(node.name) if node.lss else None
-            where = start.get(node.name, node.id) if node.name in changed else node.id
-            node = dataclasses.replace(node, id=where, values=values)
+            node_id = start.get(node.name, node.id) if node.name in changed else node.id
+            node = dataclasses.replace(node, id=node_id, values=values)
             if known is not None:
-                # The very devices that were there, whatever the file says of serial numbers.
+                # The same devices as before, even if the file contains no serial numbers.
                 vendor, product, revision, serial = known
                 node = dataclasses.replace(
                     node, vendor=vendor, product=product, revision=revision, serial=serial
@@ -137,116 +149,119 @@ class Flash:
 
     # -- guards --------------------------------------------------------------------------------
 
-    def _look(self, target: BusConfiguration) -> tuple[ScanResult, ScanResult]:
-        """The bus as it is, and as it is after a reset of the robot's own nodes."""
+    def _scan_and_reset(self, configuration: BusConfiguration) -> tuple[ScanResult, ScanResult]:
+        """Scans the bus before and after a reset of the robot's nodes; both scans must pass."""
         self.master.exclusive = False
-        scanner = Scanner(self.master, target, self._scanning)
-        before = scanner.active(values=False, texts=False)
-        self._check(target, before)
+        scanner = Scanner(self.master, configuration, self._scanning)
+        first = scanner.active(values=False, texts=False)
+        self._check(configuration, first)
         self.master.exclusive = True
-        own = {
-            found.id
-            for entry in before.entries
-            if entry.node
-            and (found := entry.found) is not None
-            and found.id not in (None, UNCONFIGURED)
-            and target.node(entry.node).sdo
-        }
-        ids = sorted(node for node in own if node is not None)
-        self.stepper.at = Counter(before.ids().values())
-        self.stepper.reset(ids, sum(self.stepper.at[node] for node in ids))
-        scan = Scanner(self.master, target, self._scanning).again(before)
-        self._check(target, scan)
-        return before, scan
+        ids = sorted(
+            {
+                entry.found.id
+                for entry in first.entries
+                if entry.node
+                and entry.found is not None
+                and entry.found.id is not None
+                and entry.found.id != UNCONFIGURED
+                and configuration.node(entry.node).sdo
+            }
+        )
+        self.executor.nodes_at = Counter(first.ids().values())
+        self.executor.reset(ids, sum(self.executor.nodes_at[node] for node in ids))
+        scan = Scanner(self.master, configuration, self._scanning).again(first)
+        self._check(configuration, scan)
+        return first, scan
 
-    def _check(self, target: BusConfiguration, scan: ScanResult) -> None:
+    def _check(self, configuration: BusConfiguration, scan: ScanResult) -> None:
         if scan.masters:
             raise other_master_error(list(scan.masters))
-        plan = make_plan(target, scan)
+        plan = make_plan(configuration, scan)
         if plan.strangers:
             raise DiagnosticError(
                 "bus-wrong-robot",
-                f"this is not the bus of {target.robot}: {'; '.join(plan.strangers)}",
-                hint="nothing was written; is it the right file, and are only this robot's "
-                "modules on the bus?",
+                f"this is not the bus of {configuration.robot}: {'; '.join(plan.strangers)}",
+                hint="nothing was written; check that the file is the right one, and that only "
+                "modules of this robot are on the bus",
             )
         if scan.enabled:
             name, why = scan.enabled[0]
             raise DiagnosticError(
                 "bus-drive-enabled",
                 f"{name} may move: {why}",
-                hint="stop the driver and let the robot come to rest; nothing was written",
+                hint="nothing was written; stop the driver and wait until the robot is at rest",
             )
         if plan.problems:
             raise impossible(plan)
 
-    def _check_target(self) -> None:
+    def _check_configuration(self) -> None:
         first = self.journal.chain[0].plan.configuration if self.journal.chain else None
-        if first is None or first.hash != self.target.hash:
-            name = "nothing" if first is None else f"{first.robot}, bus {first.bus}"
+        if first is None or first.hash != self.configuration.hash:
+            name = "none" if first is None else f"{first.robot}, bus {first.bus}"
             raise DiagnosticError(
                 "journal-mismatch",
-                f"the journal {self.journal.store.name} is of another plan: {name}",
-                hint="the robot's file must be the one that the flash was begun with; nothing "
-                "was written",
+                f"the journal {self.journal.storage.name} belongs to another configuration: {name}",
+                hint="nothing was written; use the robot file with which the flash was started",
             )
 
     def _check_reachable(self, scan: ScanResult) -> None:
-        """Every device is where the journal's plans had it at some time, or has lost its id."""
+        """Checks that each device has an id of the journal's plans, or lost its id in a step."""
         chain = self.journal.chain
         identities = dict(chain[0].plan.identities)
         allowed: dict[str, set[int]] = {}
-        begun: set[str] = set()
+        started: set[str] = set()
         for run in chain:
             for name, ids in run.plan.ids.items():
                 allowed.setdefault(name, set()).update(ids)
-            begun |= {run.plan.steps[i].node for i in run.begun if i < len(run.plan.steps)}
+            started |= {
+                run.plan.steps[i].node for i in run.started_steps if i < len(run.plan.steps)
+            }
         for entry in scan.entries:
             if not entry.node or entry.found is None or entry.found.id is None:
                 continue
-            name, where, identity = entry.node, entry.found.id, entry.found.identity
+            name, node_id, identity = entry.node, entry.found.id, entry.found.identity
             known = identities.get(name)
             if known is not None and identity is not None and known != identity:
-                raise ambiguous(f"{name} is another device than when the flash was begun")
-            if name in allowed and where not in allowed[name]:
-                lost = where == UNCONFIGURED and name in begun
+                raise ambiguous(f"{name} is not the device that it was when the flash was started")
+            if name in allowed and node_id not in allowed[name]:
+                lost = node_id == UNCONFIGURED and name in started
                 if not lost:
-                    at = "no id" if where == UNCONFIGURED else f"the id {where}"
-                    raise ambiguous(f"{name} has {at}, which no step of the journal gives it")
+                    id_text = "no id" if node_id == UNCONFIGURED else f"the id {node_id}"
+                    raise ambiguous(f"{name} has {id_text}, which no step of the journal sets")
 
     # -- steps ---------------------------------------------------------------------------------
 
-    def _carry_out(self, mode: str, plan: Plan) -> Plan:
+    def _execute(self, mode: str, plan: Plan) -> Plan:
         if plan.problems or plan.strangers:
             raise impossible(plan)
         if mode == APPLY and not plan.steps:
             return plan
         self.master.exclusive = True
-        self.master.surplus.clear()  # what the scan has seen is in the plan
+        self.master.surplus.clear()  # the scan has reported these as duplicates
         self.journal.start(mode, plan)
         number = 0
         try:
             for number, step in enumerate(plan.steps):
                 self._progress(number, len(plan.steps), step, False)
-                self.stepper.run(number, step, plan.configuration)
+                self.executor.run(number, step, plan.configuration)
                 self._progress(number, len(plan.steps), step, True)
                 if isinstance(step, AttachStep):
-                    self.stepper.bring_back(plan, number)
+                    self.executor.power_all(plan, number)
         except KeyboardInterrupt:
             self.journal.stop("interrupted")
             raise
-        except (StepFailed, SdoTimeout, SdoAborted, SdoMultipleResponses, LssError) as fault:
+        except (StepFailed, SdoTimeout, SdoAborted, SdoMultipleResponses, LssError) as error:
             step = plan.steps[number]
-            self.journal.stop(f"{step.description}: {fault}")
+            self.journal.stop(f"{step.description}: {error}")
             raise DiagnosticError(
                 "flash-stopped",
                 f"step {number + 1} of {len(plan.steps)} ({step.description}) "
-                f"did not succeed: {fault}",
-                hint="nothing was tried again; look at the device, then go on with --resume or "
+                f"did not succeed: {error}",
+                hint="nothing was sent again; check the device, then continue with --resume or "
                 "undo with --rollback",
             ) from None
-        except DiagnosticError as fault:
-            self.journal.stop(str(fault))
+        except DiagnosticError as error:
+            self.journal.stop(str(error))
             raise
         self.journal.end()
         return plan
@@ -260,10 +275,10 @@ def impossible(plan: Plan) -> DiagnosticError:
     )
 
 
-def ambiguous(what: str) -> DiagnosticError:
+def ambiguous(observation: str) -> DiagnosticError:
     return DiagnosticError(
         "flash-ambiguous",
-        f"{what}; somebody else has changed the bus since",
-        hint="nothing was written; look at `thorvaldc can scan --active`, then begin afresh "
+        f"{observation}; the bus was changed outside of the flash",
+        hint="nothing was written; look at `thorvaldc can scan --active`, then start a new flash "
         "with another --journal",
     )

@@ -1,7 +1,14 @@
-"""What was done to a bus, line by line, on the disk before and after each step.
+"""The journal of a flash: one JSON record per line, on the disk before and after each step.
 
-A file of JSON, one record a line, only ever appended to.  A line that a power cut tore is
-passed over: the bus itself is the truth, the journal says what was meant and what was there before.
+    {"record":"run", "mode":"apply", "hash":..., "plan":{...}}
+    {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values]}
+    {"record":"done", "step":0, "node":..., "read":what was read back}
+    ...
+    {"record":"end"}         or {"record":"stopped", "reason":...}, or nothing after a power cut
+
+Records are only appended.  A power cut can tear the last line: the reader skips a torn line if a
+new run follows it or the file ends.  That is safe because the bus is the truth; the journal
+contains the intention and the previous values.
 """
 
 from __future__ import annotations
@@ -27,27 +34,27 @@ APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
 _HEAD = b'{"record":"'
 
 
-class Store(Protocol):
-    """Where the lines are kept."""
+class Storage(Protocol):
+    """The medium of a journal."""
 
     name: str
 
     def read(self) -> bytes: ...
 
     def append(self, data: bytes) -> None:
-        """On its return the bytes have reached the disk."""
+        """Returns when the bytes are on the disk."""
 
     def close(self) -> None: ...
 
 
 class JournalFile:
-    """A file, locked for this process while it is open."""
+    """A journal in a file, locked for this process while it is open."""
 
     def __init__(self, path: Path) -> None:
-        """Raises ``OSError``, and ``DiagnosticError`` (``bus-locked``) if it is open elsewhere."""
+        """Raises ``OSError``, or ``DiagnosticError`` (``bus-locked``) if it is in use."""
         self.name = str(path)
         self._path = path
-        self._fresh = not path.exists()
+        self._is_new = not path.exists()
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -58,7 +65,7 @@ class JournalFile:
                 f"another flash writes the journal {path}",
                 hint="wait until it has finished",
             ) from None
-        if self._fresh:
+        if self._is_new:
             folder = os.open(path.parent, os.O_RDONLY)
             try:
                 os.fsync(folder)
@@ -66,10 +73,10 @@ class JournalFile:
                 os.close(folder)
 
     def read(self) -> bytes:
-        parts, at = [], 0
-        while data := os.pread(self._file, 1 << 20, at):
+        parts, offset = [], 0
+        while data := os.pread(self._file, 1 << 20, offset):
             parts.append(data)
-            at += len(data)
+            offset += len(data)
         return b"".join(parts)
 
     def append(self, data: bytes) -> None:
@@ -78,15 +85,15 @@ class JournalFile:
         os.fsync(self._file)
 
     def close(self) -> None:
-        """A file that was made for nothing is taken away."""
-        if self._fresh and os.fstat(self._file).st_size == 0:
+        """Closes the file, and removes a new one that is still empty."""
+        if self._is_new and os.fstat(self._file).st_size == 0:
             self._path.unlink(missing_ok=True)
         os.close(self._file)
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run as the journal has it: ``mode``, plan, and what followed."""
+    """A run in the journal: its mode, its plan and the records that follow."""
 
     mode: str
     plan: Plan
@@ -97,16 +104,12 @@ class Run:
         return any(record["record"] == "end" for record in self.records)
 
     @property
-    def begun(self) -> list[int]:
-        """The steps (from 0) that were begun, in order."""
+    def started_steps(self) -> list[int]:
+        """Numbers (from 0) of the steps that were started, in order."""
         return [record["step"] for record in self.records if record["record"] == "begin"]
 
-    @property
-    def done(self) -> list[int]:
-        return [record["step"] for record in self.records if record["record"] == "done"]
-
-    def old(self) -> list[tuple[str, tuple[ParameterValue, ...]]]:
-        """By node, in order, what was there before of what was to be changed."""
+    def previous_values(self) -> list[tuple[str, tuple[ParameterValue, ...]]]:
+        """Node and previous values of each step that changes values, in order."""
         return [
             (record["node"], values_from_json(record["old"]))
             for record in self.records
@@ -115,23 +118,23 @@ class Run:
 
 
 class Journal:
-    def __init__(self, store: Store) -> None:
-        """Raises ``DiagnosticError`` (``journal-unreadable``) where it is no journal."""
-        self.store = store
-        self._data = store.read()
+    def __init__(self, storage: Storage) -> None:
+        """Raises ``DiagnosticError`` (``journal-unreadable``) if the content is not a journal."""
+        self.storage = storage
+        self._data = storage.read()
         self.runs = self._read(self._data)
 
     @property
     def chain(self) -> list[Run]:
-        """The last run that was begun afresh, and those that went on with it."""
-        for place in range(len(self.runs) - 1, -1, -1):
-            if self.runs[place].mode == APPLY:
-                return self.runs[place:]
+        """The last run with mode ``apply``, and the resumes and rollbacks after it."""
+        for index in range(len(self.runs) - 1, -1, -1):
+            if self.runs[index].mode == APPLY:
+                return self.runs[index:]
         return []
 
     @property
     def unfinished(self) -> Run | None:
-        """The last run, where it did not come to its end."""
+        """The last run, if it did not reach its end."""
         return self.runs[-1] if self.runs and not self.runs[-1].finished else None
 
     def start(self, mode: str, plan: Plan) -> None:
@@ -148,15 +151,22 @@ class Journal:
             }
         )
 
-    def begin(self, step: int, node: str, words: str, old: Sequence[ParameterValue] = ()) -> None:
-        """Before a step; ``old``: what is there now of what will be changed."""
-        record: dict[str, Any] = {"record": "begin", "step": step, "node": node, "what": words}
+    def begin(
+        self, step: int, node: str, description: str, old: Sequence[ParameterValue] = ()
+    ) -> None:
+        """Records the start of a step; ``old``: the present values that it will change."""
+        record: dict[str, Any] = {
+            "record": "begin",
+            "step": step,
+            "node": node,
+            "what": description,
+        }
         if old:
             record["old"] = values_to_json(old)
         self._append(record)
 
     def done(self, step: int, node: str, read: Any) -> None:
-        """After a step: what was read back."""
+        """Records the end of a step and what was read back."""
         self._append({"record": "done", "step": step, "node": node, "read": read})
 
     def stop(self, reason: str) -> None:
@@ -166,7 +176,7 @@ class Journal:
         self._append({"record": "end"})
 
     def close(self) -> None:
-        self.store.close()
+        self.storage.close()
 
     # -- inside -----------------------------------------------------------------------------
 
@@ -176,13 +186,13 @@ class Journal:
             line = b"\n" + line
         self._data = b"\n"
         try:
-            self.store.append(line)
-        except OSError as fault:
+            self.storage.append(line)
+        except OSError as error:
             raise DiagnosticError(
                 "journal-unreadable",
-                f"cannot write the journal {self.store.name}: {fault.strerror or fault}",
-                hint="nothing was written to the bus since its last line; name another file "
-                "by --journal, or make room",
+                f"cannot write the journal {self.storage.name}: {error.strerror or error}",
+                hint="nothing was written to the bus since its last line; free disk space, or name "
+                "another file with --journal",
             ) from None
 
     def _read(self, data: bytes) -> list[Run]:
@@ -201,24 +211,24 @@ class Journal:
                     continue
                 self._check(record)
             except (ValueError, KeyError, TypeError, AttributeError):
-                # A cut leaves the beginning of a record, and nothing but another run behind it.
+                # A power cut leaves the beginning of a record; only a new run may follow.
                 if torn or not (line.startswith(_HEAD) or _HEAD.startswith(line)):
-                    raise self._fault(f"line {number} is no record of it") from None
+                    raise self._unreadable(f"line {number} is not a record") from None
                 torn = number
                 continue
             if torn:
-                raise self._fault(f"line {torn} is damaged")
+                raise self._unreadable(f"line {torn} is damaged")
             if not runs:
-                raise self._fault("it does not begin with a plan")
+                raise self._unreadable("it does not begin with a plan")
             runs[-1][2].append(record)
         return [Run(mode, plan, tuple(records)) for mode, plan, records in runs]
 
     def _plan(self, record: dict[str, Any], number: int) -> Plan:
         if record["format"] != FORMAT or record["version"] != VERSION:
-            raise self._fault(f"line {number} has another format or version")
+            raise self._unreadable(f"line {number} has another format or version")
         plan = plan_from_json(record["plan"])
         if plan.hash != record["hash"] or record["mode"] not in (APPLY, RESUME, ROLLBACK):
-            raise self._fault(f"the plan in line {number} was changed by hand")
+            raise self._unreadable(f"the plan in line {number} was changed by hand")
         return plan
 
     def _check(self, record: dict[str, Any]) -> None:
@@ -230,9 +240,9 @@ class Journal:
         elif kind not in ("stopped", "end"):
             raise ValueError(kind)
 
-    def _fault(self, what: str) -> DiagnosticError:
+    def _unreadable(self, reason: str) -> DiagnosticError:
         return DiagnosticError(
             "journal-unreadable",
-            f"{self.store.name} is no journal of a flash: {what}",
-            hint="name another file by --journal; keep this one, it may say what was done",
+            f"{self.storage.name} is not the journal of a flash: {reason}",
+            hint="name another file with --journal, and keep this one as a record",
         )

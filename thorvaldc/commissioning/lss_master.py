@@ -1,108 +1,126 @@
-"""The master's side of the layer setting services (CiA 305), which counts every answer."""
+"""An LSS master (layer setting services, CiA 305) that counts the responses.
+
+Set the id of a device whose identity is known (all requests 0x7E5, all responses 0x7E4):
+
+    master                                     slave
+    04 00  switch all to WAITING      ----->   (no response)
+    40 vendor, 41 product, 42 revision, 43 serial
+                                      ----->   44 only the slave with this identity
+    11 id  configure node id          ----->   11 00
+    17     store                      ----->   17 00    after the write to its memory
+    04 00  switch all to WAITING      ----->   a first id takes effect now
+
+Fastscan finds the identity of a device without an id.  Every slave whose bits match so far
+answers, so a missing answer means that the bit is 1 for all that are left.  For each of the four
+parts, from bit 31 to bit 0:
+
+    51 number, bit, part, part        ----->   4F  some identity has 0 at this bit: keep it
+                                      ----->   --  nobody has 0: set this bit in ``number``
+    51 number, 0, part, next part     ----->   4F  confirms the part; the slaves go to ``next part``
+
+After the confirmation of the last part (its ``next part`` is 0), exactly one slave is left, in the
+CONFIGURATION state: identities are unique.  132 requests: 4 x (32 + 1); one more starts the scan.
+"""
 
 from __future__ import annotations
 
 import struct
 
+from thorvaldc.can import lss
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning.bus_master import LSS_REQUEST, LSS_RESPONSE, BusMaster
-
-_SELECT = (0x40, 0x41, 0x42, 0x43)
+from thorvaldc.can.lss import Identity
+from thorvaldc.commissioning.bus_master import BusMaster
 
 
 class LssError(Exception):
-    """A slave did not answer, answered twice, or refused; the message says which."""
+    """A slave did not answer, several answered, or one refused; the message states which."""
 
 
 class LssMaster:
-    """One slave at a time is in the configuration state; ``waiting`` ends it for all."""
+    """At most one slave is in the configuration state; ``switch_to_waiting`` ends it for all."""
 
     def __init__(self, master: BusMaster) -> None:
         self.master = master
 
-    def waiting(self) -> None:
-        """All slaves back to the waiting state; nobody answers."""
-        self._send(bytes([0x04, 0]))
+    def switch_to_waiting(self) -> None:
+        """Switches all slaves to the waiting state; there is no response."""
+        self._send(bytes([lss.SWITCH_STATE_GLOBAL, lss.WAITING]))
 
     def select(self, identity: Identity) -> int:
-        """How many slaves of that identity went to the configuration state; one is right."""
-        for command, number in zip(_SELECT, identity, strict=True):
-            last = command == _SELECT[-1]
+        """Returns how many slaves with this identity enter the configuration state."""
+        for command, number in zip(lss.SWITCH_STATE_SELECTIVE, identity, strict=True):
             request = struct.pack("<BI", command, number)
-            if last:
-                return len(self._ask(request, 0x44, self.master.timing.settle))
+            if command == lss.SWITCH_STATE_SELECTIVE[-1]:
+                return len(self._request(request, lss.SELECTED, self.master.timing.settle))
             self._send(request)
         return 0
 
     def node_id(self) -> int:
-        """The selected slave's active id; 255: it has none.  Raises ``LssError``."""
-        return self._one(bytes([0x5E]), 0x5E)[1]
+        """Reads the active id of the selected slave; 255: none.  Raises ``LssError``."""
+        return self._single_response(bytes([lss.INQUIRE_NODE_ID]))[1]
 
     def configure_id(self, node_id: int) -> None:
-        """Set the pending id.  Raises ``LssError``."""
-        reply = self._one(bytes([0x11, node_id]), 0x11)
-        if reply[1]:
-            raise LssError(f"it refuses the id {node_id} (code {reply[1]})")
+        """Sets the pending id.  Raises ``LssError``."""
+        response = self._single_response(bytes([lss.CONFIGURE_NODE_ID, node_id]))
+        if response[1]:
+            raise LssError(f"it refuses the id {node_id} (code {response[1]})")
 
     def store(self) -> None:
-        """Keep the pending id.  Raises ``LssError``."""
-        reply = self._one(bytes([0x17]), 0x17, self.master.timing.store)
-        if reply[1] == 1:
+        """Stores the pending id.  Raises ``LssError``."""
+        response = self._single_response(bytes([lss.STORE_CONFIGURATION]), self.master.timing.store)
+        if response[1] == 1:
             raise LssError("it cannot store its id")
-        if reply[1]:
-            raise LssError(f"storing its id failed (code {reply[1]})")
+        if response[1]:
+            raise LssError(f"storing its id failed (code {response[1]})")
 
-    def someone_unconfigured(self) -> bool:
-        """Whether a slave that has no id is in the waiting state."""
-        return bool(self._fastscan(0, 0x80, 0, 0))
+    def has_unconfigured_slave(self) -> bool:
+        """Whether a slave without an id is in the waiting state; also starts a fastscan."""
+        return self._fastscan_request(0, lss.FASTSCAN_START, 0, 0)
 
     def fastscan(self) -> Identity | None:
-        """The identity of a slave without id, which then is in the configuration state.
+        """Finds a slave without an id, and leaves it in the configuration state.
 
-        ``None``: there is none.  Raises ``LssError`` where answers do not fit together.
-        Takes 132 requests; each waits its time out, since a late answer would be taken for
-        that to the next.
+        ``None``: there is none.  Raises ``LssError`` if the responses contradict each other.
+        Each request waits its full time-out: a late response would count for the next one.
         """
-        if not self.someone_unconfigured():
+        if not self.has_unconfigured_slave():
             return None
-        found = []
+        numbers = []
         for part in range(4):
             number = 0
             for bit in range(31, -1, -1):
-                if not self._fastscan(number, bit, part, part):
+                if not self._fastscan_request(number, bit, part, part):
                     number |= 1 << bit
-            if not self._fastscan(number, 0, part, (part + 1) % 4):
+            if not self._fastscan_request(number, 0, part, (part + 1) % 4):
                 raise LssError("a device without id does not confirm its identity")
-            found.append(number)
-        return Identity(*found)
+            numbers.append(number)
+        return Identity(*numbers)
 
     # -- inside -----------------------------------------------------------------------------
 
-    def _fastscan(self, number: int, bit: int, part: int, following: int) -> bool:
-        request = struct.pack("<BIBBB", 0x51, number, bit, part, following)
-        frames = self._ask(request, 0x4F, None, self.master.timing.fastscan)
-        return bool(frames)
+    def _fastscan_request(self, number: int, bit: int, part: int, next_part: int) -> bool:
+        request = struct.pack("<BIBBB", lss.FASTSCAN, number, bit, part, next_part)
+        timeout = self.master.timing.fastscan
+        return bool(self._request(request, lss.SLAVE_IDENTIFIED, None, timeout))
 
-    def _one(self, request: bytes, answer: int, timeout: float | None = None) -> bytes:
-        frames = self._ask(request, answer, self.master.timing.settle, timeout)
+    def _single_response(self, request: bytes, timeout: float | None = None) -> bytes:
+        frames = self._request(request, request[0], self.master.timing.settle, timeout)
         if not frames:
             raise LssError("it does not answer")
         if len(frames) > 1:
             raise LssError(f"{len(frames)} devices answer")
         return frames[0].data
 
-    def _ask(
-        self, request: bytes, answer: int, settle: float | None, timeout: float | None = None
+    def _request(
+        self, request: bytes, response: int, settle: float | None, timeout: float | None = None
     ) -> list[CanFrame]:
+        """Returns all responses; ``response`` is their command specifier."""
+
         def fits(frame: CanFrame) -> bool:
-            return frame.id == LSS_RESPONSE and len(frame.data) == 8 and frame.data[0] == answer
+            return frame.id == lss.RESPONSE and len(frame.data) == 8 and frame.data[0] == response
 
         limit = timeout or self.master.timing.lss
-        return self.master.ask(LSS_REQUEST, request.ljust(8, b"\0"), fits, limit, settle)
+        return self.master.request(lss.REQUEST, request.ljust(8, b"\0"), fits, limit, settle)
 
     def _send(self, request: bytes) -> None:
-        self.master.send(LSS_REQUEST, request.ljust(8, b"\0"))
-
-
-__all__ = ["UNCONFIGURED", "Identity", "LssError", "LssMaster"]
+        self.master.send(lss.REQUEST, request.ljust(8, b"\0"))

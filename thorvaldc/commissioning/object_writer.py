@@ -1,4 +1,4 @@
-"""Writing the values of a node, in the order in which CiA 301 lets PDOs be changed."""
+"""Writes values to a node's object dictionary, in the order that CiA 301 requires for PDOs."""
 
 from __future__ import annotations
 
@@ -9,67 +9,73 @@ from thorvaldc.commissioning.bus_configuration import ParameterValue
 from thorvaldc.commissioning.sdo_client import SdoAborted, SdoClient
 
 SAVE = 0x65766173
+"""ASCII `save`, the signature of object 0x1010."""
 STORE_PARAMETERS = 0x1010
 INVALID = 1 << 31
+"""Bit of a PDO's COB-ID that switches the PDO off."""
 PDOS = range(0x1400, 0x1C00)
+"""Objects of PDOs: communication (0x1400, 0x1800) and, with bit 0x200, mapping."""
 MAPPING = 0x200
 
-Read = Mapping[tuple[int, int], int | None]
+PresentValues = Mapping[tuple[int, int], int | None]
+"""Values by (index, subindex); ``None``: the node refuses to read it."""
 
 
-class ParameterWriter:
+class ObjectWriter:
     def __init__(self, sdo: SdoClient) -> None:
         self.sdo = sdo
 
     def read(
         self, node: int, values: Sequence[ParameterValue]
     ) -> dict[tuple[int, int], int | None]:
-        """Present values, ``None`` where reading is refused.
+        """Reads the present values, ``None`` if the node refuses.
 
         Raises ``SdoTimeout``, ``SdoMultipleResponses``.
         """
-        found: dict[tuple[int, int], int | None] = {}
+        present: dict[tuple[int, int], int | None] = {}
         for value in values:
             try:
-                found[value.place] = self.sdo.number(node, *value.place, value.type)
+                present[value.key] = self.sdo.read_number(node, *value.key, value.type)
             except SdoAborted:
-                found[value.place] = None
-        return found
+                present[value.key] = None
+        return present
 
-    def write(self, node: int, values: Sequence[ParameterValue], read: Read) -> None:
-        """Write those that differ and read each back.
+    def write(self, node: int, values: Sequence[ParameterValue], present: PresentValues) -> None:
+        """Writes the values that differ from ``present``, and reads each back.
 
-        A PDO is switched off while its parameters change, a mapping emptied while its entries
-        do.  Raises ``SdoAborted``, ``SdoTimeout``, ``SdoMultipleResponses``.
+        A PDO is switched off while its parameters change, and a mapping is emptied while its
+        entries change.  Raises ``SdoAborted``, ``SdoTimeout``, ``SdoMultipleResponses``.
         """
-        differing = [v for v in values if read.get(v.place) != v.value]
-        plain = [v for v in differing if v.index not in PDOS]
-        for value in plain:
-            self._write(node, value)
-        pdos = dict.fromkeys(v.index & ~MAPPING for v in differing if v.index in PDOS)
+        differing = [value for value in values if present.get(value.key) != value.value]
+        for value in differing:
+            if value.index not in PDOS:
+                self._write(node, value)
+        pdos = dict.fromkeys(value.index & ~MAPPING for value in differing if value.index in PDOS)
         for base in pdos:
-            changed = [v for v in differing if v.index in (base, base | MAPPING)]
-            self._write_pdo(node, base, changed, read)
+            changed = [value for value in differing if value.index in (base, base | MAPPING)]
+            self._write_pdo(node, base, changed, present)
 
     def save(self, node: int) -> None:
-        """Raises as ``write`` does, with a time-out for slow memories."""
+        """Stores the parameters (object 0x1010).  Raises as ``write`` does."""
         timeout = self.sdo.master.timing.store
-        self.sdo.write(node, STORE_PARAMETERS, 1, "unsigned32", SAVE, timeout)
+        self.sdo.write_number(node, STORE_PARAMETERS, 1, "unsigned32", SAVE, timeout)
 
     def _write_pdo(
         self,
         node: int,
         base: int,
         changed: Sequence[ParameterValue],
-        read: Read,
+        present: PresentValues,
     ) -> None:
-        switch = self._whole(node, base, 1, "unsigned32", changed, read)
-        now = read.get((base, 1))
-        self._write(node, replace(switch, value=(switch.value if now is None else now) | INVALID))
-        mapping = [v for v in changed if v.index == base | MAPPING]
+        """Switches the PDO off, writes mapping and parameters, and writes its COB-ID last."""
+        cob_id = self._final_value(node, base, 1, "unsigned32", changed, present)
+        present_id = present.get((base, 1))
+        off = (cob_id.value if present_id is None else present_id) | INVALID
+        self._write(node, replace(cob_id, value=off))
+        mapping = [value for value in changed if value.index == base | MAPPING]
         if mapping:
-            count = self._whole(node, base | MAPPING, 0, "unsigned8", changed, read)
-            self.sdo.write(node, base | MAPPING, 0, "unsigned8", 0)
+            count = self._final_value(node, base | MAPPING, 0, "unsigned8", changed, present)
+            self.sdo.write_number(node, base | MAPPING, 0, "unsigned8", 0)
             for value in mapping:
                 if value.subindex:
                     self._write(node, value)
@@ -77,38 +83,38 @@ class ParameterWriter:
         for value in changed:
             if value.index == base and value.subindex != 1:
                 self._write(node, value)
-        self._write(node, switch)
+        self._write(node, cob_id)
 
-    def _whole(
+    def _final_value(
         self,
         node: int,
         index: int,
         subindex: int,
         type_name: str,
         changed: Sequence[ParameterValue],
-        read: Read,
+        present: PresentValues,
     ) -> ParameterValue:
-        """The entry as it is to be: changed, or as it is."""
+        """Returns the value of an entry after the write: the changed one, or the present one."""
         for value in changed:
-            if value.place == (index, subindex):
+            if value.key == (index, subindex):
                 return value
-        now = read.get((index, subindex))
-        if now is None:
-            now = self.sdo.number(node, index, subindex, type_name)
-        return ParameterValue("", index, subindex, type_name, now)
+        number = present.get((index, subindex))
+        if number is None:
+            number = self.sdo.read_number(node, index, subindex, type_name)
+        return ParameterValue("", index, subindex, type_name, number)
 
     def _write(self, node: int, value: ParameterValue) -> None:
-        self.sdo.write(node, *value.place, value.type, value.value)
-        back = self.sdo.number(node, *value.place, value.type)
-        if back != value.value:
-            raise WriteIgnored(value, back)
+        self.sdo.write_number(node, *value.key, value.type, value.value)
+        read_back = self.sdo.read_number(node, *value.key, value.type)
+        if read_back != value.value:
+            raise WriteIgnored(value, read_back)
 
 
 class WriteIgnored(SdoAborted):
-    """The node took the value, and has another."""
+    """The node accepted the write, but the object has another value."""
 
-    def __init__(self, value: ParameterValue, back: int) -> None:
+    def __init__(self, value: ParameterValue, read_back: int) -> None:
         Exception.__init__(
-            self, f"{value.shown} was written as {value.value:#x} and reads {back:#x}"
+            self, f"{value.label} was written as {value.value:#x} and reads {read_back:#x}"
         )
         self.code = 0

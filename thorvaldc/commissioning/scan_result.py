@@ -1,4 +1,4 @@
-"""What a scan has found, and the verdict on each node."""
+"""The result of a scan: the devices on the bus, and the verdict on each node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DUPLICATE, WRONG_IDENTITY, WITHOUT_ID = "duplicate-suspected", "wrong-identity",
 
 @dataclass(frozen=True, slots=True)
 class FoundDevice:
-    """A device on the bus.  ``id`` 255: it has none; ``None``: it is not CANopen's."""
+    """A device on the bus.  ``id`` 255: it has no id; ``None``: it is not a CANopen device."""
 
     id: int | None
     identity: Identity | None = None
@@ -23,7 +23,7 @@ class FoundDevice:
 
 @dataclass(frozen=True, slots=True)
 class ScanEntry:
-    """The verdict on a node, or on a device that is none of the robot's (``node`` empty)."""
+    """The verdict on a node, or on a device that the robot file does not name (``node`` empty)."""
 
     node: str
     verdict: str
@@ -34,10 +34,11 @@ class ScanEntry:
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """``active``: nodes were asked, not only listened to.  ``masters``: signs of another master.
+    """``active``: the scan sent requests.  ``masters``: frames of another master.
 
-    ``enabled``: drives that may move.  ``values``: by node what its objects hold (``None``:
-    it cannot be read), where they were read.  ``duplicates``: evidence by id.
+    ``enabled``: drives that may move, each with the reason.  ``duplicates``: evidence by id.
+    ``values``: contents of the object dictionaries by node, where they were read; ``None``: the
+    node refuses to read an object.
     """
 
     active: bool
@@ -56,11 +57,11 @@ class ScanResult:
         raise KeyError(node)
 
     def ids(self) -> dict[str, int]:
-        """The CANopen id of each of the robot's nodes that was found; 255: it has none."""
+        """The CANopen id of each node of the robot on the bus; 255: it has none."""
         return {
-            e.node: e.found.id
-            for e in self.entries
-            if e.node and e.found is not None and e.found.id is not None
+            entry.node: entry.found.id
+            for entry in self.entries
+            if entry.node and entry.found is not None and entry.found.id is not None
         }
 
     def as_json(self) -> dict[str, Any]:
@@ -74,21 +75,21 @@ class ScanResult:
 
 
 def _entry_json(entry: ScanEntry) -> dict[str, Any]:
-    found = entry.found
+    device = entry.found
     return {
         "node": entry.node or None,
         "verdict": entry.verdict,
         "wanted_id": entry.wanted_id,
-        "found_id": None if found is None or found.id == UNCONFIGURED else found.id,
-        "identity": None if found is None or found.identity is None else list(found.identity),
-        "device_type": None if found is None else found.device_type,
-        "texts": [] if found is None else list(found.texts),
+        "found_id": None if device is None or device.id == UNCONFIGURED else device.id,
+        "identity": None if device is None or device.identity is None else list(device.identity),
+        "device_type": None if device is None else device.device_type,
+        "texts": [] if device is None else list(device.texts),
         "detail": entry.detail,
     }
 
 
 def identity_text(identity: Identity | None) -> str:
-    """``vendor 0x00000469, product 402, serial 0x101``"""
+    """``vendor 0x469, product 0x402, revision 0x1, serial 0x101``"""
     if identity is None:
         return "a device of unknown identity"
     vendor, product, revision, serial = identity

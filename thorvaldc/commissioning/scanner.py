@@ -1,29 +1,30 @@
-"""What is on a bus: first by listening, then, if asked, by asking one node at a time.
+"""Scans a bus: first by listening only, then, if requested, with requests to one node at a time.
 
-Duplicate addresses do not announce themselves, so every answer is counted, again and again.
-Bitrates are never probed by sending.
+Two nodes with the same id cause no error on the bus.  So the scanner counts all responses and reads
+the serial numbers twice.  It never tries a bitrate by sending.
+
+Active scan in time:
+
+    listen       > 3 heartbeat periods      rate of heartbeats, boot-ups, another master
+    discover     0x601, 0x602, ... 0x67E    one upload of 0x1000 each, 4 ms apart
+    identify     each responding node       0x1000, 0x1018:1..4 (serial number twice), texts
+    LSS select   each known identity        number of responses, id of the device
+    LSS fastscan                            devices without id that no serial number found
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState, sdo_upload
+from thorvaldc.can.cia402 import DriveState
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
-from thorvaldc.commissioning.bus_master import (
-    HEARTBEAT,
-    OPERATIONAL,
-    SDO_REQUEST,
-    SDO_RESPONSE,
-    BusMaster,
-    other_master_error,
-)
+from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
+from thorvaldc.commissioning.scan_evaluation import Findings, ScanEvaluation
 from thorvaldc.commissioning.scan_result import (
-    DUPLICATE,
-    MISSING,
     OK,
-    UNEXPECTED,
     WITHOUT_ID,
     WRONG_IDENTITY,
     FoundDevice,
@@ -39,370 +40,263 @@ from thorvaldc.commissioning.sdo_client import (
 )
 
 PERIODS = 3.2
-"""Periods of the slowest heartbeat to listen for: one node is heard at most four times, two
-nodes of one id at least six times."""
-LEAST_LISTENING = 0.3
+"""Listening time in periods of the slowest heartbeat: one node sends at most 4 heartbeats in that
+time, two nodes with one id at least 6."""
+SHORTEST_LISTENING = 0.3
+"""s"""
 BACKLOG = 0.02
-"""s in which a node that was alone, and had nobody to acknowledge its frames, sends those that
-waited: heartbeats of this time count as one."""
-ROUNDS = 2
-"""How often an identity is read."""
+"""s: a node that was alone on the bus now sends the frames that waited for an acknowledge.  Its
+heartbeats of this time count as one."""
+SERIAL_ROUNDS = 2
+"""Number of times that the serial number is read."""
 IDENTITY, DEVICE_TYPE = 0x1018, 0x1000
-SURPLUS = "more answers than requests"
 TEXTS = (0x1008, 0x1009, 0x100A)
+"""Objects: device name, hardware version, software version."""
+SURPLUS = "more answers than requests"
+LAST_SCANNED_ID = 126
+"""127 is the master's id."""
+MAXIMUM_DEVICES = 126
+PROGRESS_STEP = 8
 
 Progress = Callable[[str, int, int], None]
-"""Progress: what is being done, how many of how many are done."""
+"""Called with the present activity, the number of finished parts, and the number of all parts."""
 
 
 class Scanner:
-    """Finds what is on the bus and compares it with the target."""
+    """Finds the devices on a bus and compares them with the required configuration."""
 
     def __init__(
-        self, master: BusMaster, target: BusConfiguration, progress: Progress | None = None
+        self, master: BusMaster, configuration: BusConfiguration, progress: Progress | None = None
     ) -> None:
         self.master = master
-        self.target = target
+        self.configuration = configuration
         self.sdo = SdoClient(master)
         self.lss = LssMaster(master)
-        self._progress = progress or (lambda what, done, of: None)
-        self._evidence: dict[int, str] = {}
-        self._found: dict[int, FoundDevice] = {}  # by id, as SDO tells
-        self._placed: dict[str, FoundDevice] = {}  # by the node's name, as LSS tells
-        self._bare: list[FoundDevice] = []
+        self._progress = progress or (lambda activity, done, total: None)
+        self._findings = Findings()
 
     def passive(self) -> ScanResult:
-        """Listen for two periods of the heartbeats; nothing is sent."""
+        """Listens; sends nothing."""
         self._listen()
-        entries = []
-        for node in self.target.nodes:
-            heard = self._heard_of(node)
-            doubt = self._evidence.get(node.id) if node.canopen else None
-            if doubt:
-                entries.append(
-                    ScanEntry(node.name, DUPLICATE, node.id, FoundDevice(node.id), doubt)
-                )
-            elif heard:
-                detail = "heard; its identity was not asked for" if node.sdo else "heard"
-                entries.append(ScanEntry(node.name, OK, node.id, FoundDevice(node.id), detail))
-            else:
-                detail = "not heard; it may be there without sending by itself"
-                entries.append(ScanEntry(node.name, MISSING, node.id, None, detail))
-        entries += self._strangers()
-        return self._scan(False, entries)
+        return self._result(False, self._evaluation().passive_entries())
 
     def active(self, *, values: bool = True, texts: bool = True) -> ScanResult:
-        """Listen, then ask every node.  ``values``: read the objects that the target names, too.
+        """Listens, then sends requests to every id.
 
-        Raises ``DiagnosticError`` (``bus-other-master``) where another asks already.
+        ``values``: also reads the objects that the configuration contains.  ``texts``: also reads
+        names and versions.  Raises ``DiagnosticError`` (``bus-other-master``).
         """
         self._listen()
         if self.master.masters:
             raise other_master_error(list(self.master.masters))
         self._discover()
         self._identify(texts)
-        nodes = [node for node in self.target.nodes if node.lss]
-        self._select([(n.name, n.identity) for n in nodes if n.identity is not None])
+        nodes = [node for node in self.configuration.nodes if node.lss]
+        self._select([(node.name, node.identity) for node in nodes if node.identity is not None])
         if nodes:
-            self._look_for_bare()
-        return self._judge(values)
+            self._find_devices_without_id()
+        return self._evaluate(values)
 
-    def again(self, before: ScanResult, *, values: bool = True) -> ScanResult:
-        """Ask only those whom ``before`` has found, and LSS by serial number: nobody is looked for.
-
-        For just after a reset of the robot's own nodes.
-        """
-        self._evidence = dict(before.duplicates)
-        lss = {node.name for node in self.target.nodes if node.lss}
-        known = [
-            (e.node, e.found.identity)
-            for e in before.entries
-            if e.node in lss and e.found is not None and e.found.identity is not None
+    def again(self, previous: ScanResult, *, values: bool = True) -> ScanResult:
+        """Scans only the devices of ``previous``, soon after a reset of the robot's nodes."""
+        findings = self._findings
+        findings.evidence = dict(previous.duplicates)
+        lss_nodes = {node.name for node in self.configuration.nodes if node.lss}
+        identities = [
+            (entry.node, entry.found.identity)
+            for entry in previous.entries
+            if entry.node in lss_nodes
+            and entry.found is not None
+            and entry.found.identity is not None
         ]
-        self._select(known)
-        ids = {found.id for found in self._placed.values()}
-        for entry in before.entries:
-            found = entry.found
-            if found is None or found.id is None or entry.node in self._placed:
+        self._select(identities)
+        ids = {device.id for device in findings.by_name.values()}
+        for entry in previous.entries:
+            device = entry.found
+            if device is None or device.id is None or entry.node in findings.by_name:
                 continue
-            if found.id == UNCONFIGURED:
+            if device.id == UNCONFIGURED:
                 if not entry.node:
-                    self._bare.append(found)
-            elif not entry.node or self.target.node(entry.node).sdo:
-                ids.add(found.id)
+                    findings.without_id.append(device)
+            elif not entry.node or self.configuration.node(entry.node).sdo:
+                ids.add(device.id)
         for node in sorted(i for i in ids if i is not None and i != UNCONFIGURED):
             self._probe(node, self.master.timing.lss)
         self._identify(texts=False)
-        return self._judge(values)
+        return self._evaluate(values)
 
-    # -- steps of a scan --------------------------------------------------------------------
+    # -- phases of a scan -------------------------------------------------------------------
 
     def _listen(self) -> None:
-        periods = [n.heartbeat for n in self.target.nodes if n.heartbeat]
-        seconds = max([PERIODS * period for period in periods] + [LEAST_LISTENING])
+        nodes = self.configuration.nodes
+        periods = [node.heartbeat for node in nodes if node.heartbeat]
+        seconds = max([PERIODS * period for period in periods] + [SHORTEST_LISTENING])
         self.master.forget()
         self._progress("listening", 0, 1)
         self.master.listen(BACKLOG)
-        waited = {node.id: len(self._heartbeats(node.id)) for node in self.target.nodes}
+        waited = {node.id: len(self._heartbeats(node.id)) for node in nodes}
         self.master.listen(seconds - BACKLOG)
         self._progress("listening", 1, 1)
-        for node in self.target.nodes:
+        evidence = self._findings.evidence
+        for node in nodes:
             count = len(self._heartbeats(node.id)) - max(waited[node.id] - 1, 0)
             if node.canopen and node.heartbeat and count > seconds / node.heartbeat + 1.5:
-                self._evidence[node.id] = (
-                    f"{count} heartbeats in {seconds:g} s, one each {node.heartbeat:g} s is right"
+                evidence[node.id] = (
+                    f"{count} heartbeats in {seconds:g} s; the period is {node.heartbeat:g} s"
                 )
-        for where in sorted(set(self.master.boots)):
-            if self.master.boots.count(where) > 1:
-                self._evidence[where] = f"{self.master.boots.count(where)} boot-ups"
+        for node_id in sorted(set(self.master.boots)):
+            if self.master.boots.count(node_id) > 1:
+                evidence[node_id] = f"{self.master.boots.count(node_id)} boot-ups"
 
     def _discover(self) -> None:
-        """One small request to every id that may be a node's; who answers is asked more."""
-        taken = {frame.cob_id for frame in self.master.bus.frames if frame.kind != "sdo"}
-        silent = {n.id for n in self.target.nodes if n.canopen and not n.sdo}
-        silent.add(self.master.bus.master_id)
-        ids = [n for n in range(1, 127) if n not in silent and SDO_REQUEST + n not in taken]
-        before = {n: len(self._answers(n)) for n in ids}
-        for place, node in enumerate(ids):
-            if place % 8 == 0:
-                self._progress("looking for nodes", place, len(ids))
-            self.master.send(SDO_REQUEST + node, bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0]))
+        """Sends one short request to every id that can be a node's, and counts the responses."""
+        used = {frame.cob_id for frame in self.master.bus.frames if frame.kind != "sdo"}
+        without_sdo = {n.id for n in self.configuration.nodes if n.canopen and not n.sdo}
+        without_sdo.add(self.master.bus.master_id)
+        ids = [
+            node
+            for node in range(1, LAST_SCANNED_ID + 1)
+            if node not in without_sdo and SDO_REQUEST + node not in used
+        ]
+        earlier = {node: len(self._responses(node)) for node in ids}
+        for position, node in enumerate(ids):
+            if position % PROGRESS_STEP == 0:
+                self._progress("looking for nodes", position, len(ids))
+            self.master.send(SDO_REQUEST + node, sdo_upload(DEVICE_TYPE, 0))
             self.master.listen(self.master.timing.probe_gap)
         self.master.listen(self.master.timing.probe_tail)
         self._progress("looking for nodes", len(ids), len(ids))
         for node in ids:
-            count = len(self._answers(node)) - before[node]
-            if count:
-                self._found[node] = FoundDevice(node)
-            if count > 1:
-                self._evidence[node] = f"{count} answers to one request"
+            self._add_responding(node, len(self._responses(node)) - earlier[node])
 
     def _heartbeats(self, node: int) -> list[float]:
-        return self.master.heard.get(HEARTBEAT + node, [])
+        return self.master.received.get(HEARTBEAT + node, [])
 
-    def _answers(self, node: int) -> list[float]:
-        return self.master.heard.get(SDO_RESPONSE + node, [])
+    def _responses(self, node: int) -> list[float]:
+        return self.master.received.get(SDO_RESPONSE + node, [])
 
     def _probe(self, node: int, timeout: float) -> None:
-        answers = self.sdo.every(node, DEVICE_TYPE, 0, timeout=timeout)
-        if answers:
-            self._found[node] = FoundDevice(node)
-        if len(answers) > 1:
-            self._evidence[node] = f"{len(answers)} answers to one request"
+        responses = self.sdo.upload_all(node, DEVICE_TYPE, 0, timeout=timeout)
+        self._add_responding(node, len(responses))
+
+    def _add_responding(self, node: int, responses: int) -> None:
+        if responses:
+            self._findings.by_id[node] = FoundDevice(node)
+        if responses > 1:
+            self._findings.evidence[node] = f"{responses} answers to one request"
 
     def _identify(self, texts: bool) -> None:
-        ids = sorted(n for n in self._found if self._found[n].identity is None)
-        for place, node in enumerate(ids):
-            self._progress("reading identities", place, len(ids))
-            kind = (self._number(node, DEVICE_TYPE, 0, 1) or [None])[-1]
+        by_id = self._findings.by_id
+        ids = sorted(node for node in by_id if by_id[node].identity is None)
+        for position, node in enumerate(ids):
+            self._progress("reading identities", position, len(ids))
+            device_type = (self._read_all(node, DEVICE_TYPE, 0, 1) or [None])[-1]
             numbers = [
-                self._number(node, IDENTITY, subindex, ROUNDS if subindex == 4 else 1)
+                self._read_all(node, IDENTITY, subindex, SERIAL_ROUNDS if subindex == 4 else 1)
                 for subindex in (1, 2, 3, 4)
             ]
-            # A number that it refuses it does not have; one that it is silent about is not known.
-            known = all(numbers) and numbers[0][-1] is not None
-            identity = Identity(*(seen[-1] or 0 for seen in numbers)) if known else None
-            words: tuple[str, ...] = ()
-            if texts and node not in self._evidence:
-                words = tuple(self._text(node, index) for index in TEXTS)
-            self._found[node] = FoundDevice(node, identity, kind, words)
+            # A number that the node refuses counts as 0; without an answer it is unknown.
+            complete = all(numbers) and numbers[0][-1] is not None
+            identity = Identity(*(answers[-1] or 0 for answers in numbers)) if complete else None
+            read_texts: tuple[str, ...] = ()
+            if texts and node not in self._findings.evidence:
+                read_texts = tuple(self._read_text(node, index) for index in TEXTS)
+            by_id[node] = FoundDevice(node, identity, device_type, read_texts)
         self._progress("reading identities", len(ids), len(ids))
 
-    def _number(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
-        """Every answer to requests for a number; ``None``: it was refused."""
-        seen: list[int | None] = []
+    def _read_all(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
+        """Returns every response to ``rounds`` requests for a number; ``None``: refused."""
+        evidence = self._findings.evidence
+        numbers: list[int | None] = []
         for _ in range(rounds):
-            answers = self.sdo.every(node, index, subindex, timeout=self.master.timing.sdo)
-            if len(answers) > 1:
-                self._evidence[node] = f"{len(answers)} answers to one request"
-            for answer in answers:
-                value = int.from_bytes(answer.data, "little")
-                seen.append(None if answer.abort is not None else value)
-        if any(value != seen[0] for value in seen):
-            self._evidence[node] = "its identity changes from answer to answer"
-        return seen
+            timeout = self.master.timing.sdo
+            responses = self.sdo.upload_all(node, index, subindex, timeout=timeout)
+            if len(responses) > 1:
+                evidence[node] = f"{len(responses)} answers to one request"
+            for response in responses:
+                value = int.from_bytes(response.data, "little")
+                numbers.append(None if response.abort is not None else value)
+        if any(number != numbers[0] for number in numbers):
+            evidence[node] = "its identity changes from answer to answer"
+        return numbers
 
-    def _text(self, node: int, index: int) -> str:
+    def _read_text(self, node: int, index: int) -> str:
         try:
-            return self.sdo.text(node, index)
+            return self.sdo.read_text(node, index)
         except (SdoAborted, SdoTimeout):
             return ""
-        except SdoMultipleResponses as fault:
-            self._evidence[node] = str(fault)
+        except SdoMultipleResponses as error:
+            self._findings.evidence[node] = str(error)
             return ""
 
-    def _select(self, known: Sequence[tuple[str, Identity]]) -> None:
-        """Where the nodes with these identities are."""
-        for place, (name, identity) in enumerate(known):
-            self._progress("asking by serial number", place, len(known))
-            self.lss.waiting()
+    def _select(self, identities: Sequence[tuple[str, Identity]]) -> None:
+        """Finds the ids of the devices with these identities by LSS."""
+        for position, (name, identity) in enumerate(identities):
+            self._progress("selecting by serial number", position, len(identities))
+            self.lss.switch_to_waiting()
             count = self.lss.select(identity)
             if count == 0:
                 continue
             if count > 1:
-                where = self.target.node(name).id
-                self._evidence[where] = f"{count} devices are {identity_text(identity)}"
+                node_id = self.configuration.node(name).id
+                self._findings.evidence[node_id] = (
+                    f"{count} devices have the identity {identity_text(identity)}"
+                )
                 continue
             try:
-                self._placed[name] = FoundDevice(self.lss.node_id(), identity)
+                self._findings.by_name[name] = FoundDevice(self.lss.node_id(), identity)
             except LssError:
-                continue  # it is gone, or its answers are doubtful: it is not found
-        if known:
-            self._progress("asking by serial number", len(known), len(known))
-            self.lss.waiting()
+                continue  # the device is gone or its answers are doubtful: it does not count
+        if identities:
+            self._progress("selecting by serial number", len(identities), len(identities))
+            self.lss.switch_to_waiting()
 
-    def _look_for_bare(self) -> None:
-        """Devices without id that no serial number of the file led to."""
-        self.lss.waiting()
-        if not self.lss.someone_unconfigured():
+    def _find_devices_without_id(self) -> None:
+        """Finds devices without id that no serial number of the file selected."""
+        self.lss.switch_to_waiting()
+        if not self.lss.has_unconfigured_slave():
             return
-        for found in self._placed.values():
-            # In the configuration state they do not answer the search.
-            if found.id == UNCONFIGURED and found.identity is not None:
-                self.lss.select(found.identity)
-        while len(self._bare) < 126 and (identity := self.lss.fastscan()) is not None:
-            self._progress("looking for devices without id", len(self._bare), 0)
-            self._bare.append(FoundDevice(UNCONFIGURED, identity))
-        self.lss.waiting()
+        for device in self._findings.by_name.values():
+            # In the configuration state a slave does not answer fastscan.
+            if device.id == UNCONFIGURED and device.identity is not None:
+                self.lss.select(device.identity)
+        devices = self._findings.without_id
+        while len(devices) < MAXIMUM_DEVICES and (identity := self.lss.fastscan()) is not None:
+            self._progress("looking for devices without id", len(devices), 0)
+            devices.append(FoundDevice(UNCONFIGURED, identity))
+        self.lss.switch_to_waiting()
 
-    # -- verdicts ---------------------------------------------------------------------------
+    # -- result -----------------------------------------------------------------------------
 
-    def _judge(self, values: bool) -> ScanResult:
-        for where in sorted(self.master.surplus):
-            self._evidence.setdefault(where, SURPLUS)
-        placed = self._place()
-        entries = [self._verdict(node, placed) for node in self.target.nodes]
-        taken = list(placed.values())
-        for found in (*self._found.values(), *self._bare):
-            if any(found is other for other in taken):
-                continue
-            shared = [e for e in entries if e.found is not None and e.found.id == found.id]
-            if found.id in self._evidence and found.id != UNCONFIGURED and shared:
-                continue
-            if found.identity is not None and any(
-                other.identity == found.identity and other.id == found.id for other in taken
-            ):
-                continue
-            what = "no id" if found.id == UNCONFIGURED else f"id {found.id}"
-            if found.id in self._evidence:
-                detail = self._evidence[found.id]
-                entries.append(ScanEntry("", DUPLICATE, None, found, detail))
-            else:
-                detail = f"a device with {what} that the robot's file does not name"
-                if found.identity is None:
-                    detail = f"the device with {what} does not say who it is"
-                entries.append(ScanEntry("", UNEXPECTED, None, found, detail))
-        entries += self._strangers()
+    def _evaluation(self) -> ScanEvaluation:
+        known = {frame.cob_id for frame in self.master.bus.frames}
+        return ScanEvaluation(self.configuration, self._findings, self.master.received, known)
+
+    def _evaluate(self, values: bool) -> ScanResult:
+        for node_id in sorted(self.master.surplus):
+            self._findings.evidence.setdefault(node_id, SURPLUS)
+        entries = self._evaluation().active_entries()
         read: dict[str, dict[tuple[int, int], int | None]] = {}
         if values:
-            readable = [e for e in entries if e.node and e.verdict == OK]
-            for place, entry in enumerate(readable):
-                self._progress("reading values", place, len(readable))
-                node = self.target.node(entry.node)
+            readable = [entry for entry in entries if entry.node and entry.verdict == OK]
+            for position, entry in enumerate(readable):
+                self._progress("reading values", position, len(readable))
+                node = self.configuration.node(entry.node)
                 if node.sdo and node.values and node.id != UNCONFIGURED:
-                    read[node.name] = self._values(node, node.id)
+                    read[node.name] = self._read_values(node)
             self._progress("reading values", len(readable), len(readable))
-        return self._scan(True, entries, read)
+        return self._result(True, entries, read)
 
-    def _place(self) -> dict[str, FoundDevice]:
-        """The device that is taken for each node."""
-        placed: dict[str, FoundDevice] = {}
-        for node in self.target.nodes:
-            given = self._placed.get(node.name)
-            here = self._found.get(node.id) if node.canopen else None
-            if given is not None:
-                own = None if given.id is None else self._found.get(given.id)
-                whole = own is not None and own.identity == given.identity
-                placed[node.name] = own if whole and own is not None else given
-            elif here is not None and self._alike(node, here):
-                placed[node.name] = here
-            elif (elsewhere := self._by_serial(node)) is not None:
-                placed[node.name] = elsewhere
-            elif not node.sdo and self._heard_of(node):
-                placed[node.name] = FoundDevice(node.id if node.canopen else None)
-        for node in self.target.nodes:
-            # Without a serial number in the file the only one of its kind is it.
-            if node.name in placed or not node.lss or node.serial is not None:
-                continue
-            like = [f for f in (*self._bare, *self._found.values()) if self._alike(node, f)]
-            free = [f for f in like if not any(f is other for other in placed.values())]
-            waiting = [
-                other
-                for other in self.target.nodes
-                if other.name not in placed
-                and other.lss
-                and other.serial is None
-                and free
-                and self._alike(other, free[0])
-            ]
-            if len(free) == 1 and len(waiting) == 1:
-                placed[node.name] = free[0]
-        return placed
-
-    def _by_serial(self, node: NodeConfiguration) -> FoundDevice | None:
-        """One that says over SDO that it is that very device, though it does not by LSS."""
-        if node.serial is None:
-            return None
-        return next((f for f in self._found.values() if self._alike(node, f)), None)
-
-    def _alike(self, node: NodeConfiguration, found: FoundDevice) -> bool:
-        if found.identity is None or not node.is_like(found.identity):
-            return False
-        kind = node.device_type
-        return kind is None or found.device_type is None or kind == found.device_type
-
-    def _verdict(self, node: NodeConfiguration, placed: dict[str, FoundDevice]) -> ScanEntry:
-        found = placed.get(node.name)
-        where = node.id if node.canopen else None
-        if found is not None and found.id in self._evidence and found.id is not None:
-            return ScanEntry(node.name, DUPLICATE, where, found, self._evidence[found.id])
-        if where in self._evidence and where is not None:
-            return ScanEntry(node.name, DUPLICATE, where, found, self._evidence[where])
-        if found is not None and found.id == where:
-            if node.device_type not in (None, found.device_type) and node.sdo:
-                kind = "no" if found.device_type is None else f"{found.device_type:#x}"
-                detail = f"its device type is {kind}, not {node.device_type:#x}"
-                return ScanEntry(node.name, WRONG_IDENTITY, where, found, detail)
-            return ScanEntry(node.name, OK, where, found)
-        here = self._found.get(node.id) if node.canopen and node.sdo else None
-        if here is not None:
-            name = identity_text(here.identity)
-            detail = f"at id {node.id} stands {name}"
-            if found is not None:
-                at = "without id" if found.id == UNCONFIGURED else f"at id {found.id}"
-                detail += f", it is {at}"
-            return ScanEntry(node.name, WRONG_IDENTITY, where, found, detail)
-        if found is not None:
-            at = "it has no id yet" if found.id == UNCONFIGURED else f"it has the id {found.id}"
-            return ScanEntry(node.name, WITHOUT_ID, where, found, at)
-        return ScanEntry(node.name, MISSING, where, None, "nobody answers for it")
-
-    def _heard_of(self, node: NodeConfiguration) -> bool:
-        return any(identifier in self.master.heard for identifier, _ in node.seen_by)
-
-    def _strangers(self) -> list[ScanEntry]:
-        """Ids that only heartbeats tell of, and frames that nobody in the file sends."""
-        known = {frame.cob_id for frame in self.master.bus.frames}
-        entries = []
-        for identifier in sorted(self.master.heard):
-            node = identifier - HEARTBEAT
-            if identifier in known or not 0 < node < 127:
-                continue
-            if node not in self._found and all(f.id != node for f in self._placed.values()):
-                detail = f"the heartbeat of id {node} is heard, which is not in the robot's file"
-                entries.append(ScanEntry("", UNEXPECTED, None, FoundDevice(node), detail))
-        return entries
-
-    def _values(self, node: NodeConfiguration, where: int) -> dict[tuple[int, int], int | None]:
-        found: dict[tuple[int, int], int | None] = {}
+    def _read_values(self, node: NodeConfiguration) -> dict[tuple[int, int], int | None]:
+        numbers: dict[tuple[int, int], int | None] = {}
         for value in node.values:
             try:
-                found[value.place] = self.sdo.number(where, *value.place, value.type)
+                numbers[value.key] = self.sdo.read_number(node.id, *value.key, value.type)
             except (SdoAborted, SdoTimeout, SdoMultipleResponses):
-                found[value.place] = None
-        return found
+                numbers[value.key] = None
+        return numbers
 
-    def _scan(
+    def _result(
         self,
         active: bool,
         entries: Sequence[ScanEntry],
@@ -410,35 +304,36 @@ class Scanner:
     ) -> ScanResult:
         enabled: list[tuple[str, str]] = []
         for entry in entries:
-            node = self.target.node(entry.node) if entry.node else None
-            where = entry.found.id if entry.found is not None else None
-            if node is None or not node.drive or where is None or where == UNCONFIGURED:
+            node = self.configuration.node(entry.node) if entry.node else None
+            node_id = entry.found.id if entry.found is not None else None
+            if node is None or not node.drive or node_id is None or node_id == UNCONFIGURED:
                 continue
-            if self.master.states.get(where) == OPERATIONAL:
+            if self.master.states.get(node_id) == NmtState.OPERATIONAL:
                 enabled.append((node.name, "it is operational"))
             elif active and entry.verdict in (OK, WRONG_IDENTITY, WITHOUT_ID):
-                enabled += [(node.name, word) for word in self._enabled(node, where)]
-        # Of what came while values were read, after the verdicts.
-        late = [(where, SURPLUS) for where in sorted(self.master.surplus)]
-        late = [pair for pair in late if pair[0] not in self._evidence]
+                enabled += [(node.name, reason) for reason in self._enabled(node, node_id)]
+        evidence = self._findings.evidence
+        # Surplus responses that came after the evaluation, while values were read.
+        late = [(i, SURPLUS) for i in sorted(self.master.surplus) if i not in evidence]
         return ScanResult(
             active,
             tuple(entries),
             tuple(self.master.masters),
             tuple(enabled),
-            (*sorted(self._evidence.items()), *late),
+            (*sorted(evidence.items()), *late),
             values or {},
             self.master.frames,
         )
 
-    def _enabled(self, node: NodeConfiguration, where: int) -> list[str]:
-        """Where a drive says that its motor is under current."""
-        found = []
+    def _enabled(self, node: NodeConfiguration, node_id: int) -> list[str]:
+        """Returns the status words by which motors of the node are powered."""
+        reasons = []
         for index in node.statuswords:
             try:
-                word = self.sdo.number(where, index, 0, "unsigned16")
+                word = self.sdo.read_number(node_id, index, 0, "unsigned16")
             except (SdoAborted, SdoTimeout, SdoMultipleResponses):
                 continue
-            if word & 0x6F in (0x27, 0x07):
-                found.append(f"its statusword {index:04x} is {word:#06x}, enabled")
-        return found
+            state = DriveState.of(word)
+            if state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE):
+                reasons.append(f"its statusword {index:04x} is {word:#06x}, enabled")
+        return reasons

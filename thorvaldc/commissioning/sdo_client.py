@@ -1,33 +1,32 @@
-"""The client's side of SDO transfers (CiA 301), which counts every answer."""
+"""An SDO client (CiA 301) that counts the responses, so that it detects two nodes with one id.
+
+``thorvaldc.can.canopen`` and ``thorvaldc.can.sdo`` draw the messages.
+"""
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 
+from thorvaldc.can import sdo
+from thorvaldc.can.canopen import (
+    SDO_REQUEST,
+    SDO_RESPONSE,
+    abort_text,
+    sdo_abort_code,
+    sdo_upload,
+)
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.bus_master import SDO_REQUEST, SDO_RESPONSE, BusMaster
-from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.commissioning.bus_master import BusMaster
 
-_TEXTS = {
-    0x06010001: "it can only be written",
-    0x06010002: "it can only be read",
-    0x06020000: "there is no such object",
-    0x06040041: "the object cannot be mapped",
-    0x06040042: "the mapping is too long",
-    0x06070010: "the length is wrong",
-    0x06090011: "there is no such subindex",
-    0x06090030: "the value is out of range",
-    0x08000020: "it cannot be stored",
-    0x08000022: "not in the present state",
-}
+LONGEST_TEXT = 256
+"""Bytes of a text after which the client stops to read."""
 
 
 class SdoAborted(Exception):
     """The node aborted the transfer."""
 
     def __init__(self, code: int) -> None:
-        super().__init__(f"{_TEXTS.get(code, 'refused')} ({code:#010x})")
+        super().__init__(abort_text(code))
         self.code = code
 
 
@@ -35,7 +34,7 @@ class SdoTimeout(Exception):
     """The node did not answer in time."""
 
     def __init__(self) -> None:
-        super().__init__("no answer")
+        super().__init__("it does not answer")
 
 
 class SdoMultipleResponses(Exception):
@@ -46,8 +45,8 @@ class SdoMultipleResponses(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """One node's answer to an upload: its value, or the abort code."""
+class UploadResponse:
+    """The response of one node to an upload request: its value, or the abort code."""
 
     data: bytes = b""
     abort: int | None = None
@@ -57,42 +56,42 @@ class SdoClient:
     def __init__(self, master: BusMaster) -> None:
         self.master = master
 
-    def every(self, node: int, index: int, subindex: int, *, timeout: float) -> list[Answer]:
-        """Every answer to one request to read a number; text comes as its length."""
-        request = struct.pack("<BHB4x", 0x40, index, subindex)
-        frames = self._ask(node, request, timeout, self.master.timing.settle)
-        return [_answer(frame.data) for frame in frames]
+    def upload_all(
+        self, node: int, index: int, subindex: int, *, timeout: float
+    ) -> list[UploadResponse]:
+        """Returns every response to one request to read a number.
 
-    def number(self, node: int, index: int, subindex: int, type_name: str) -> int:
+        Of a longer value, such as a text, the data is its length.
+        """
+        request = sdo_upload(index, subindex)
+        frames = self._request(node, request, timeout, self.master.timing.settle)
+        return [_upload_response(frame.data) for frame in frames]
+
+    def read_number(self, node: int, index: int, subindex: int, type_name: str) -> int:
         """Raises ``SdoAborted``, ``SdoTimeout`` or ``SdoMultipleResponses``."""
-        request = struct.pack("<BHB4x", 0x40, index, subindex)
-        answer = _answer(self._one(node, request))
-        if answer.abort is not None:
-            raise SdoAborted(answer.abort)
-        bits = OBJECT_TYPES[type_name][1]
-        length = max(bits // 8, 1)
-        data = answer.data[:length].ljust(length, b"\0")
-        return int.from_bytes(data, "little", signed=type_name.startswith("integer"))
+        response = _upload_response(self._single_response(node, sdo_upload(index, subindex)))
+        if response.abort is not None:
+            raise SdoAborted(response.abort)
+        return sdo.decode_number(type_name, response.data)
 
-    def text(self, node: int, index: int) -> str:
-        """As ``number``, of a text of any length."""
-        reply = self._one(node, struct.pack("<BHB4x", 0x40, index, 0))
-        if reply[0] == 0x80:
-            raise SdoAborted(struct.unpack_from("<I", reply, 4)[0])
-        if reply[0] & 2:
-            return _answer(reply).data.decode("latin-1").rstrip("\0")
+    def read_text(self, node: int, index: int) -> str:
+        """Reads a text, in segments if it is long.  Raises as ``read_number`` does."""
+        response = self._single_response(node, sdo_upload(index, 0))
+        _raise_abort(response)
+        if sdo.is_expedited(response):
+            return _text(sdo.expedited_data(response))
         data, toggle = b"", 0
-        while len(data) < 256:
-            reply = self._one(node, bytes([0x60 | toggle << 4]) + bytes(7), segment=True)
-            if reply[0] == 0x80:
-                raise SdoAborted(struct.unpack_from("<I", reply, 4)[0])
-            data += reply[1 : 8 - (reply[0] >> 1 & 7)]
-            if reply[0] & 1:
+        while len(data) < LONGEST_TEXT:
+            request = sdo.upload_segment_request(toggle)
+            response = self._single_response(node, request, segment=True)
+            _raise_abort(response)
+            data += sdo.segment_data(response)
+            if sdo.is_last_segment(response):
                 break
             toggle ^= 1
-        return data.decode("latin-1").rstrip("\0")
+        return _text(data)
 
-    def write(
+    def write_number(
         self,
         node: int,
         index: int,
@@ -101,28 +100,25 @@ class SdoClient:
         value: int,
         timeout: float | None = None,
     ) -> None:
-        """An expedited download.  Raises as ``number`` does."""
-        size = max(OBJECT_TYPES[type_name][1] // 8, 1)
-        data = (value & (1 << 8 * size) - 1).to_bytes(4, "little")
-        head = 0x23 | (4 - size) << 2
-        reply = self._one(node, struct.pack("<BHB", head, index, subindex) + data, timeout)
-        if reply[0] == 0x80:
-            raise SdoAborted(struct.unpack_from("<I", reply, 4)[0])
+        """Writes by expedited download.  Raises as ``read_number`` does."""
+        data = sdo.encode_number(type_name, value)
+        request = sdo.download_request(index, subindex, data)
+        _raise_abort(self._single_response(node, request, timeout))
 
     # -- inside -----------------------------------------------------------------------------
 
-    def _one(
+    def _single_response(
         self, node: int, request: bytes, timeout: float | None = None, segment: bool = False
     ) -> bytes:
-        """The one answer.  A second that comes later is in nobody's way: it fits no request."""
-        frames = self._ask(node, request, timeout or self.master.timing.sdo, 0.0, segment)
+        """Returns the response.  A later second one does no harm: it fits no later request."""
+        frames = self._request(node, request, timeout or self.master.timing.sdo, 0.0, segment)
         if not frames:
             raise SdoTimeout
         if len(frames) > 1:
             raise SdoMultipleResponses(len(frames))
         return frames[0].data
 
-    def _ask(
+    def _request(
         self,
         node: int,
         request: bytes,
@@ -130,19 +126,28 @@ class SdoClient:
         settle: float,
         segment: bool = False,
     ) -> list[CanFrame]:
-        answer, place = SDO_RESPONSE + node, request[1:4]
+        response_id, multiplexer = SDO_RESPONSE + node, request[1:4]
 
         def fits(frame: CanFrame) -> bool:
-            if frame.id != answer or len(frame.data) != 8:
+            if frame.id != response_id or len(frame.data) != 8:
                 return False
-            return segment or frame.data[1:4] == place
+            return segment or frame.data[1:4] == multiplexer
 
-        return self.master.ask(SDO_REQUEST + node, request, fits, timeout, settle)
+        return self.master.request(SDO_REQUEST + node, request, fits, timeout, settle)
 
 
-def _answer(data: bytes) -> Answer:
-    if data[0] == 0x80:
-        return Answer(abort=struct.unpack_from("<I", data, 4)[0])
-    if data[0] & 2:
-        return Answer(data[4 : 8 - (data[0] >> 2 & 3)] if data[0] & 1 else data[4:8])
-    return Answer(data[4:8])
+def _upload_response(data: bytes) -> UploadResponse:
+    abort = sdo_abort_code(data)
+    if abort is not None:
+        return UploadResponse(abort=abort)
+    return UploadResponse(sdo.expedited_data(data) if sdo.is_expedited(data) else data[4:8])
+
+
+def _raise_abort(response: bytes) -> None:
+    abort = sdo_abort_code(response)
+    if abort is not None:
+        raise SdoAborted(abort)
+
+
+def _text(data: bytes) -> str:
+    return data.decode("latin-1").rstrip("\0")

@@ -1,4 +1,18 @@
-"""One step of a plan: its precondition, what it writes, and the proof by reading back."""
+"""Executes the steps of a plan: checks the precondition, writes, and proves the result by reading.
+
+An address step, with its entries in the journal:
+
+    check      nobody answers SDO at the new id
+    journal    begin
+    LSS        select identity, compare its id with ``before``, configure id, store
+    NMT        reset node                        the stored id takes effect
+    wait       boot-up message with the new id
+    check      exactly one node answers at the new id, with this identity
+    journal    done
+
+The reset proves that the id is stored.  A power cut before "store" leaves the old id, and after
+it the new one; both are ids that the plan names, so ``--resume`` can go on from either.
+"""
 
 from __future__ import annotations
 
@@ -6,36 +20,35 @@ import dataclasses
 from collections import Counter
 from typing import Protocol
 
+from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.commissioning.bus_configuration import BusConfiguration
 from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.lss_master import LssMaster
-from thorvaldc.commissioning.object_writer import ParameterWriter
+from thorvaldc.commissioning.object_writer import ObjectWriter
 from thorvaldc.commissioning.plan import AddressStep, AttachStep, ConfigureStep, Plan, PlanStep
 from thorvaldc.commissioning.scan_result import DUPLICATE, MISSING, OK, identity_text
-from thorvaldc.commissioning.scanner import Scanner
+from thorvaldc.commissioning.scanner import DEVICE_TYPE, IDENTITY, Scanner
 from thorvaldc.commissioning.sdo_client import SdoClient
-
-RESET_NODE = 129
 
 
 class Operator(Protocol):
-    """Who does by hand what the bus cannot do."""
+    """The person who powers modules and uses the maker's tool."""
 
-    def attach(self, step: AttachStep, words: str) -> bool:
-        """Ask for the step to be done, and wait for it; ``False``: not now."""
+    def attach(self, step: AttachStep, instructions: str) -> bool:
+        """Requests the step and waits until it is done; ``False``: the operator declines."""
 
-    def power_all(self, words: str) -> bool:
-        """Ask for all modules to be powered again."""
+    def power_all(self, instructions: str) -> bool:
+        """Requests power for all modules; ``False``: the operator declines."""
 
 
 class StepFailed(Exception):
-    """A step did not have its effect; the message says what was seen."""
+    """A step did not have its effect; the message states the observation."""
 
 
 class StepExecutor:
-    """Carries steps out and has them in the journal.  ``at``: how many nodes have which id."""
+    """Executes steps and records them in the journal.  ``nodes_at``: number of nodes by id."""
 
     def __init__(self, master: BusMaster, journal: Journal, operator: Operator | None) -> None:
         self.master = master
@@ -43,163 +56,177 @@ class StepExecutor:
         self.operator = operator
         self.sdo = SdoClient(master)
         self.lss = LssMaster(master)
-        self.writer = ParameterWriter(self.sdo)
-        self.at: Counter[int] = Counter()
+        self.writer = ObjectWriter(self.sdo)
+        self.nodes_at: Counter[int] = Counter()
 
-    def run(self, number: int, step: PlanStep, target: BusConfiguration) -> None:
-        """Raises ``StepFailed``, ``LssError`` or an error of the SDO client."""
+    def run(self, number: int, step: PlanStep, configuration: BusConfiguration) -> None:
+        """Executes a step.
+
+        Raises ``StepFailed``, ``LssError``, ``SdoAborted``, ``SdoTimeout`` or
+        ``SdoMultipleResponses``.
+        """
         if isinstance(step, AddressStep):
-            self._check_alone(step)
+            self._check_free(step.after)
             self.journal.begin(number, step.node, step.description)
-            self._move(step)
+            self._set_address(step)
             self.journal.done(number, step.node, {"id": step.after})
         elif isinstance(step, ConfigureStep):
-            self._check_identity(step.id, step.identity)
-            writer = self.writer
-            read = writer.read(step.id, step.values)
-            old = [v for v in step.values if (now := read.get(v.place)) is None or now != v.value]
-            if not old:
-                self.journal.begin(number, step.node, step.description)
-                self.journal.done(number, step.node, {"written": 0})
-                return
-            unreadable = [v.shown for v in old if read.get(v.place) is None]
-            if unreadable:
-                raise StepFailed(f"it has no object {', '.join(unreadable)}")
-            before = [dataclasses.replace(v, value=read[v.place] or 0) for v in old]
-            self.journal.begin(number, step.node, step.description, before)
-            writer.write(step.id, step.values, read)
-            writer.save(step.id)
-            self._restart(step.id, step.id)
-            self._check_identity(step.id, step.identity)
-            read = writer.read(step.id, step.values)
-            wrong = [v.shown for v in step.values if read.get(v.place) != v.value]
-            if wrong:
-                raise StepFailed(f"after a reset it does not hold {', '.join(wrong)} as written")
-            self.journal.done(number, step.node, {"written": len(old)})
+            self._configure(number, step)
         else:
-            self._attach(number, step, target)
-        for where in sorted(self.master.surplus):
-            raise StepFailed(f"more answers than requests came from id {where}")
+            self._attach(number, step, configuration)
+        for node_id in sorted(self.master.surplus):
+            raise StepFailed(f"more answers than requests came from id {node_id}")
 
-    def _check_alone(self, step: AddressStep) -> None:
-        """The precondition: nobody has the new id."""
-        if step.after == UNCONFIGURED:
+    def reset(self, ids: list[int], count: int) -> None:
+        """Resets the nodes with these ids, ``count`` in all, so that they load their memory."""
+        self.master.boots.clear()
+        for node in ids:
+            self.master.nmt(NmtCommand.RESET_NODE, node)
+        # A node that has lost its id sends no boot-up message: the wait for it runs out.
+        self.master.wait_for_count(count, self.master.timing.boot)
+        self.master.listen(self.master.timing.absent / 4)
+
+    # -- addresses ---------------------------------------------------------------------------
+
+    def _check_free(self, node_id: int) -> None:
+        if node_id == UNCONFIGURED:
             return
-        answers = self.sdo.every(step.after, 0x1000, 0, timeout=self.master.timing.absent)
-        if answers:
-            raise StepFailed(f"somebody has the id {step.after} already")
+        if self.sdo.upload_all(node_id, DEVICE_TYPE, 0, timeout=self.master.timing.absent):
+            raise StepFailed(f"another device already has the id {node_id}")
 
-    def _move(self, step: AddressStep) -> None:
+    def _set_address(self, step: AddressStep) -> None:
         lss = self.lss
-        lss.waiting()
+        lss.switch_to_waiting()
         count = lss.select(step.identity)
         if count != 1:
-            who = "nobody answers" if count == 0 else f"{count} devices answer"
-            raise StepFailed(f"{who} as {identity_text(step.identity)}")
-        where = lss.node_id()
-        if where != step.before:
-            raise StepFailed(f"it has the id {where}, not {step.before}")
+            devices = "no device answers" if count == 0 else f"{count} devices answer"
+            raise StepFailed(f"{devices} as {identity_text(step.identity)}")
+        present_id = lss.node_id()
+        if present_id != step.before:
+            raise StepFailed(f"it has the id {present_id}, not {step.before}")
         lss.configure_id(step.after)
         lss.store()
         self.master.boots.clear()
-        lss.waiting()
+        lss.switch_to_waiting()
         if step.before == UNCONFIGURED:
-            # It takes a first id on at once; what it has stored shows after a reset.
-            self._await([step.after])
+            # A first id takes effect without a reset; the reset proves that it is stored.
+            self._wait_for_boots([step.after])
             self._restart(step.after, step.after)
         else:
             self._restart(step.before, step.after)
-        self.at[step.before] -= 1
-        self.at[step.after] += 1
+        self.nodes_at[step.before] -= 1
+        self.nodes_at[step.after] += 1
         if step.after == UNCONFIGURED:
-            self._check_bare(step.identity)
+            self._check_without_id(step.identity)
         else:
             self._check_identity(step.after, step.identity)
 
     def _restart(self, node: int, after: int) -> None:
+        """Resets the node with id ``node``, and waits for its boot-up message with ``after``."""
         self.master.boots.clear()
-        self.master.nmt(RESET_NODE, node)
+        self.master.nmt(NmtCommand.RESET_NODE, node)
         if after != UNCONFIGURED:
-            # Others of the same id, which are still to get their own, start again with it.
-            others = [node] * (self.at[node] - 1) if node != after else []
-            self._await([after, *others])
+            # The reset also restarts other nodes that still share the old id.
+            others = [node] * (self.nodes_at[node] - 1) if node != after else []
+            self._wait_for_boots([after, *others])
 
-    def reset(self, ids: list[int], count: int) -> None:
-        """What these ``count`` nodes have stored is what they show afterwards."""
-        self.master.boots.clear()
-        for node in ids:
-            self.master.nmt(RESET_NODE, node)
-        # One that has lost its id does not say when it has started.
-        self.master.wait_for_count(count, self.master.timing.boot)
-        self.master.listen(self.master.timing.absent / 4)
-
-    def _await(self, ids: list[int]) -> None:
+    def _wait_for_boots(self, ids: list[int]) -> None:
         missing = self.master.wait_for_boots(ids, self.master.timing.boot)
         if missing:
             raise StepFailed(f"no node has started with the id {missing[0]}")
 
     def _check_identity(self, node: int, identity: Identity | None) -> None:
-        """Exactly one answers there, and it is the one."""
+        """Checks that exactly one node answers at this id, with the identity of the plan."""
         for subindex in (1, 2, 3, 4):
-            wanted = None if identity is None else identity[subindex - 1]
-            answers = self.sdo.every(node, 0x1018, subindex, timeout=self.master.timing.sdo)
-            if not answers:
-                raise StepFailed(f"nobody answers at id {node}")
-            if len(answers) > 1:
-                raise StepFailed(f"{len(answers)} nodes answer at id {node}")
-            answer = answers[0]
-            if answer.abort is None and wanted is not None:
-                found = int.from_bytes(answer.data, "little")
-                if found != wanted:
+            required = None if identity is None else identity[subindex - 1]
+            timeout = self.master.timing.sdo
+            responses = self.sdo.upload_all(node, IDENTITY, subindex, timeout=timeout)
+            if not responses:
+                raise StepFailed(f"no node answers at id {node}")
+            if len(responses) > 1:
+                raise StepFailed(f"{len(responses)} nodes answer at id {node}")
+            response = responses[0]
+            if response.abort is None and required is not None:
+                actual = int.from_bytes(response.data, "little")
+                if actual != required:
                     raise StepFailed(
-                        f"at id {node} stands a device with {found:#x} for {wanted:#x}"
+                        f"the device at id {node} has {actual:#x} in {IDENTITY:#x}:{subindex}, "
+                        f"not {required:#x}"
                     )
-            elif answer.abort is not None and wanted:
-                raise StepFailed(f"the device at id {node} does not say who it is")
+            elif response.abort is not None and required:
+                raise StepFailed(f"the device at id {node} does not report its identity")
 
-    def _check_bare(self, identity: Identity) -> None:
-        """It has no id any more.  Who has none does not say when it has started: it is asked."""
+    def _check_without_id(self, identity: Identity) -> None:
+        """Checks that the device has no id.  It sends no boot-up message, so LSS polls it."""
         limit = self.master.now + self.master.timing.boot
         while True:
-            self.lss.waiting()
+            self.lss.switch_to_waiting()
             if self.lss.select(identity) == 1:
                 break
             if self.master.now >= limit:
-                raise StepFailed(f"nobody answers as {identity_text(identity)}")
-        where = self.lss.node_id()
-        self.lss.waiting()
-        if where != UNCONFIGURED:
-            raise StepFailed(f"it still has the id {where}")
+                raise StepFailed(f"no device answers as {identity_text(identity)}")
+        node_id = self.lss.node_id()
+        self.lss.switch_to_waiting()
+        if node_id != UNCONFIGURED:
+            raise StepFailed(f"it still has the id {node_id}")
 
-    # -- what is done by hand ------------------------------------------------------------------
+    # -- values ------------------------------------------------------------------------------
 
-    def _attach(self, number: int, step: AttachStep, target: BusConfiguration) -> None:
-        node = target.node(step.node)
+    def _configure(self, number: int, step: ConfigureStep) -> None:
+        self._check_identity(step.id, step.identity)
+        writer = self.writer
+        present = writer.read(step.id, step.values)
+        differing = [value for value in step.values if present.get(value.key) != value.value]
+        if not differing:
+            self.journal.begin(number, step.node, step.description)
+            self.journal.done(number, step.node, {"written": 0})
+            return
+        unreadable = [value.label for value in differing if present.get(value.key) is None]
+        if unreadable:
+            raise StepFailed(f"it has no object {', '.join(unreadable)}")
+        previous = [dataclasses.replace(v, value=present[v.key] or 0) for v in differing]
+        self.journal.begin(number, step.node, step.description, previous)
+        writer.write(step.id, step.values, present)
+        writer.save(step.id)
+        self._restart(step.id, step.id)
+        self._check_identity(step.id, step.identity)
+        present = writer.read(step.id, step.values)
+        wrong = [value.label for value in step.values if present.get(value.key) != value.value]
+        if wrong:
+            raise StepFailed(f"after a reset {', '.join(wrong)} differs from the written value")
+        self.journal.done(number, step.node, {"written": len(differing)})
+
+    # -- steps of the operator ---------------------------------------------------------------
+
+    def _attach(self, number: int, step: AttachStep, configuration: BusConfiguration) -> None:
+        node = configuration.node(step.node)
         if self.operator is None:
-            raise StepFailed("there is nobody to do it")
-        words = (
+            raise StepFailed("this step needs an operator")
+        instructions = (
             f"Switch the power of all modules off, then power {node.module} alone. Set its node "
             f"id to {step.after} with its maker's tool, save it, and switch it off and on."
         )
         self.journal.begin(number, step.node, step.description)
-        if not self.operator.attach(step, words):
-            raise StepFailed("it was put off by the operator")
-        one = dataclasses.replace(target, nodes=(node,))
-        scan = Scanner(self.master, one).active(values=False)
-        answering = [e for e in scan.entries if e.found is not None]
+        if not self.operator.attach(step, instructions):
+            raise StepFailed("the operator declined the step")
+        single_node = dataclasses.replace(configuration, nodes=(node,))
+        scan = Scanner(self.master, single_node).active(values=False)
+        answering = [entry for entry in scan.entries if entry.found is not None]
         if len(answering) != 1 or scan.duplicates:
-            many = "nobody answers" if not answering else "more than one device answers"
-            raise StepFailed(f"{many}, where {node.module} alone should")
+            devices = "no device answers" if not answering else "more than one device answers"
+            raise StepFailed(f"{devices}; {node.module} alone should")
         entry = answering[0]
         if entry.verdict in (MISSING, DUPLICATE) or entry.node != node.name:
-            where = None if entry.found is None else entry.found.id
-            raise StepFailed(f"a device answers at id {where}, not at {step.after} as {node.name}")
+            node_id = None if entry.found is None else entry.found.id
+            raise StepFailed(
+                f"a device answers at id {node_id}, not at {step.after} as {node.name}"
+            )
         texts = [] if entry.found is None else list(entry.found.texts)
         read = {"id": step.after, "set_by": "the operator", "says": texts}
         self.journal.done(number, step.node, read)
 
-    def bring_back(self, plan: Plan, number: int) -> None:
-        """After the last module that was powered alone: all of them, each at its own id."""
+    def power_all(self, plan: Plan, number: int) -> None:
+        """After the last attach step: has all modules powered, and checks that each has its id."""
         if any(isinstance(step, AttachStep) for step in plan.steps[number + 1 :]):
             return
         if self.operator is None or not self.operator.power_all("Power all modules again."):

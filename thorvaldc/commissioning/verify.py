@@ -1,4 +1,4 @@
-"""Whether a bus is what the robot's file says: reads only, writes nothing, resets nothing."""
+"""Compares a bus with the robot file; only reads, writes and resets nothing."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from thorvaldc.can.canopen import HEARTBEAT
 from thorvaldc.commissioning.bus_configuration import BusConfiguration
-from thorvaldc.commissioning.bus_master import HEARTBEAT, BusMaster
+from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model.bus import Bus
 
 LONGEST_LISTENING = 3.0
+"""s"""
 PERIODS = 5
+"""Number of periods of the slowest frame to listen for."""
 PERIOD_TOLERANCE = 0.1
-"""Share of a period that its mean may be off."""
+"""Accepted deviation of the mean period, as a share of the period."""
 LEAST_TOLERANCE = 2e-3
 """s"""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at.  ``node`` empty: the bus as a whole."""
+    """One comparison.  ``node`` empty: it concerns the whole bus."""
 
     node: str
     what: str
@@ -37,7 +40,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """``not_seen``: periodic frames that nobody sends now; drives do once they are started."""
+    """``not_seen``: periodic frames that no node sends now; drives send PDOs after NMT start."""
 
     scan: ScanResult
     checks: tuple[Check, ...]
@@ -60,12 +63,12 @@ class Verification:
 
 def verify(
     master: BusMaster,
-    target: BusConfiguration,
+    configuration: BusConfiguration,
     bus: Bus,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
-    """Identities, values, periods and load.  Raises ``DiagnosticError`` as scans do."""
-    scan = Scanner(master, target, progress).active(values=True, texts=False)
+    """Compares identities, values, periods and load.  Raises ``DiagnosticError`` as a scan does."""
+    scan = Scanner(master, configuration, progress).active(values=True, texts=False)
     checks = [
         Check(
             entry.node,
@@ -76,28 +79,30 @@ def verify(
         )
         for entry in scan.entries
     ]
-    for node in target.nodes:
+    for node in configuration.nodes:
         read = scan.values.get(node.name)
         if read is None:
             continue
-        differing = [v for v in node.values if read.get(v.place) != v.value]
+        differing = [value for value in node.values if read.get(value.key) != value.value]
         for value in differing:
-            found = read.get(value.place)
-            shown = "unreadable" if found is None else str(found)
-            what = f"{value.shown} {value.name}"
-            checks.append(Check(node.name, what, str(value.value), shown, False))
+            actual = read.get(value.key)
+            actual_text = "unreadable" if actual is None else str(actual)
+            label = f"{value.label} {value.name}"
+            checks.append(Check(node.name, label, str(value.value), actual_text, False))
         if not differing and node.values:
-            many = str(len(node.values))
-            checks.append(Check(node.name, "values", many, many, True))
-    more, not_seen, load = _listen(master, target, bus)
-    return Verification(scan, (*checks, *more), not_seen, load)
+            count = str(len(node.values))
+            checks.append(Check(node.name, "values", count, count, True))
+    frame_checks, not_seen, load = _check_frames(master, configuration, bus)
+    return Verification(scan, (*checks, *frame_checks), not_seen, load)
 
 
-def _listen(
-    master: BusMaster, target: BusConfiguration, bus: Bus
+def _check_frames(
+    master: BusMaster, configuration: BusConfiguration, bus: Bus
 ) -> tuple[list[Check], tuple[str, ...], float]:
-    """Periods and load, from what the nodes send by themselves."""
-    slowest = max((p for node in target.nodes for _, p in node.seen_by), default=0.1)
+    """Listens, and returns the checks of periods and load, the frames not seen, and the load."""
+    slowest = max(
+        (period for node in configuration.nodes for _, period in node.seen_by), default=0.1
+    )
     seconds = min(max(PERIODS * slowest, 1.0), LONGEST_LISTENING)
     master.forget()
     master.bits = 0
@@ -106,22 +111,21 @@ def _listen(
     checks: list[Check] = []
     not_seen: list[str] = []
     names = {frame.cob_id: frame.name for frame in bus.frames}
-    for node in target.nodes:
+    for node in configuration.nodes:
         for identifier, period in node.seen_by:
-            times = master.heard.get(identifier, [])
+            times = master.received.get(identifier, [])
             name = names.get(identifier, f"{identifier:#05x}")
             heartbeat = identifier == HEARTBEAT + node.id and node.heartbeat is not None
             if not times and not heartbeat:
                 not_seen.append(name)
                 continue
             if len(times) < 2:
-                found = "silence" if not times else "one frame"
-                wrong = period < seconds / 2
-                if wrong:
-                    checks.append(Check(node.name, f"period of {name}", _ms(period), found, False))
+                actual = "no frame" if not times else "one frame"
+                if period < seconds / 2:
+                    checks.append(Check(node.name, f"period of {name}", _ms(period), actual, False))
                 continue
-            gaps = [b - a for a, b in pairwise(times)]
-            mean = sum(gaps) / len(gaps)
+            intervals = [later - earlier for earlier, later in pairwise(times)]
+            mean = sum(intervals) / len(intervals)
             tolerance = max(PERIOD_TOLERANCE * period, LEAST_TOLERANCE)
             checks.append(
                 Check(
@@ -132,10 +136,10 @@ def _listen(
                     abs(mean - period) <= tolerance,
                 )
             )
-    unknown = sorted(i for i in master.heard if i not in names)
+    unknown = sorted(i for i in master.received if i not in names)
     if unknown:
-        shown = ", ".join(f"{i:#05x}" for i in unknown)
-        checks.append(Check("", "frames of nobody in the file", "none", shown, False))
+        identifiers = ", ".join(f"{i:#05x}" for i in unknown)
+        checks.append(Check("", "frames that are not in the file", "none", identifiers, False))
     checks.append(
         Check(
             "", "load", f"at most {100 * bus.load:.1f} %", f"{100 * load:.1f} %", load <= bus.load

@@ -1,0 +1,203 @@
+"""Evaluates a scan: which device is which node, and the verdict on each node and device."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from thorvaldc.can.canopen import HEARTBEAT, HIGHEST_NODE_ID
+from thorvaldc.can.lss import UNCONFIGURED
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
+from thorvaldc.commissioning.scan_result import (
+    DUPLICATE,
+    MISSING,
+    OK,
+    UNEXPECTED,
+    WITHOUT_ID,
+    WRONG_IDENTITY,
+    FoundDevice,
+    ScanEntry,
+    identity_text,
+)
+
+
+@dataclass
+class Findings:
+    """What the requests of a scan found.
+
+    ``evidence``: signs of a duplicate, by id.  ``by_id``: devices that answered SDO requests.
+    ``by_name``: devices that LSS found by the identity of a node.  ``without_id``: devices that
+    fastscan found.
+    """
+
+    evidence: dict[int, str] = field(default_factory=dict)
+    by_id: dict[int, FoundDevice] = field(default_factory=dict)
+    by_name: dict[str, FoundDevice] = field(default_factory=dict)
+    without_id: list[FoundDevice] = field(default_factory=list)
+
+
+class ScanEvaluation:
+    """Compares findings with the configuration.
+
+    ``received``: times of the frames by identifier.  ``known``: identifiers in the CAN map.
+    """
+
+    def __init__(
+        self,
+        configuration: BusConfiguration,
+        findings: Findings,
+        received: Mapping[int, list[float]],
+        known: set[int],
+    ) -> None:
+        self.configuration = configuration
+        self.findings = findings
+        self._received = received
+        self._known = known
+
+    def passive_entries(self) -> list[ScanEntry]:
+        """Verdicts after a passive scan, from received frames alone."""
+        entries = []
+        for node in self.configuration.nodes:
+            evidence = self.findings.evidence.get(node.id) if node.canopen else None
+            if evidence:
+                device = FoundDevice(node.id)
+                entries.append(ScanEntry(node.name, DUPLICATE, node.id, device, evidence))
+            elif self._sends(node):
+                detail = "it sends; its identity was not read" if node.sdo else "it sends"
+                entries.append(ScanEntry(node.name, OK, node.id, FoundDevice(node.id), detail))
+            else:
+                detail = "no frame received; the node may be there without sending"
+                entries.append(ScanEntry(node.name, MISSING, node.id, None, detail))
+        return entries + self._unknown_heartbeats()
+
+    def active_entries(self) -> list[ScanEntry]:
+        """Verdicts after an active scan: the nodes in order, then devices not in the file."""
+        devices = self._assign_devices()
+        entries = [self._verdict(node, devices.get(node.name)) for node in self.configuration.nodes]
+        assigned = list(devices.values())
+        for device in (*self.findings.by_id.values(), *self.findings.without_id):
+            if any(device is other for other in assigned):
+                continue
+            evidence = None if device.id is None else self.findings.evidence.get(device.id)
+            same_id = [e for e in entries if e.found is not None and e.found.id == device.id]
+            if evidence is not None and device.id != UNCONFIGURED and same_id:
+                continue
+            if device.identity is not None and any(
+                other.identity == device.identity and other.id == device.id for other in assigned
+            ):
+                continue
+            if evidence is not None:
+                entries.append(ScanEntry("", DUPLICATE, None, device, evidence))
+                continue
+            id_text = "no id" if device.id == UNCONFIGURED else f"id {device.id}"
+            detail = f"a device with {id_text} that the robot file does not name"
+            if device.identity is None:
+                detail = f"the device with {id_text} does not report its identity"
+            entries.append(ScanEntry("", UNEXPECTED, None, device, detail))
+        return entries + self._unknown_heartbeats()
+
+    # -- which device is which node ---------------------------------------------------------------
+
+    def _assign_devices(self) -> dict[str, FoundDevice]:
+        """Returns the device of each node, by the node's name."""
+        devices: dict[str, FoundDevice] = {}
+        for node in self.configuration.nodes:
+            device = self._device_of(node)
+            if device is not None:
+                devices[node.name] = device
+        for node in self.configuration.nodes:
+            # Without serial number in the file: a single device of this product is the node,
+            # if no other node can be it.
+            if node.name in devices or not node.lss or node.serial is not None:
+                continue
+            free = [
+                device
+                for device in (*self.findings.without_id, *self.findings.by_id.values())
+                if _can_be(node, device)
+                and not any(device is assigned for assigned in devices.values())
+            ]
+            if len(free) != 1:
+                continue
+            rivals = [
+                other
+                for other in self.configuration.nodes
+                if other.name not in devices
+                and other.lss
+                and other.serial is None
+                and _can_be(other, free[0])
+            ]
+            if len(rivals) == 1:
+                devices[node.name] = free[0]
+        return devices
+
+    def _device_of(self, node: NodeConfiguration) -> FoundDevice | None:
+        """The device found by serial number, at the node's id, or by its frames."""
+        by_id = self.findings.by_id
+        selected = self.findings.by_name.get(node.name)
+        at_id = by_id.get(node.id) if node.canopen else None
+        if selected is not None:
+            answering = None if selected.id is None else by_id.get(selected.id)
+            same = answering is not None and answering.identity == selected.identity
+            return answering if same else selected
+        if at_id is not None and _can_be(node, at_id):
+            return at_id
+        if node.serial is not None:
+            # A device may report its serial number over SDO and not answer LSS.
+            elsewhere = next((device for device in by_id.values() if _can_be(node, device)), None)
+            if elsewhere is not None:
+                return elsewhere
+        if not node.sdo and self._sends(node):
+            return FoundDevice(node.id if node.canopen else None)
+        return None
+
+    # -- verdicts ---------------------------------------------------------------------------------
+
+    def _verdict(self, node: NodeConfiguration, device: FoundDevice | None) -> ScanEntry:
+        evidence = self.findings.evidence
+        node_id = node.id if node.canopen else None
+        if device is not None and device.id in evidence and device.id is not None:
+            return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[device.id])
+        if node_id in evidence and node_id is not None:
+            return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[node_id])
+        if device is not None and device.id == node_id:
+            if node.device_type not in (None, device.device_type) and node.sdo:
+                actual = "none" if device.device_type is None else f"{device.device_type:#x}"
+                detail = f"its device type is {actual}, not {node.device_type:#x}"
+                return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
+            return ScanEntry(node.name, OK, node_id, device)
+        other = self.findings.by_id.get(node.id) if node.canopen and node.sdo else None
+        if other is not None:
+            detail = f"the device at id {node.id} is {identity_text(other.identity)}"
+            if device is not None:
+                actual = "no id" if device.id == UNCONFIGURED else f"the id {device.id}"
+                detail += f", and {node.name} has {actual}"
+            return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
+        if device is not None:
+            without = device.id == UNCONFIGURED
+            detail = "it has no id yet" if without else f"it has the id {device.id}"
+            return ScanEntry(node.name, WITHOUT_ID, node_id, device, detail)
+        return ScanEntry(node.name, MISSING, node_id, None, "no device answers for it")
+
+    def _sends(self, node: NodeConfiguration) -> bool:
+        return any(identifier in self._received for identifier, _ in node.seen_by)
+
+    def _unknown_heartbeats(self) -> list[ScanEntry]:
+        """Entries for ids that only send heartbeats, and that the file does not name."""
+        entries = []
+        for identifier in sorted(self._received):
+            node = identifier - HEARTBEAT
+            if identifier in self._known or not 0 < node < HIGHEST_NODE_ID:
+                continue
+            selected = self.findings.by_name.values()
+            if node not in self.findings.by_id and all(device.id != node for device in selected):
+                detail = f"a node with the id {node} sends heartbeats; it is not in the robot file"
+                entries.append(ScanEntry("", UNEXPECTED, None, FoundDevice(node), detail))
+        return entries
+
+
+def _can_be(node: NodeConfiguration, device: FoundDevice) -> bool:
+    """Whether the identity and the device type fit the node."""
+    if device.identity is None or not node.is_like(device.identity):
+        return False
+    required = node.device_type
+    return required is None or device.device_type is None or required == device.device_type
