@@ -19,7 +19,7 @@ from tests.backends.rcl_parameters import RclError, read, value_of
 from tests.buses import robot_with_bus
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.ros2 import Ros2
-from thorvaldc.backends.ros2_parameters import ParameterError, parameter_file
+from thorvaldc.backends.ros2_parameter_file import ParameterError, parameter_file
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model.robot import Bus, CalculatorChoice, Robot

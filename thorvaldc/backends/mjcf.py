@@ -1,9 +1,9 @@
 """MJCF: the robot for MuJoCo, and a scene in which it stands at rest.
 
-``robot.xml`` holds the robot alone and can be included or attached; ``scene.xml``
-adds the ground, light and the key frame ``home``.  Settings of the contact and of
-the servos are those under which a wheeled robot of 100..400 kg slides, rolls and
-stands on slopes as it should at steps of 1 to 5 ms: elliptic cones, a first
+``robot.xml`` has the robot alone and can be included or attached; ``scene.xml``
+adds the ground, light and the key frame ``home``.  The settings of contacts and
+servos are chosen for wheeled robots of 100 to 400 kg and time steps of 1 to 5 ms, so that they
+slide, roll and stand on slopes as real ones do: elliptic cones, a first
 ``solimp`` value near zero, and drives that hold their position at zero speed.
 """
 
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from typing import TypeGuard
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.appearance import Palette, mesh_files
+from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
 from thorvaldc.backends.mjcf_world import add_world
 from thorvaldc.backends.xml_writer import Element, parse, to_bytes
@@ -34,7 +34,6 @@ from thorvaldc.model import (
     Shape,
     Tread,
     Vec3,
-    Visual,
     Wheel,
 )
 from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
@@ -43,32 +42,34 @@ from thorvaldc.model.statics.standing_pose import Statics
 from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF, WheelContact
 
 TIMESTEP = 0.005
-# Torsional friction over mu times width.  A patch as wide as the tyre would resist
-# turning on the spot with mu N width/4; a tyre that rolls gives way and resists
-# less.  MuJoCo has one coefficient for both and takes spin out of the same
-# friction cone as slip, so that with 1/4 wheels drift outwards by up to 2.1 % of
+# Ratio of the torsional friction coefficient (m) to mu times width.  A contact patch as wide as the
+# tyre resists turning on the spot with the torque mu N width / 4; a tyre that rolls deforms and
+# resists less.  MuJoCo has one coefficient for both, and spin and slip share one
+# friction cone.  With 1/4, wheels drift outwards by up to 2.1 % of
 # the turn (two driven wheels and casters); with 1/16 by 0.4 %.
 TORSION = 1 / 16
-ROLLING_FRICTION = 0.0005  # MuJoCo's third coefficient; condim 4 does not use it
-DRIVE_FREQUENCY = 20.0  # rad/s, of the propulsion servo, critically damped
-DRIVE_DAMPING = 1.0
-FLANGE = 0.004  # m, its thickness
+ROLLING_FRICTION = 0.0005  # the third coefficient of MuJoCo; condim 4 does not use it
+DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
+DRIVE_DAMPING = 1.0  # damping ratio: critical
+FLANGE = 0.004  # m, thickness of the flange of a rail tread
 STEERING_STIFFNESS = 4000.0  # N m/rad
-# The implicit integrators damp the motors' joints after the contact forces are found, so that
-# a robot that gathers speed runs ahead of its wheels by 5 ms of it.  The explicit one does
-# not, and is taken where it is stable: where the damping of no servo takes more than so
-# much of the speed of its joint, without load, in a step (1: all; from 2 on it explodes).
-# Wheels that must slide have no other load than friction, and at more than 1 chatter on it.
+# MuJoCo's implicit integrators apply the damping of the motor joints after the contact forces.  A
+# robot that accelerates is then ahead of its wheels by 5 ms.  The explicit integrator has no such
+# error.  For a joint of inertia I with damping d, a step of h multiplies the joint speed by 1 - d
+# h / I: it is stable for d h / I < 2.  So it is used if d h / I of every servo is at most this
+# value.  Robots with wheels that must slide get the implicit one: such wheels have no load except
+# friction and chatter above 1.
 EXPLICIT_DAMPING = 1.5
-SAME_AXLE = 1e-3  # m and rad
+SAME_AXLE = 1e-3  # m and rad; wheels closer than this are on one axle
 
-WORLD = "world"  # the body that MuJoCo itself has
+WORLD = "world"  # the name of MuJoCo's own root body
 
-# Robots must meet the world and each other but not themselves (their parts
-# overlap where they are joined).  Robot i has contype i and the complement of i
+# Robots collide with the world and with each other but not with themselves (their parts
+# overlap where they are joined).  MuJoCo lets two geoms collide if contype1 & conaffinity2 or
+# contype2 & conaffinity1 is not 0.  Robot i has contype i and the complement of i
 # as conaffinity: i & ~i is 0, but of two different numbers one always has a bit
-# that the other lacks.  Bit 0 of either is set, so the default 1/1 of other
-# objects meets every robot.
+# that the other lacks.  Bit 0 of contype or conaffinity is set, so each robot collides with other
+# objects, which have the default 1 for both.
 _ALL_BITS = 0x7FFFFFFF
 
 
@@ -133,7 +134,7 @@ def _prefix(robot: Robot) -> str:
 
 
 def _free(name: str, taken: Iterable[str]) -> str:
-    """The name, with as many underscores behind it as make it differ from ``taken``."""
+    """Return the name, with underscores appended until it is not in ``taken``."""
     names = set(taken)
     while name in names:
         name += "_"
@@ -141,7 +142,7 @@ def _free(name: str, taken: Iterable[str]) -> str:
 
 
 def _body_names(robot: Robot) -> dict[str, str]:
-    """Names of the bodies by those of the links: with the name space, and never ``world``."""
+    """Return the body names by link names: with the name space, and never ``world``."""
     prefix = _prefix(robot)
     names = {link.name: prefix + link.name for link in robot.links}
     if names.get(WORLD) == WORLD:
@@ -150,7 +151,7 @@ def _body_names(robot: Robot) -> dict[str, str]:
 
 
 class _Writer:
-    """The sections of a model with one robot or several in it."""
+    """Collects the sections of a model with one or several robots."""
 
     def __init__(self, name: str, robots: list[Robot], mesh_folders: list[str]) -> None:
         self.model = name
@@ -166,8 +167,8 @@ class _Writer:
             self.asset.add("material", name=material, rgba=color)
         self.meshes: dict[tuple[str, Vec3], str] = {}
         self.taken: dict[str, str] = {}
-        # What a servo's damping takes of the speed of its joint in a step, the largest of all.
-        self.damping = 0.0
+        # The largest d h / I of all servos (see EXPLICIT_DAMPING).
+        self.largest_damping = 0.0
 
     def root(self) -> Element:
         root = Element("mujoco", model=self.model)
@@ -178,8 +179,9 @@ class _Writer:
             inertiafromgeom="false",
             balanceinertia=False,
         )
-        # MuJoCo takes dense matrices for fewer than 60 freedoms; the wheels' rows are mostly zeros.
-        explicit = self.damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
+        # MuJoCo's default is dense for fewer than 60 degrees of freedom, but the wheels' rows are
+        # mostly zeros.
+        explicit = self.largest_damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
         root.add(
             "option",
             timestep=TIMESTEP,
@@ -210,15 +212,15 @@ class _Writer:
     def add_robot(
         self, robot: Robot, tree: JointTree, number: int, statics: Statics, pose: Pose | None
     ) -> None:
-        """Add a robot, its base at ``pose``; ``number`` tells robots of a scene apart."""
+        """Add a robot with its base at ``pose``; ``number`` is its index in the scene."""
         _RobotWriter(self, robot, tree, number, statics).write(pose)
 
     def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
-        """Name of the asset for a mesh at a scale; equal files are one asset."""
+        """Return the name of the asset for a mesh at a scale; equal files share one asset."""
         key = (mesh.sha256, scale)
         name = self.meshes.get(key)
         if name is None:
-            # Files may differ in their ending only, or be used at several scales.
+            # Two files may differ only in their extension, and one file may have several scales.
             name = stem = prefix + mesh.name.rsplit(".", 1)[0]
             for count in range(2, len(self.meshes) + 2):
                 if name not in self.taken:
@@ -231,13 +233,16 @@ class _Writer:
                 name=name,
                 file=f"{self.folders[number]}/{mesh.name}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
-                # Masses are explicit; the default fails on an open or a flat mesh.
+                # All masses are explicit.  MuJoCo's default, a volume, fails for open and flat
+                # meshes.
                 inertia="shell",
             )
         return name
 
 
 class _RobotWriter:
+    """Writes one robot into the sections of a model."""
+
     def __init__(
         self, writer: _Writer, robot: Robot, tree: JointTree, number: int, statics: Statics
     ) -> None:
@@ -248,8 +253,6 @@ class _RobotWriter:
         self.prefix = _prefix(robot)
         self.tree = tree
         self.meshes = {mesh.name: mesh for mesh in robot.meshes}
-        # Modules of one kind have the same visuals.
-        self.seen: dict[Visual, Element] = {}
         self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
         self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
         self.actuated = {actuator.joint for actuator in robot.actuators}
@@ -327,12 +330,9 @@ class _RobotWriter:
                 fullinertia=link.inertial.inertia,
             )
         for visual in link.visuals:
-            geom = self.seen.get(visual)
-            if geom is None:
-                geom = self.seen[visual] = Element("geom", class_="visual")
-                self._shape(geom, visual.shape, visual.pose)
-                geom.set(material=self.writer.palette.name(visual.color))
-            body.append(geom)
+            geom = body.add("geom", class_="visual")
+            self._shape(geom, visual.shape, visual.pose)
+            geom.set(material=self.writer.palette.name(visual.color))
         wheel = self.wheel_of_link.get(link.name)
         if wheel is not None:
             self._add_tread(body, wheel, self.statics.wheels[wheel.name])
@@ -356,7 +356,7 @@ class _RobotWriter:
         _place(geom, pose)
 
     def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
-        """The ellipsoid that rolls like the wheel, in place of the link's collision shapes."""
+        """Add the ellipsoid that rolls like the wheel; it replaces the link's collision shapes."""
         axis = contact.axis
         x, y, z = axis
         shift = contact.offset
@@ -371,7 +371,7 @@ class _RobotWriter:
             self._add_ring(body, wheel, tread, contact)
 
     def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
-        """A ring beside the tyre, and its flanges, along which a rail slides."""
+        """Add a ring beside the tyre, with its flanges, which guide the wheel along a rail."""
         radius = wheel.radius_named(tread.name)
         name = f"{self.prefix}{wheel.link}_{tread.name}"
         mu, half = wheel.friction, tread.width / 2
@@ -390,7 +390,7 @@ class _RobotWriter:
             flange.set(type="cylinder", size=(clean(radius + tread.flange), FLANGE / 2), condim=1)
             _place(flange, Pose((center[0], center[1], center[2]), turned).clean())
 
-    # -- what is in and on the bodies -----------------------------------------------
+    # -- sensors and actuators -----------------------------------------------
 
     def _add_sensor(self, body: Element, sensor: Sensor) -> None:
         name = self.prefix + sensor.name
@@ -399,7 +399,8 @@ class _RobotWriter:
             self.writer.sensors.add("gyro", name=f"{name}_gyro", site=name)
             self.writer.sensors.add("accelerometer", name=f"{name}_accelerometer", site=name)
         elif sensor.type == "camera":
-            # Optical frames look along z with y down, MuJoCo's cameras along -z with y up.
+            # The view direction of an optical frame is z with y down, of MuJoCo's cameras -z with
+            # y up.
             camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
             values = dict(sensor.properties)
             width, height = values.get("image_width"), values.get("image_height")
@@ -413,7 +414,7 @@ class _RobotWriter:
         joint = self.tree.joints[actuator.joint]
         torque, speed = actuator.max_torque, actuator.max_velocity
         names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
-        own = self.statics.inertias[actuator.joint] + joint.armature
+        joint_inertia = self.statics.inertias[actuator.joint] + joint.armature
         if actuator.role == "steering":
             limits = None
             if joint.lower is not None and joint.upper is not None:
@@ -426,16 +427,17 @@ class _RobotWriter:
                 ctrlrange=limits,
                 forcerange=(-torque, torque),
             )
-            self._damped(2 * math.sqrt(STEERING_STIFFNESS * own), own)
+            self._note_damping(2 * math.sqrt(STEERING_STIFFNESS * joint_inertia), joint_inertia)
             return
-        inertia = own
+        inertia = joint_inertia
         wheel = self.wheel_of_joint.get(actuator.joint)
         if wheel is not None and driven:
             inertia += self.robot.inertial.mass * wheel.radius**2 / driven
-        # The set point is integrated to an angle that the servo holds, so that
-        # it stands still on a slope; the angle is unbounded, as a wheel is.
+        # A second-order servo on the inertia I: kp = I w^2 and kv = 2 D I w, with the natural
+        # frequency w and the damping ratio D.  MuJoCo integrates the speed set point to an angle
+        # that the servo holds, so the robot stands still on a slope.  The angle has no limit.
         damping = 2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY
-        self._damped(damping, own)
+        self._note_damping(damping, joint_inertia)
         self.writer.actuators.add(
             "intvelocity",
             **names,
@@ -446,13 +448,13 @@ class _RobotWriter:
             actlimited=False,
         )
 
-    def _damped(self, damping: float, inertia: float) -> None:
-        taken = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
-        self.writer.damping = max(self.writer.damping, taken)
+    def _note_damping(self, damping: float, inertia: float) -> None:
+        ratio = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
+        self.writer.largest_damping = max(self.writer.largest_damping, ratio)
 
 
 def _slides(robot: Robot) -> bool:
-    """Whether wheels that do not turn stand on several axles, so that they slide when it turns."""
+    """True if wheels that cannot steer are on several axles: in a turn they must slide."""
     fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
     for wheel in fixed[1:]:
         c, s = math.cos(fixed[0].heading), math.sin(fixed[0].heading)
@@ -474,7 +476,7 @@ def _place(element: Element, pose: Pose) -> None:
 
 
 def _z_to(axis: Vec3) -> Quat:
-    """Rotation that takes z to the unit vector ``axis`` on the shortest way."""
+    """Return the smallest rotation from z to the unit vector ``axis``."""
     c = dot((0.0, 0.0, 1.0), axis)
     if c < -1.0 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What a MuJoCo scene has besides its robots: ground, sky, light, the key frame ``home``."""
+"""The parts of a MuJoCo scene around its robots: ground, sky, light, key frame ``home``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thorvaldc.model.statics.standing_pose import Statics
 
 
 def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
-    """Middle of the robots (m) and the radius about it that holds their wheels."""
+    """Return the centre of the robots and the radius of a sphere with all their wheels, in m."""
     points = []
     for robot, pose in zip(robots, poses, strict=True):
         points.append(pose.apply(robot.inertial.com))
@@ -28,8 +28,9 @@ def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]
 def add_surroundings(
     scene: Element, robots: list[Robot], poses: list[Pose], world: World | None = None
 ) -> None:
+    """Add the ground, the sky, the light and the camera settings of a scene."""
     middle, reach = _reach(robots, poses)
-    # The free camera starts 1.5 extents from the centre; shadows reach one extent.
+    # The free camera starts 1.5 extents from the centre; shadows have a range of one extent.
     scene.add("statistic", center=middle, extent=clean(2.0 * reach))
     visual = scene.add("visual")
     visual.add(
@@ -78,7 +79,8 @@ def add_surroundings(
         diffuse=(0.6, 0.59, 0.56),
         specular=(0.2, 0.2, 0.2),
     )
-    # Level: the robots are settled on it.  A plane, not a box, which rolls best.
+    # The ground is level, because the robots' pose at rest is for level ground.  A plane, not a
+    # box: wheels roll best on it.
     below = lowest(world.ground) if world is not None else 0.0
     body.add(
         "geom",

@@ -1,4 +1,4 @@
-"""Heights of ground that is not level, on grids, in MuJoCo's own format."""
+"""Height fields of rough ground, in MuJoCo's binary format."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from thorvaldc.model import Ground, Pose, Zone
 CELLS_PER_WAVE = 10
 WAVES = 16
 LEVEL, LEVEL_EDGE = 1.5, 1.0
-"""Robots start in the middle of level ground of this radius (m), which ends over this width."""
+"""Radius (m) of the level ground around the start of a robot, and width (m) of the transition."""
 _CELL = 0.1
-"""Largest cell (m) of what is raised."""
+"""Largest cell (m) of the grid of a zone."""
 
 
 def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
-    """Heights over the lowest point, over twice the amplitude: 0..1, rows along y.
+    """Return the normalised heights of rough ground: 0..1 of twice the amplitude, rows along y.
 
-    Level at half height where robots start, and down to 0 along the edge, where the plane
-    around begins.
+    The ground is level at half height around the starts of robots.  It descends to 0 at its edge,
+    where the surrounding plane begins.
     """
     xs, ys = (_grid(edge, ground.wavelength / CELLS_PER_WAVE) for edge in ground.size)
     rows = _waves(xs, ys, ground.wavelength, ground.seed)
@@ -34,15 +34,16 @@ def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
             inside = min(x - xs[0], xs[-1] - x, y - ys[0], ys[-1] - y)
             edge = _step(inside / ground.wavelength)
             row[i] = edge * (0.5 + 0.5 * share * row[i])
-    # MuJoCo stretches what it reads to 0..1: both ends must be there.
+    # MuJoCo scales the heights of a file to 0..1, so both extremes must occur.
     rows[0][0], rows[0][-1] = 0.0, 1.0
     return rows
 
 
 def relief(zone: Zone) -> tuple[list[list[float]], float]:
-    """Heights of a zone over the ground, over the largest: 0..1, rows along y; the largest (m).
+    """Return the normalised heights of a zone (0..1, rows along y), and the largest height in m.
 
-    Its sides rise from the edge; bumps begin within half a wavelength of it.
+    The sides rise from the edge.  Bumps have their full height from half a wavelength inside the
+    edge.
     """
     cell = min(_CELL, min(zone.size) / 10)
     if zone.amplitude:
@@ -63,15 +64,19 @@ def relief(zone: Zone) -> tuple[list[list[float]], float]:
 def _waves(
     xs: Sequence[float], ys: Sequence[float], wavelength: float, seed: int
 ) -> list[list[float]]:
-    """-1..1: a sum of plane waves of random directions, ``wavelength`` to four times as long, as
-    high as they are long."""
-    chance = random.Random(seed)
+    """Return heights in -1..1: a normalised sum of plane waves with random directions and phases.
+
+    Their lengths are ``wavelength`` to four times that; the height of a wave is proportional to its
+    length.
+    """
+    random_numbers = random.Random(seed)
     rows = _level(xs, ys)
     for _ in range(WAVES):
-        length = wavelength * 4.0 ** chance.random()
-        way, phase = chance.uniform(0.0, math.tau), chance.uniform(0.0, math.tau)
-        kx, ky = (math.tau / length * part for part in (math.cos(way), math.sin(way)))
-        # sin(a + b) by the sines of a and b, which rows and columns share.
+        length = wavelength * 4.0 ** random_numbers.random()
+        direction = random_numbers.uniform(0.0, math.tau)
+        phase = random_numbers.uniform(0.0, math.tau)
+        kx, ky = math.tau / length * math.cos(direction), math.tau / length * math.sin(direction)
+        # sin(a + b) = sin a cos b + cos a sin b: the factors are the same in all rows or columns.
         sines = [length * math.sin(kx * x + phase) for x in xs]
         cosines = [length * math.cos(kx * x + phase) for x in xs]
         for row, y in zip(rows, ys, strict=True):
@@ -93,13 +98,16 @@ def _grid(edge: float, cell: float) -> list[float]:
 
 
 def _step(share: float) -> float:
-    """0 up to 0, 1 from 1 on, smooth between."""
+    """Return the smooth step 3 s^2 - 2 s^3 of a share, limited to 0..1."""
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def height_file(rows: list[list[float]]) -> bytes:
-    """MuJoCo's own format: numbers of rows and columns, then heights, little endian."""
+    """Return MuJoCo's height-field file, little endian.
+
+    It has the numbers of rows and columns (int32), then the heights (float32).
+    """
     import array
     import struct
     import sys

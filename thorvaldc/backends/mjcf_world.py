@@ -1,7 +1,8 @@
-"""The world of a scenario in MJCF: slope, bumps, and what stands around.
+"""The world of a scenario in MJCF: slope, bumps, zones and fixed bodies.
 
-The scene's frame is the ground's: on a slope it is gravity that leans, so that robots
-settle, poses are given and ways are measured in the plane that is driven on.
+The frame of the scene is that of the ground.  On a slope, the gravity vector is inclined instead
+of the ground.  So the standing pose, the poses of the scenario and all distances are in the plane
+on which the robots drive.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.gravity import GRAVITY
 
 TERRAIN = "terrain.bin"
-_DEPTH = 0.5  # m, of the ground below its lowest point
-_FILM = 0.001  # m, half the thickness of what a level zone is seen as
-_LAYER = 0.0005  # m, and more for each, so that the last is seen where zones overlap
-_SLIPPERY = 0.3
+_DEPTH = 0.5  # m, thickness of a height field below its lowest point
+_FILM = 0.001  # m, half the thickness of the visible plate of a level zone
+_LAYER = 0.0005  # m, added for each further zone: where zones overlap, the last one is visible
+_SLIPPERY = 0.3  # coefficient of friction below which a zone has the colour of ice
 _COLORS = {
     "kerb": (0.62, 0.62, 0.6, 1.0),
     "rail": (0.45, 0.47, 0.5, 1.0),
@@ -29,14 +30,14 @@ _COLORS = {
 
 
 def lowest(ground: Ground) -> float:
-    """Height (m) of the plane around and below rough ground; 0 where there is none."""
+    """Return the height (m) of the plane around and below rough ground; 0 for level ground."""
     return -ground.amplitude
 
 
 def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str, bytes]:
-    """Add the world to a scene that has a plane; what files it needs, by path.
+    """Add the world to a scene that has a plane, and return the files that it needs by path.
 
-    Robots stand at ``starts``.
+    ``starts`` are the start poses of the robots; rough ground is level around them.
     """
     ground = world.ground
     if ground.angle:
@@ -61,7 +62,7 @@ def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str,
     files = _add_zones(scene, body, world.zones)
     if not ground.amplitude:
         return files
-    from thorvaldc.backends.mjcf_terrain import height_file, heights  # which few builds need
+    from thorvaldc.backends.mjcf_terrain import height_file, heights  # few builds need it
 
     x, y = ground.size
     scene.add("asset").add(
@@ -82,13 +83,16 @@ def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str,
 
 
 def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str, bytes]:
-    """What zones look like, and what rises of them; which friction they have is not for MJCF."""
+    """Add plates for level zones and height fields for others; return the files by path.
+
+    The friction of zones is not in the MJCF: the simulation changes that of the wheels.
+    """
     files = {}
     for number, zone in enumerate(zones, 1):
         x, y = zone.size
         geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=_zone_color(zone))
         if zone.level:
-            # Nothing to touch: the ground is there.
+            # Only visible, without contact: the ground plane is there.
             geom.set(
                 name=f"zone/{number}", type="box", size=(x / 2, y / 2, _FILM + number * _LAYER)
             )

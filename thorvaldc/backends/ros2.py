@@ -1,6 +1,6 @@
 """Parameter files of the robot's ROS 2 nodes: base driver, multiplexer, teleop, description.
 
-docs/ros2.md says what each parameter means.
+docs/ros2.md describes each parameter.
 """
 
 from __future__ import annotations
@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.ros2_parameters import Value, parameter_file
+from thorvaldc.backends.ros2_parameter_file import Value, parameter_file
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import Actuator, Joint, Wheel
 from thorvaldc.model.statics.standing_pose import Statics
 
-# The original's default covariance of the measured twist (its diagonal).
+# Diagonal of the covariance of the measured twist: the default of the original base driver.
 TWIST_COVARIANCE = (0.001, 0.001, 0.001, 0.001, 0.001, 0.03)
-TELEOP_SHARE = 0.5  # of the robot's limits, without the turbo button
+TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
 
 Parameters = dict[str, Value]
 
@@ -40,7 +40,7 @@ class Ros2(Backend):
 
 
 def base_driver(robot: Robot) -> Parameters:
-    """What the driver needs to know of this robot; lists have an entry for each wheel."""
+    """Return the parameters of the base driver; lists have an entry for each wheel."""
     driver, prefix = robot.driver, _prefix(robot)
     parameters: Parameters = {
         "robot_name": robot.name,
@@ -61,17 +61,17 @@ def base_driver(robot: Robot) -> Parameters:
     if robot.calculator.options:
         parameters["base_calculator_options"] = dict(robot.calculator.options)
     sets: dict[str, Parameters] = {}
-    for found in robot.parameter_sets:
-        limits = found.driver
-        chosen: Parameters = {
+    for parameter_set in robot.parameter_sets:
+        limits = parameter_set.driver
+        values: Parameters = {
             "max_linear_velocity": limits.max_linear_velocity,
             "max_angular_velocity": limits.max_angular_velocity,
             "max_linear_acceleration": limits.max_linear_acceleration,
             "max_angular_acceleration": limits.max_angular_acceleration,
         }
-        if found.radii is not None:
-            chosen["radii"] = found.radii
-        sets[found.name] = chosen
+        if parameter_set.radii is not None:
+            values["radii"] = parameter_set.radii
+        sets[parameter_set.name] = values
     if sets:
         parameters["parameter_sets"] = sets
     if robot.buses:
@@ -90,7 +90,7 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
     joints = {joint.name: joint for joint in robot.joints}
     actuators = {actuator.joint: actuator for actuator in robot.actuators}
 
-    def on(joint: str | None, read: Callable[[Actuator], float]) -> float:
+    def of_actuator(joint: str | None, read: Callable[[Actuator], float]) -> float:
         actuator = actuators.get(joint) if joint is not None else None
         return read(actuator) if actuator is not None else 0.0
 
@@ -102,7 +102,7 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
         joint = joints.get(wheel.steering_joint or "")
         return joint is not None and joint.lower is not None and joint.upper is not None
 
-    found: Parameters = {
+    parameters: Parameters = {
         "names": [w.name for w in wheels],
         "propulsion_joints": [prefix + w.spin_joint for w in wheels],
         "steering_joints": [prefix + w.steering_joint if w.steering_joint else "" for w in wheels],
@@ -117,37 +117,45 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
         "lateral_offset": [w.lateral_offset for w in wheels],
         "radius": [w.radius for w in wheels],
         "width": [w.width for w in wheels],
-        "max_velocity": [on(w.spin_joint, lambda a: a.max_velocity) for w in wheels],
-        "max_acceleration": [on(w.spin_joint, lambda a: a.max_acceleration) for w in wheels],
+        "max_velocity": [of_actuator(w.spin_joint, lambda a: a.max_velocity) for w in wheels],
+        "max_acceleration": [
+            of_actuator(w.spin_joint, lambda a: a.max_acceleration) for w in wheels
+        ],
         "steering_limited": [is_limited(w) for w in wheels],
         "steering_lower": [limit(w, lambda j: j.lower) for w in wheels],
         "steering_upper": [limit(w, lambda j: j.upper) for w in wheels],
-        "steering_max_velocity": [on(w.steering_joint, lambda a: a.max_velocity) for w in wheels],
+        "steering_max_velocity": [
+            of_actuator(w.steering_joint, lambda a: a.max_velocity) for w in wheels
+        ],
         "steering_max_acceleration": [
-            on(w.steering_joint, lambda a: a.max_acceleration) for w in wheels
+            of_actuator(w.steering_joint, lambda a: a.max_acceleration) for w in wheels
         ],
     }
     names = dict.fromkeys(name for wheel in wheels for name, _ in wheel.radii)
     if names:
-        found["radii"] = {name: [w.radius_named(name) for w in wheels] for name in names}
-    return found
+        parameters["radii"] = {name: [w.radius_named(name) for w in wheels] for name in names}
+    return parameters
 
 
 def twist_mux(robot: Robot) -> Parameters:
-    """The sources and locks of the model; a list of them that is empty is left out."""
+    """Return the parameters of twist_mux: the sources and locks; empty lists are omitted."""
     lists = {"topics": robot.twist_sources, "locks": robot.twist_locks}
-    found: Parameters = {"use_stamped": False}
+    parameters: Parameters = {"use_stamped": False}
     for key, inputs in lists.items():
         if inputs:
-            found[key] = {
+            parameters[key] = {
                 i.name: {"topic": i.topic, "timeout": i.timeout, "priority": i.priority}
                 for i in inputs
             }
-    return found
+    return parameters
 
 
 def teleop(robot: Robot) -> Parameters:
-    """Scales from the robot's limits; sideways only where every wheel can turn that way."""
+    """Return the parameters of teleop_twist_joy.
+
+    The scales come from the robot's limits; sideways motion only if every wheel can steer or
+    swivel.
+    """
     linear, angular = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
     turns = [w.steered or w.swivel_joint is not None for w in robot.wheels]
     sideways = linear if turns and all(turns) else 0.0
@@ -172,7 +180,10 @@ def teleop(robot: Robot) -> Parameters:
 
 
 def robot_state_publisher(robot: Robot) -> Parameters:
-    """The names in the description have the name space already, so there is no prefix to add."""
+    """Return the parameters of robot_state_publisher.
+
+    The names in the description include the name space, so the prefix is empty.
+    """
     return {
         "robot_description": urdf_text(robot),
         "frame_prefix": "",

@@ -1,17 +1,17 @@
-"""URDF: the robot as ROS reads it, and as MuJoCo's importer reads it without loss."""
+"""URDF: the description of a robot for ROS, which MuJoCo's importer also reads without loss."""
 
 from __future__ import annotations
 
 import functools
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.appearance import Palette, mesh_files
+from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
 from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_bytes
-from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Visual, Wheel
+from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.standing_pose import Statics
 
-# URDF has no word for "no limit" on revolute and prismatic joints.
+# URDF requires limits of revolute and prismatic joints; this value means "no limit".
 UNLIMITED = 1e9
 
 
@@ -38,8 +38,8 @@ def urdf_text(robot: Robot) -> str:
 def _robot(robot: Robot) -> Element:
     prefix = robot.prefix
     root = Element("robot", name=robot.name)
-    # Else MuJoCo merges base_link into the world and drops the mass of all that
-    # is fixed to it, drops visuals, and guesses masses from shapes.
+    # Without these, MuJoCo merges base_link into the world and discards the mass of all links that
+    # are fixed to it, discards visuals, and computes masses from shapes.
     root.add("mujoco").add(
         "compiler",
         meshdir="../meshes",
@@ -52,9 +52,8 @@ def _robot(robot: Robot) -> Element:
     palette = Palette(robot)
     for name, color in palette.entries():
         root.add("material", name=name).add("color", rgba=color)
-    seen: dict[Visual, Element] = {}
     for link in robot.links:
-        _add_link(root, link, prefix, palette, seen)
+        _add_link(root, link, prefix, palette)
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
@@ -64,13 +63,14 @@ def _robot(robot: Robot) -> Element:
     return root
 
 
-# Where the elements of extras name links and joints; texts without case and underscores.
+# Attributes and texts of the elements of extras that are names of links and joints.  The tags of
+# the texts are in lower case and without underscores.
 _NAMING_ATTRIBUTES = (("gazebo", "reference"), ("joint", "name"), ("link", "name"))
 _NAMING_TEXTS = ("framename", "frameid", "gzframeid", "bodyname", "linkname", "jointname")
 
 
 def _prefixing(robot: Robot, prefix: str) -> Rename:
-    """What gives names of links and joints in an extra's elements the robot's name space."""
+    """Return a function that adds the prefix to link and joint names in elements of extras."""
     names = {link.name for link in robot.links} | {joint.name for joint in robot.joints}
 
     def rename(tag: str, attribute: str, value: str) -> str:
@@ -108,10 +108,7 @@ def _add_geometry(parent: Element, shape: Shape) -> None:
             geometry.add("sphere", radius=shape.radius)
 
 
-def _add_link(
-    root: Element, link: Link, prefix: str, palette: Palette, seen: dict[Visual, Element]
-) -> None:
-    """Add a link.  ``seen`` keeps visuals: modules of one kind have the same ones."""
+def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
     element = root.add("link", name=prefix + link.name)
     if link.inertial is not None:
         xx, yy, zz, xy, xz, yz = link.inertial.inertia
@@ -121,13 +118,10 @@ def _add_link(
         inertial.add("mass", value=link.inertial.mass)
         inertial.add("inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
     for visual in link.visuals:
-        part = seen.get(visual)
-        if part is None:
-            part = seen[visual] = Element("visual")
-            _add_origin(part, visual.pose)
-            _add_geometry(part, visual.shape)
-            part.add("material", name=palette.name(visual.color))
-        element.append(part)
+        part = element.add("visual")
+        _add_origin(part, visual.pose)
+        _add_geometry(part, visual.shape)
+        part.add("material", name=palette.name(visual.color))
     for collision in link.collisions:
         part = element.add("collision")
         _add_origin(part, collision.pose)
@@ -166,7 +160,7 @@ def _add_joint(root: Element, joint: Joint, prefix: str) -> None:
 
 
 def _add_gazebo(root: Element, robot: Robot, prefix: str) -> None:
-    """Springs and tyre friction, which URDF itself has no elements for."""
+    """Add springs and tyre friction as Gazebo elements: URDF itself has none for them."""
     for joint in robot.joints:
         if joint.stiffness != 0.0:
             element = root.add("gazebo", reference=prefix + joint.name)

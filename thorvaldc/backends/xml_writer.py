@@ -1,13 +1,12 @@
-"""A small XML tree and its one, deterministic, text form.
+"""A small XML tree with one deterministic text form.
 
-Attributes and children keep the order in which they were given, numbers are the
-shortest text that reads back equal, and everything is escaped.  It is smaller
-and faster than ``xml.etree``, and a build need not import that.
+Attributes and children keep their order, numbers are the shortest text that reads back equal,
+and all text is escaped.  The module is smaller and faster than ``xml.etree``, so a build does not
+import that.
 """
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Callable, Iterable
 
@@ -27,12 +26,11 @@ _SPECIAL = re.compile('[&<>"\n\t\r]')
 
 
 class XmlValueError(ValueError):
-    """A number that no XML format can carry (not a number, or infinite)."""
+    """A number that the XML formats cannot contain: infinite or not a number."""
 
 
-@functools.lru_cache(maxsize=4096)  # most stand in a robot, and in both formats, several times
 def number(value: Number) -> str:
-    """Shortest text that reads back as the same number: ``0``, ``0.1``, ``1e-09``."""
+    """Return the shortest text that reads back as the same number: ``0``, ``0.1``, ``1e-09``."""
     if value == 0:
         return "0"
     text = repr(value)
@@ -44,15 +42,15 @@ def number(value: Number) -> str:
 
 
 def numbers(values: Iterable[Number]) -> str:
-    """Numbers separated by single spaces."""
+    """Return numbers separated by single spaces."""
     return " ".join([number(value) for value in values])
 
 
 def escape(text: str) -> str:
-    """The text as it stands in an attribute or between tags."""
+    """Return the text with XML escapes, for an attribute or between tags."""
     if _SPECIAL.search(text) is None:
         return text
-    return _SPECIAL.sub(lambda found: _ESCAPES[found[0]], text)
+    return _SPECIAL.sub(lambda match: _ESCAPES[match[0]], text)
 
 
 def _format(value: Value) -> str:
@@ -66,9 +64,9 @@ def _format(value: Value) -> str:
 
 
 class Element:
-    """A tag with attributes and either children or text.
+    """An XML element with attributes and either children or text.
 
-    ``attributes`` is their text as it will stand in the file.
+    ``attributes`` is the text of all attributes, as in the file.
     """
 
     __slots__ = ("attributes", "children", "tag", "text")
@@ -82,9 +80,9 @@ class Element:
             self.set(**attributes)
 
     def set(self, **attributes: Value | None) -> None:
-        """Add attributes; one of value ``None`` is left out.
+        """Add attributes; those with the value ``None`` are omitted.
 
-        A trailing underscore is dropped, for names that are Python's own (``class_``).
+        A trailing underscore of a name is removed, for keywords of Python (``class_``).
         """
         self.attributes += "".join(
             [
@@ -109,11 +107,11 @@ Rename = Callable[[str, str, str], str]
 
 
 def parse(text: str, rename: Rename | None = None) -> Element:
-    """The element that ``text`` holds, with prefixes of name spaces as they are written.
+    """Return the element of an XML text; prefixes of name spaces are kept.
 
-    ``rename`` gets tag, attribute (empty for the element's text) and value, and says
-    what stands in its place.  Comments are left out, and so is text beside children.
-    Raises ``ValueError`` where the text is not well-formed.
+    ``rename`` gets the tag, the attribute (empty for the element's text) and the value, and
+    returns the value to use.  Comments and text beside child elements are omitted.
+    Raises ``ValueError`` if the text is not well-formed.
     """
     from xml.parsers import expat
 
@@ -146,15 +144,15 @@ def parse(text: str, rename: Rename | None = None) -> Element:
     parser.CharacterDataHandler = data
     try:
         parser.Parse(text, True)
-    except expat.ExpatError as fault:
-        raise ValueError(f"not well-formed XML: {fault}") from fault
+    except expat.ExpatError as error:
+        raise ValueError(f"not well-formed XML: {error}") from error
     return top.children[0]
 
 
 def to_bytes(root: Element) -> bytes:
-    """The document as UTF-8, indented by two spaces, with a declaration."""
+    """Return the document as UTF-8, indented by two spaces, with an XML declaration."""
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
-    # The tree is walked with a stack of our own: a long chain of links nests deeply.
+    # An explicit stack: a long chain of links is nested deeper than Python's limit of recursion.
     todo: list[tuple[Element, str] | str] = [(root, "")]
     while todo:
         item = todo.pop()

@@ -1,6 +1,6 @@
-"""The `can` target: what talks to the robot's buses, sets them up and checks them takes from here.
+"""The `can` target: files for programs that use, set up or check the robot's buses.
 
-docs/canmap.md describes the files.  Everything in them was computed before: ids,
+docs/canmap.md describes the files.  The backend computes nothing: ids,
 COB-IDs, scalings, objects and response times are those of the model.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.can import bring_up, budget, canmap, dbc, dcf, header, ros2_canopen
+from thorvaldc.backends.can import bring_up, budget, c_header, canmap, dbc, dcf, ros2_canopen
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
 from thorvaldc.model.statics.standing_pose import Statics
@@ -32,7 +32,7 @@ class Can(Backend):
             if dcf.described(bus):
                 path = "can/bus.yml" if alone else f"can/{bus.name}.bus.yml"
                 files[path] = ros2_canopen.bus_yml(bus).encode()
-        files["can/robot_can.h"] = header.header_text(robot).encode("ascii", "replace")
+        files["can/robot_can.h"] = c_header.header_text(robot).encode("ascii", "replace")
         files["can/budget.json"] = budget.budget_json(robot).encode()
         files["can/budget.md"] = budget.budget_table(robot).encode()
         files["can/bring_up.sh"] = bring_up.script(robot).encode()

@@ -1,4 +1,4 @@
-"""A script that sets the CAN interfaces of the robot up (Linux, SocketCAN)."""
+"""A shell script that sets up the CAN interfaces of the robot (Linux, SocketCAN)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ fi
 
 
 def script(robot: Robot) -> str:
-    """POSIX shell; the interfaces are can0, can1, ... unless named as arguments."""
+    """Return the script for a POSIX shell; the default interfaces are can0, can1, ..."""
     names = [bus.name for bus in robot.buses]
     usage = "".join(f" [interface of {name}]" for name in names)
     text = HEAD.format(

@@ -1,4 +1,4 @@
-"""Load of each bus and worst-case response times, as JSON and as a table to read."""
+"""Load and worst-case response times of each bus, as JSON and as a Markdown table."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ LEFT = (1, 2)  # columns of text
 
 
 def budget_json(robot: Robot) -> str:
+    """Return load and response times as JSON text."""
     return json_text(
         {
             "format": FORMAT,
@@ -61,7 +62,7 @@ def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
 
 
 def budget_table(robot: Robot) -> str:
-    """The same in Markdown, with aligned columns."""
+    """Return load and response times as Markdown, with aligned columns."""
     lines = [
         f"# Load of the buses of {robot.name}",
         "",

@@ -1,8 +1,7 @@
-"""`can/canmap.json`, which is normative.  docs/canmap.md describes it."""
+"""`can/canmap.json`, the normative description of the buses.  docs/canmap.md describes it."""
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 from collections.abc import Iterable
@@ -19,7 +18,7 @@ _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 
 
 def canmap_text(robot: Robot) -> str:
-    """The CAN map as JSON text; what is flat stands on one line, so that a diff reads well."""
+    """Return the CAN map as JSON text, in the layout of ``json_text``."""
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -72,12 +71,12 @@ def _node(node: Node, motors: Motors, frames: list[FrameDefinition]) -> dict[str
 def _channel(
     node: Node, channel: Channel, motors: Motors, frames: list[FrameDefinition]
 ) -> dict[str, Any]:
-    plain: dict[str, Any] = {"name": channel.name, "role": channel.role, "actuator": None}
+    description: dict[str, Any] = {"name": channel.name, "role": channel.role, "actuator": None}
     if channel.actuator is None:
-        return plain
+        return description
     actuator, joint = motors[channel.actuator]
     return {
-        **plain,
+        **description,
         "actuator": actuator.name,
         "joint": joint.name,
         "gear_ratio": actuator.gear_ratio,
@@ -143,7 +142,7 @@ def _signal(signal: Signal) -> dict[str, Any]:
 
 
 def json_text(document: dict[str, Any]) -> str:
-    """JSON in which what is flat stands on one line."""
+    """Return JSON with flat lists and objects on one line each, for readable differences."""
     return _layout(document, 0) + "\n"
 
 
@@ -155,7 +154,7 @@ def _layout(value: Any, depth: int) -> str:
     if type(value) is list and _containers(value):
         pad = "\n" + "  " * depth
         return "[" + ",".join([f"{pad}  {_layout(v, depth + 1)}" for v in value]) + pad + "]"
-    # The encoder takes long to begin.
+    # A call of the encoder is slow, and most values are numbers.
     if value is None:
         return "null"
     if type(value) is int or (type(value) is float and math.isfinite(value)):
@@ -164,7 +163,7 @@ def _layout(value: Any, depth: int) -> str:
 
 
 def _is_flat(container: Any) -> bool:
-    """Whether there are no containers in it."""
+    """True for a list or object without lists and objects in it."""
     return not _containers(container.values() if type(container) is dict else container)
 
 
@@ -172,6 +171,5 @@ def _containers(values: Iterable[Any]) -> list[Any]:
     return [v for v in values if type(v) is dict or type(v) is list]
 
 
-@functools.lru_cache(maxsize=256)
 def _key(key: str) -> str:
     return _ENCODER.encode(key)

@@ -1,4 +1,4 @@
-"""A bus as a DBC file, for tools that read those."""
+"""A bus as a DBC file, for tools that read this format."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from typing import Any
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model.robot import Bus, FrameDefinition, Signal
 
-ENCODING = "cp1252"  # what readers of DBC files take for granted
+ENCODING = "cp1252"  # the encoding that readers of DBC files assume
 
 
 def lost_texts(bus: Bus) -> Iterator[Diagnostic]:
-    """What a DBC file cannot say of the bus: characters of its texts."""
+    """Yield a diagnostic for each frame with texts that a DBC file cannot encode."""
     for frame in bus.frames:
         texts = [frame.description]
         for signal in frame.signals:
             texts += (signal.description, signal.unit)
         text = "".join(texts)
-        lost = [] if text.isascii() else [c for c in dict.fromkeys(text) if not _in_dbc(c)]
-        if lost:
+        missing = [] if text.isascii() else [c for c in dict.fromkeys(text) if not _in_dbc(c)]
+        if missing:
             yield Diagnostic(
                 CODES["dbc-text"],
                 f"the texts of `{frame.name}` have characters that a DBC file cannot "
-                f"hold: {' '.join(lost[:8])}",
+                f"hold: {' '.join(missing[:8])}",
                 frame.span,
                 "they are `?` there; the CAN map has them all",
             )
@@ -41,18 +41,21 @@ def _in_dbc(character: str) -> bool:
 
 
 def dbc_text(bus: Bus) -> str:
-    """The bus as a DBC file, written by cantools."""
+    """Return the bus as a DBC file, written by cantools."""
     db = _cantools_database()
     can = db.can
 
     class Message(can.Message):  # type: ignore[misc,name-defined]
-        """A message that is only written: two thirds of the time go into what that skips."""
+        """A message that is only written.
+
+        It skips the steps that only reading needs; they take two thirds of the time.
+        """
 
         def __deepcopy__(self, memo: dict[int, Any]) -> Message:
-            return self  # writing changes names; this one is made for that alone
+            return self  # cantools copies messages to change names; here nothing else uses them
 
         def refresh(self, strict: bool | None = None) -> None:
-            """No codecs are made, and the layout was checked in the passes."""
+            """Skip the codecs and the check of the layout, which the compiler has done."""
 
     nodes = [can.Node("master", "Master of the bus: the base driver.")] + [
         can.Node(
@@ -91,13 +94,13 @@ def dbc_text(bus: Bus) -> str:
 
 def _dbc_signals(db: Any, frame: FrameDefinition) -> list[Any]:
     selector = next((s.name for s in frame.signals if s.multiplexer), None)
-    made = []
+    signals = []
     for signal in frame.signals:
         low, high = _limits(signal)
         comment = signal.description
         if signal.joint is not None:
             comment = f"{comment} Joint {signal.joint}.".strip()
-        made.append(
+        signals.append(
             db.can.Signal(
                 signal.name,
                 signal.start,
@@ -118,11 +121,11 @@ def _dbc_signals(db: Any, frame: FrameDefinition) -> list[Any]:
                 multiplexer_signal=selector if signal.selected_by else None,
             )
         )
-    return made
+    return signals
 
 
 def _limits(signal: Signal) -> tuple[float | None, float | None]:
-    """Both limits or none: a DBC has 0 for one that is missing beside one that is not."""
+    """Return both limits or none: DBC writes 0 for a missing one beside an existing one."""
     if signal.minimum is None and signal.maximum is None:
         return None, None
     first, last = (
@@ -142,16 +145,16 @@ def _number(value: float) -> float | int:
 
 
 def _plain(text: str) -> str:
-    """Text on one line without what ends or escapes a string in a DBC file."""
+    """Return the text on one line, without the quotes and backslashes of DBC strings."""
     return " ".join(text.replace("\\", "/").replace('"', "'").split())
 
 
 def _cantools_database() -> Any:
-    """The package ``cantools.database``, without what ``import cantools`` brings along.
+    """Return the package ``cantools.database`` without the other imports of ``cantools``.
 
-    The top package also imports its bus tester and with it python-can, asyncio
-    and ssl: two thirds of the time, and a bus library in a compiler.  So it is
-    put in place unexecuted, and runs when someone asks it for something else.
+    The top package also imports its bus tester, and with it python-can, asyncio
+    and ssl: two thirds of the time, and a bus library in a compiler.  So the top package is
+    registered without running it.  It runs at the first access to one of its names.
     """
     spec = importlib.util.find_spec("cantools") if "cantools" not in sys.modules else None
     if spec is not None and spec.loader is not None:

@@ -1,7 +1,7 @@
-"""A node's device configuration file (CiA 306): its object dictionary with the values wanted.
+"""The device configuration file (DCF, CiA 306) of a node: its objects and their required values.
 
-Written by us because a DCF must not hold the date of its making, which other
-writers put in.
+The project has its own writer because other writers add the current date, and builds must be the
+same bytes every time.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from itertools import groupby
 
 from thorvaldc.model.bus import OBJECT_TYPES, Bus, Node, ObjectValue
 
-BAUDRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, those that CiA 306 names
+BAUDRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, the list of CiA 306
 MANDATORY = (0x1000, 0x1001, 0x1018)
-ARRAYS = (0x1003, 0x1016)  # of entries of one type; the rest with subindices are records
+ARRAYS = (0x1003, 0x1016)  # all other objects with subindices are records
 RPDOS, TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 VARIABLE, ARRAY, RECORD = 0x7, 0x8, 0x9
 
 
 def described(bus: Bus) -> list[Node]:
-    """The nodes with an object dictionary that can be reached."""
+    """Return the nodes whose object dictionary is known."""
     return [node for node in bus.nodes if node.objects]
 
 
 def dcf_text(bus: Bus, node: Node) -> str:
-    """The DCF of a node.  Numbers are decimal, identifiers hexadecimal."""
+    """Return the DCF of a node.  Numbers are decimal, identifiers hexadecimal."""
     in_pdo = {
         (index, subindex): frame.producer != node.name
         for frame in bus.frames
@@ -46,7 +46,7 @@ def dcf_text(bus: Bus, node: Node) -> str:
             ],
         ),
         ("DeviceInfo", list(_device_info(bus, node, indices))),
-        ("DeviceComissioning", list(_commissioning(bus, node))),  # so spelt in CiA 306
+        ("DeviceComissioning", list(_commissioning(bus, node))),  # the spelling of CiA 306
         ("DummyUsage", [(f"Dummy{number:04X}", "0") for number in range(1, 8)]),
         ("Comments", [("Lines", "0")]),
         ("MandatoryObjects", _listed([i for i in indices if i in MANDATORY])),
@@ -71,9 +71,9 @@ def _device_info(bus: Bus, node: Node, indices: Sequence[int]) -> Iterator[tuple
     yield "ProductNumber", _hexadecimal(node.product_code or 0)
     yield "RevisionNumber", _hexadecimal(node.revision_number or 0)
     yield "OrderCode", ""
-    able = [rate // 1000 for rate in node.bitrates or (bus.bitrate,)]
+    supported = [rate // 1000 for rate in node.bitrates or (bus.bitrate,)]
     for rate in BAUDRATES:
-        yield f"BaudRate_{rate}", "1" if rate in able else "0"
+        yield f"BaudRate_{rate}", "1" if rate in supported else "0"
     yield "SimpleBootUpMaster", "0"
     yield "SimpleBootUpSlave", "1"
     yield "Granularity", "8"
@@ -136,7 +136,8 @@ def _variable(entry: ObjectValue, in_pdo: dict[tuple[int, int], bool]) -> list[t
     ]
     if entry.value is not None:
         number = _hexadecimal(entry.value) if entry.type == "unsigned32" else str(entry.value)
-        # What a node says of itself is its default; the rest is to be written to it.
+        # Read-only values identify the node: they are defaults.  The others are written to the
+        # node.
         rows.append(("DefaultValue" if entry.access == "ro" else "ParameterValue", number))
     return rows
 

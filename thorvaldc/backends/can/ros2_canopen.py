@@ -1,6 +1,6 @@
-"""`bus.yml` for ros2_canopen: its nodes with their DCFs, and heartbeats on.
+"""`bus.yml` for ros2_canopen: the nodes with their DCFs, with heartbeats.
 
-Without heartbeats, which are off by default there, drives go on when the master dies.
+Heartbeats are off by default in ros2_canopen.  Without them, drives continue when the master dies.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from thorvaldc.backends.can.dcf import described
 from thorvaldc.model.bus import Bus, Node
 
-# Units in device steps, by the unit of a signal.
+# Quantity of ros2_canopen by the unit of a signal.
 SCALES = {"rad": "pos", "rad/s": "vel"}
 MODES = {1: "position_mode", 8: "position_mode", 3: "velocity_mode", 9: "velocity_mode"}
 NO_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
@@ -18,7 +18,7 @@ MODE_OF_OPERATION, AXIS = 0x6060, 0x800
 
 
 def bus_yml(bus: Bus) -> str:
-    """The text for a bus; everything that a node must know besides is in its DCF."""
+    """Return the text for a bus; all other settings of a node are in its DCF."""
     lines = [
         "# Made by thorvaldc; changes are lost. Never tried on physical hardware.",
         "options:",
@@ -45,9 +45,9 @@ def _master_heartbeat(bus: Bus) -> Iterator[str]:
     if period is None:
         return
     yield f"  heartbeat_producer: {_milliseconds(period)}"
-    patience = [n.heartbeat_consumer_time for n in bus.nodes if n.heartbeat_consumer_time]
-    if patience:
-        yield f"  heartbeat_multiplier: {min(patience) / period:.6g}"
+    timeouts = [n.heartbeat_consumer_time for n in bus.nodes if n.heartbeat_consumer_time]
+    if timeouts:
+        yield f"  heartbeat_multiplier: {min(timeouts) / period:.6g}"
 
 
 def _node(bus: Bus, node: Node) -> Iterator[str]:
@@ -78,7 +78,7 @@ def _node(bus: Bus, node: Node) -> Iterator[str]:
 
 
 def _axes(bus: Bus, node: Node) -> Iterator[str]:
-    """Modes and scales of a CiA 402 drive, of each of its axes where there are several."""
+    """Yield modes and scales of a CiA 402 drive, for each axis if it has several."""
     axes = [list(_axis(bus, node, number)) for number in range(len(node.channels))]
     if len(axes) == 1:
         yield from axes[0]
@@ -118,12 +118,12 @@ def _axis(bus: Bus, node: Node, number: int) -> Iterator[str]:
 
 
 def _key(name: str) -> str:
-    """A name that YAML 1.1, which is read there, does not take for a truth value."""
+    """Return a key that YAML 1.1, the version of ros2_canopen, does not read as a truth value."""
     return f'"{name}"' if name in NO_TEXT else name
 
 
 def _heartbeat(bus: Bus, producer: str) -> float | None:
-    """Period in s of the heartbeat of the master or a node."""
+    """Return the heartbeat period in s of the master or a node."""
     return next(
         (f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == producer), None
     )

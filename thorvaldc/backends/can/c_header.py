@@ -1,4 +1,4 @@
-"""A C header with the bus's ids and scales, for firmware and tools."""
+"""A C header with ids and scales of the buses, for firmware and tools."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEGEND = """\
 
 
 def header_text(robot: Robot) -> str:
-    """Macros only, so that it costs nothing and fits C and C++."""
+    """Return the header; it has only macros, for C and C++."""
     lines = [f"/* The buses of {robot.name}. Made by thorvaldc; changes are lost.\n *\n{LEGEND} */"]
     lines += [f"#ifndef {GUARD}", f"#define {GUARD}"]
     taken: dict[str, int] = {}
@@ -32,13 +32,16 @@ def header_text(robot: Robot) -> str:
 
 
 def _unique(name: str, taken: dict[str, int]) -> str:
-    """`a`'s `b_c` and `a_b`'s `c` come out equal; the second is told apart by a number."""
+    """Return the name, with a number if it is taken.
+
+    The signal `b_c` of frame `a` and the signal `c` of frame `a_b` give the same name.
+    """
     number = taken[name] = taken.get(name, 0) + 1
     return name if number == 1 else _unique(f"{name}_{number}", taken)
 
 
 def _macros(bus: Bus) -> Iterator[tuple[str, str, str]]:
-    """Name without the bus, value, comment; a comment alone has no name."""
+    """Yield (name without the bus, value, comment); a comment line has an empty name."""
     yield "", "", f"bus {_plain(bus.name)}"
     yield "bitrate", f"{bus.bitrate}ul", "bit/s"
     yield "cycle", f"{round(bus.sync_period * 1e6)}ul", "us"
@@ -78,5 +81,5 @@ def _number(value: float) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text that can stand in a comment."""
+    """Return the text without the marks of C comments and backslashes."""
     return " ".join(text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").split())

@@ -1,4 +1,4 @@
-"""Colours as named materials, and the mesh files that both XML formats refer to."""
+"""Names of colours as materials, and the mesh files of both XML formats."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ Color = tuple[float, float, float, float]
 
 
 class Palette:
-    """Names for a robot's colours, made from the colours so that they are stable.
+    """Names of the colours of robots, such as ``color_7f7f7f``.
 
-    ``color_7f7f7f``, with two digits more where it is not opaque.
+    A name has the RGB value in hexadecimal digits, with the opacity for a colour that is not
+    opaque.  So a name does not change when a robot gets other colours.
     """
 
     def __init__(self, *robots: Robot) -> None:
@@ -26,7 +27,7 @@ class Palette:
                     name = "color_" + "".join(
                         f"{round(255 * min(max(c, 0.0), 1.0)):02x}" for c in color[:digits]
                     )
-                    # Two colours may round to one name.
+                    # Two colours may have the same name after rounding to 8 bits.
                     taken[name] = taken.get(name, 0) + 1
                     self._names[color] = name if taken[name] == 1 else f"{name}_{taken[name]}"
 
@@ -34,10 +35,10 @@ class Palette:
         return self._names[color]
 
     def entries(self) -> list[tuple[str, Color]]:
-        """Names and colours in order of first use."""
+        """Return the names and colours in order of first use."""
         return [(name, color) for color, name in self._names.items()]
 
 
 def mesh_files(robot: Robot) -> dict[str, bytes]:
-    """The mesh files by path; both XML formats name them ``../meshes/<name>``."""
+    """Return the mesh files by path; both XML formats refer to ``../meshes/<name>``."""
     return {f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes}
