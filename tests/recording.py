@@ -1,4 +1,4 @@
-"""Joint logs of simulated robots whose wheels are not as their drivers think."""
+"""Joint logs of simulated robots with wheel errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
 from thorvaldc.simulation.simulation_run import Simulation
 
-# Start (s), vx, vy (m/s), wz (rad/s): forwards, sideways and turns about places near by.
+# Start (s), vx, vy (m/s), wz (rad/s): forwards, sideways and turns about near points.
 TURNS = (
     (0.0, 0.8, 0.0, 0.0),
     (3.0, 0.6, 0.0, 0.6),
@@ -33,14 +33,14 @@ def record(
     open_loop: bool = True,
     files: Mapping[str, bytes] | None = None,
 ) -> str:
-    """The log, as text: on ideal joints, or in MuJoCo from ``files``.
+    """Returns the joint log as text, of a run on ideal joints, or in MuJoCo from ``files``.
 
-    ``radii`` are true ones over the model's, ``offsets`` the steering's in deg.
+    ``radii`` are ratios of true to model radius, ``offsets`` steering offsets in deg.
     """
     plan = [Segment(start, Twist(*twist)) for start, *twist in twists]
-    turned = {name: math.radians(degrees) for name, degrees in (offsets or {}).items()}
+    angles = {name: math.radians(degrees) for name, degrees in (offsets or {}).items()}
     wheel_errors = (
-        {robot.name: WheelErrors.by_name(robot, radii, turned)} if radii or offsets else {}
+        {robot.name: WheelErrors.by_name(robot, radii, angles)} if radii or offsets else {}
     )
     stream = io.StringIO()
     simulation = Simulation(robot, files, wheel_errors=wheel_errors, open_loop=open_loop)

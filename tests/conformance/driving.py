@@ -1,6 +1,6 @@
-"""Driving a robot's own files with joint commands straight from its geometry.
+"""Drives the generated MJCF of a robot with joint commands from its wheel geometry.
 
-No calculator and no driver: what is measured here is the model in MuJoCo alone.
+There is no calculator and no driver: the tests measure only the model in MuJoCo.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from thorvaldc.model import Robot, Wheel
 
 SPEED = 0.7  # m/s
 RAMP = 1.0  # s
-SETTLING = 6.0  # s until casters have swung round
+SETTLING = 6.0  # s, until casters point in their direction of motion
 MEASURED = 3.0  # s
 
 
 @dataclass(frozen=True)
 class Run:
-    """Path of ``base_link`` (m), its turn (rad), and both by the driven wheels alone."""
+    """Path of ``base_link`` (m) and its turn (rad), and both computed from the driven wheels."""
 
     distance: float
     wheel_distance: float
@@ -33,20 +33,20 @@ class Run:
 
 
 def rolling(wheel: Wheel, centre: tuple[float, float] | None, along: float) -> tuple[float, float]:
-    """Steering angle and ground speed of a wheel (per unit of the robot's own).
+    """Returns the steering angle and the ground speed of a wheel for a motion of the robot.
 
-    ``centre`` is the point about which the robot turns at 1 rad/s, or ``None`` for a
-    straight run at 1 m/s in the direction ``along``.  The wheel's contact is ``trail`` ahead
-    and ``lateral_offset`` left of its axis a; it does not slip where the
-    rolling direction d has d . (c - a) = trail, and then rolls at n . (c - a) -
-    lateral_offset with n to the left of d.
+    ``centre`` is the point c about which the robot turns at 1 rad/s, or ``None`` for a straight
+    run at 1 m/s in the direction ``along``.  The contact of the wheel lies ``trail`` ahead and
+    ``lateral_offset`` to the left of its steering axis a, seen in the rolling direction d.
+    The wheel does not slip sideways if d . (c - a) = trail.  Then it rolls at the speed
+    n . (c - a) - lateral_offset, with n to the left of d.
     """
     if centre is None:
         candidates = [along, along + math.pi]
     else:
         ux, uy = centre[0] - wheel.x, centre[1] - wheel.y
         distance = math.hypot(ux, uy)
-        if distance < 1e-6:  # the robot turns about this very wheel, which just scrubs
+        if distance < 1e-6:  # the robot turns about this wheel, which only scrubs
             return 0.0, 0.0
         spread = math.acos(max(-1.0, min(1.0, wheel.trail / distance)))
         candidates = [math.atan2(uy, ux) + spread, math.atan2(uy, ux) - spread]
@@ -66,7 +66,7 @@ def rolling(wheel: Wheel, centre: tuple[float, float] | None, along: float) -> t
 
 
 def fixed_line(robot: Robot) -> tuple[float, float, float] | None:
-    """A point on the axle line of the wheels that do not turn, and their heading."""
+    """Returns a point on the axle line of the fixed wheels, and their heading."""
     fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
     if not fixed:
         return None
@@ -76,7 +76,7 @@ def fixed_line(robot: Robot) -> tuple[float, float, float] | None:
 
 
 def can_turn(robot: Robot) -> bool:
-    """Whether the wheels that do not turn have one axle line, so that nothing must skid."""
+    """Reports if all fixed wheels have one axle line, so that the robot turns without skidding."""
     line = fixed_line(robot)
     if line is None:
         return True
@@ -90,9 +90,9 @@ def can_turn(robot: Robot) -> bool:
 
 
 def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
-    """Run straight (``radius`` ``None``) or on a circle of that radius in m, to the left.
+    """Drives straight (``radius`` is ``None``) or on a circle of this radius (m), to the left.
 
-    Distances are measured after the ramp and after casters have settled.
+    The measurement begins after the ramp, when the casters have settled.
     """
     prefix = robot.prefix
     m = mujoco.MjModel.from_xml_path(str(scene))
@@ -139,13 +139,13 @@ def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
             start = (now, yaw, [float(d.qpos[q]) for _, q, _, _ in speeds])
         last, heading = now, yaw
     assert start is not None
-    # What each driven wheel says the robot's own motion was.
-    own = [
+    # The motion of the robot, computed from each driven wheel.
+    estimates = [
         (float(d.qpos[q]) - begin) * r / speed
         for (_, q, speed, r), begin in zip(speeds, start[2], strict=True)
         if abs(speed) > 0.05
     ]
-    mean = sum(own) / len(own)
+    mean = sum(estimates) / len(estimates)
     arm = math.hypot(*centre) if centre is not None else 0.0
     return Run(
         path,

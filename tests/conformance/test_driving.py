@@ -1,4 +1,4 @@
-"""Every robot goes where its wheels say, in MuJoCo from its own files."""
+"""The motion of every robot in MuJoCo agrees with the rolling of its wheels."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ UPRIGHT = [name for name in EVERY if name != "planned/cambered"]
 
 
 def robot_of(name: str) -> Robot:
-    kind, _, own = name.partition("/")
-    return example_robot(own) if kind == "examples" else PLANNED[own]
+    group, _, robot = name.partition("/")
+    return example_robot(robot) if group == "examples" else PLANNED[robot]
 
 
 def scene_of(robot: Robot, folder: Path) -> Path:
@@ -31,7 +31,7 @@ def scene_of(robot: Robot, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", UPRIGHT)
-def test_straight_distance_is_that_of_the_wheels(name: str, tmp_path: Path) -> None:
+def test_straight_distance_agrees_with_the_wheels(name: str, tmp_path: Path) -> None:
     robot = robot_of(name)
     run = drive(scene_of(robot, tmp_path), robot, radius=None)
     assert run.distance > 1.5
@@ -42,7 +42,7 @@ def test_straight_distance_is_that_of_the_wheels(name: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("radius", [0.5, 3.0])
 @pytest.mark.parametrize("name", EVERY)
-def test_turning_is_that_of_the_wheels(name: str, radius: float, tmp_path: Path) -> None:
+def test_turning_agrees_with_the_wheels(name: str, radius: float, tmp_path: Path) -> None:
     robot = robot_of(name)
     if not can_turn(robot):
         pytest.skip("can turn only by skidding")
@@ -66,10 +66,10 @@ def test_examples_stand_still_and_hold_on_a_slope(name: str, tmp_path: Path) -> 
     m.opt.gravity[:] = (-9.81 * np.sin(np.radians(10)), 0, -9.81 * np.cos(np.radians(10)))
     for _ in range(400):
         mujoco.mj_step(m, d)
-    before = d.qpos[base].copy()
+    start = d.qpos[base].copy()
     for _ in range(400):
         mujoco.mj_step(m, d)
-    assert np.linalg.norm(d.qpos[base] - before) / 2.0 < 1e-3  # m/s
+    assert np.linalg.norm(d.qpos[base] - start) / 2.0 < 1e-3  # m/s
 
 
 ROCKER = """
@@ -89,7 +89,7 @@ ROCKER = """
 """
 
 
-def test_wheels_on_rockers_carry_what_the_model_says(workshop: Workshop, tmp_path: Path) -> None:
+def test_wheels_on_rockers_carry_the_loads_of_the_model(workshop: Workshop, tmp_path: Path) -> None:
     workshop.module("t/rocker", ROCKER)
     robot = workshop.robot(
         """

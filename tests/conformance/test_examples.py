@@ -1,4 +1,4 @@
-"""The examples: without a word from the compiler, and put together like machines."""
+"""The examples compile without diagnostics, and their parts fit together."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ PAPER = {
     "6wd6ws_asymmetric": (6, 6),
 }
 ROOT = Path(__file__).resolve().parents[2]
-VISUAL = 2  # the group of what is seen
+VISUAL = 2  # the group of visual geoms
 
 
 @pytest.mark.parametrize("name", [*ROBOTS, *FLEETS])
-def test_builds_without_a_word(name: str) -> None:
+def test_builds_without_diagnostics(name: str) -> None:
     file = next(
         FOLDER / name / f for f in ("robot.yaml", "fleet.yaml") if (FOLDER / name / f).is_file()
     )
-    done = compile_file(file)
-    assert done.model is not None
-    emit(done.model, DEFAULT_TARGETS, done.report)
-    assert not list(done.report), [d.message for d in done.report]
+    compilation = compile_file(file)
+    assert compilation.model is not None
+    emit(compilation.model, DEFAULT_TARGETS, compilation.report)
+    assert not list(compilation.report), [d.message for d in compilation.report]
 
 
 @pytest.mark.parametrize("name", [*ROBOTS, *FLEETS])
-def test_is_shown_and_explained(name: str) -> None:
+def test_has_a_picture_and_a_readme(name: str) -> None:
     folder = FOLDER / name
     picture = (folder / "picture.png").read_bytes()
     assert picture.startswith(b"\x89PNG")
@@ -53,7 +53,7 @@ def test_is_shown_and_explained(name: str) -> None:
     assert "thorvaldc build" in text
 
 
-def test_the_papers_robots_are_there() -> None:
+def test_all_robots_of_the_paper_are_examples() -> None:
     assert set(PAPER) <= set(ROBOTS)
     for name, (driven, steered) in PAPER.items():
         wheels = example_robot(name).wheels
@@ -61,7 +61,7 @@ def test_the_papers_robots_are_there() -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_every_wheel_stands_and_carries(name: str) -> None:
+def test_every_wheel_is_on_the_ground_and_carries_load(name: str) -> None:
     robot = example_robot(name)
     assert all(abs(w.contact_height) < 1e-9 for w in robot.wheels)
     assert min(w.load for w in robot.wheels) > 50.0
@@ -69,7 +69,7 @@ def test_every_wheel_stands_and_carries(name: str) -> None:
 
 
 class Scene:
-    """A robot's MJCF in its home pose, asked about distances of what is seen (convex hulls)."""
+    """A robot's MJCF in its home pose, with distances between visual geoms (convex hulls)."""
 
     def __init__(self, robot: Robot, folder: Path) -> None:
         for path, data in emit(robot, ["mjcf"]).items():
@@ -80,10 +80,10 @@ class Scene:
         mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
         mujoco.mj_kinematics(self.model, self.data)
         self.home = self.data.qpos.copy()
-        self.seen = [g for g in range(self.model.ngeom) if self.model.geom_group[g] == VISUAL]
+        self.visuals = [g for g in range(self.model.ngeom) if self.model.geom_group[g] == VISUAL]
 
     def near(self, geom: int, others: Any, distance: float) -> list[int]:
-        """Those of ``others`` that are within ``distance`` of ``geom``."""
+        """Returns the geoms of ``others`` within ``distance`` (m) of ``geom``."""
         m, d = self.model, self.data
         others = np.asarray(others)
         apart = np.linalg.norm(d.geom_xpos[others] - d.geom_xpos[geom], axis=1)
@@ -101,11 +101,11 @@ class Scene:
         return str(self.model.body(self.body(geom)).name)
 
     def is_below(self, geom: int, body: int) -> bool:
-        """Whether the geom moves with the body."""
-        at = self.body(geom)
-        while at and at != body:
-            at = int(self.model.body_parentid[at])
-        return at == body
+        """Reports if the geom belongs to the body or to one of its descendants."""
+        ancestor = self.body(geom)
+        while ancestor and ancestor != body:
+            ancestor = int(self.model.body_parentid[ancestor])
+        return ancestor == body
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -114,12 +114,12 @@ def test_nothing_floats(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("preset", sorted(p.stem for p in (ROOT / "templates/robot").iterdir()))
-def test_nothing_floats_of_what_new_makes(preset: str, tmp_path: Path) -> None:
+def test_nothing_floats_in_robots_of_the_command_new(preset: str, tmp_path: Path) -> None:
     text = (ROOT / f"templates/robot/{preset}.yaml").read_text().replace("@NAME@", "mine")
     assert floating(compiled(text, tmp_path), tmp_path) == []
 
 
-def test_nothing_floats_of_the_readmes_first_robot(tmp_path: Path) -> None:
+def test_nothing_floats_in_the_first_robot_of_the_readme(tmp_path: Path) -> None:
     readme = (ROOT / "README.md").read_text()
     text = readme.split("```yaml\n", 1)[1].split("```", 1)[0]
     assert floating(compiled(text, tmp_path), tmp_path) == []
@@ -127,27 +127,27 @@ def test_nothing_floats_of_the_readmes_first_robot(tmp_path: Path) -> None:
 
 def compiled(text: str, folder: Path) -> Robot:
     (folder / "robot.yaml").write_text(text)
-    done = compile_file(folder / "robot.yaml")
-    assert isinstance(done.model, Robot)
-    assert not list(done.report)
-    return done.model
+    compilation = compile_file(folder / "robot.yaml")
+    assert isinstance(compilation.model, Robot)
+    assert not list(compilation.report)
+    return compilation.model
 
 
 def floating(robot: Robot, folder: Path) -> list[str]:
-    """Bodies of which something is seen that touches nothing of what carries it."""
+    """Returns the bodies with visual geoms that are not connected to the rest by contacts."""
     scene = Scene(robot, folder)
-    reached, waiting = {scene.seen[0]}, [scene.seen[0]]
+    reached, waiting = {scene.visuals[0]}, [scene.visuals[0]]
     while waiting:
-        for found in scene.near(waiting.pop(), scene.seen, 0.002):
-            if found not in reached:
-                reached.add(found)
-                waiting.append(found)
-    return sorted({scene.name(g) for g in scene.seen if g not in reached})
+        for geom in scene.near(waiting.pop(), scene.visuals, 0.002):
+            if geom not in reached:
+                reached.add(geom)
+                waiting.append(geom)
+    return sorted({scene.name(g) for g in scene.visuals if g not in reached})
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
-    """Over the whole steering range nothing below the axis meets anything beside it."""
+    """Over the whole steering range no part of the leg touches the rest of the robot."""
     scene = Scene(example_robot(name), tmp_path)
     m = scene.model
     for wheel in example_robot(name).wheels:
@@ -156,40 +156,42 @@ def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
             continue
         joint = m.joint(turning)
         body = int(joint.bodyid[0])
-        moving = [g for g in scene.seen if scene.is_below(g, body)]
+        moving = [g for g in scene.visuals if scene.is_below(g, body)]
         holder = int(m.body_parentid[body])
-        fixed = [g for g in scene.seen if not scene.is_below(g, body) and scene.body(g) != holder]
+        fixed = [
+            g for g in scene.visuals if not scene.is_below(g, body) and scene.body(g) != holder
+        ]
         limits = joint.range if joint.limited[0] else (-np.pi, np.pi)
         for angle in np.linspace(*limits, 25):
             scene.data.qpos[:] = scene.home
             scene.data.qpos[joint.qposadr[0]] = angle
             mujoco.mj_kinematics(m, scene.data)
-            met = [
+            contacts = [
                 (scene.name(g), scene.name(o)) for g in moving for o in scene.near(g, fixed, -1e-3)
             ]
-            assert met == [], f"at {np.degrees(angle):.0f} deg"
+            assert contacts == [], f"at {np.degrees(angle):.0f} deg"
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_tyres_run_clear(name: str, tmp_path: Path) -> None:
-    """A tyre meets neither its leg or fork nor anything else of the robot."""
+def test_tyres_touch_nothing(name: str, tmp_path: Path) -> None:
+    """A tyre touches neither its leg or fork nor another part of the robot."""
     scene = Scene(example_robot(name), tmp_path)
     m, d = scene.model, scene.data
     for wheel in example_robot(name).wheels:
         body = m.body(wheel.link).id
-        tyre = [g for g in scene.seen if scene.body(g) == body and "tyre" in _mesh(m, g)]
+        tyre = [g for g in scene.visuals if scene.body(g) == body and "tyre" in _mesh(m, g)]
         assert tyre
-        held = {body, int(m.body_parentid[body])} if wheel.driven else {body}
-        # The hull of a tyre has no hole: leave out what lies on the axle.
+        carriers = {body, int(m.body_parentid[body])} if wheel.driven else {body}
+        # The convex hull of a tyre has no hole, so geoms on the axle do not count.
         axle, across = d.xpos[body], d.xmat[body].reshape(3, 3)[:, 1]
         others = [
             g
-            for g in scene.seen
-            if scene.body(g) not in held
+            for g in scene.visuals
+            if scene.body(g) not in carriers
             and np.linalg.norm(np.cross(d.geom_xpos[g] - axle, across)) > 1e-3
         ]
-        met = {scene.name(o) for g in tyre for o in scene.near(g, others, -1e-3)}
-        assert met == set()
+        contacts = {scene.name(o) for g in tyre for o in scene.near(g, others, -1e-3)}
+        assert contacts == set()
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> str:

@@ -1,4 +1,4 @@
-"""The table of the odometry experiment is what its script measures."""
+"""The table of the odometry experiment agrees with its script."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def experiment() -> ModuleType:
 
 
 def shown() -> dict[str, list[float]]:
-    """The README's rows: true way, odometry's, end error, that of random pairs."""
+    """Returns the rows of the README: true path, odometry, end error, end error of random pairs."""
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
     rows = re.findall(
         r"^\| ([^|]+?) \| ([\d.]+) m \| ([\d.]+) m \| ([\d.]+) m \| ([\d.]+) m", text, re.M
@@ -41,9 +41,9 @@ def agrees(row: tuple[str, float, float, float, float]) -> None:
     name, *values = row
     true, odometry, end_error, pairs = shown()[name]
     assert values[:2] == pytest.approx([true, odometry], abs=0.05)
-    # The last millimetres are the machine's.
+    # The last millimetres depend on the machine.
     assert values[2] == pytest.approx(end_error, rel=0.1, abs=0.01)
-    # So are some decimetres of pairs drawn at random.
+    # So do a few decimetres of the random pairs.
     assert values[3] == pytest.approx(pairs, abs=0.5)
 
 
@@ -55,11 +55,11 @@ def test_with_ideal_sensors_odometry_ends_within_50_mm_of_80_m(experiment: Modul
     assert samples[-1].time == pytest.approx(77.0)
 
 
-def test_calibration_takes_the_offsets_away(experiment: ModuleType, tmp_path: Path) -> None:
+def test_calibration_removes_the_offsets(experiment: ModuleType, tmp_path: Path) -> None:
     path, name = FOLDER / "offsets.yaml", experiment.CASES["offsets"]
     before, _, _ = experiment.drive(path, name)
     agrees(before)
-    made = experiment.calibrated(path, tmp_path)
-    after, _, _ = experiment.drive(made, f"{name}, calibrated")
+    scenario = experiment.calibrated(path, tmp_path)
+    after, _, _ = experiment.drive(scenario, f"{name}, calibrated")
     agrees(after)
     assert after.end_error < before.end_error / 20.0

@@ -1,4 +1,4 @@
-"""What a run lets its watcher see, tick by tick."""
+"""Samples of a run: the callback gets the measurements of every tick."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.simulation_run import Simulation
 
 ROBOT = make_robot(FOUR_STEERED)
-ASKED = Twist(0.5, 0.1, 1.2)
+COMMANDED = Twist(0.5, 0.1, 1.2)
 
 
 def samples(simulation: Simulation, duration: float) -> list[Sample]:
-    seen: list[Sample] = []
+    ticks: list[Sample] = []
 
     def on_tick(loop: ControlLoop) -> None:
-        seen.append(loop.sample())
+        ticks.append(loop.sample())
 
-    simulation.run(duration, ASKED, on_tick=on_tick)
-    return seen
+    simulation.run(duration, COMMANDED, on_tick=on_tick)
+    return ticks
 
 
-def test_each_tick_is_seen_once() -> None:
-    seen = samples(Simulation(ROBOT), 1.0)
+def test_callback_gets_each_tick_once() -> None:
+    ticks = samples(Simulation(ROBOT), 1.0)
     rate = ROBOT.driver.rate
-    assert [s.time for s in seen] == pytest.approx([k / rate for k in range(round(rate) + 1)])
-    assert all(s.commanded == ASKED for s in seen)
-    assert seen[0].limited.speed < 0.1  # the ramp
-    assert seen[-1].true == seen[-1].estimated
-    assert seen[-1].pose_true == seen[-1].pose_estimated
+    assert [s.time for s in ticks] == pytest.approx([k / rate for k in range(round(rate) + 1)])
+    assert all(s.commanded == COMMANDED for s in ticks)
+    assert ticks[0].limited.speed < 0.1  # the ramp
+    assert ticks[-1].true == ticks[-1].estimated
+    assert ticks[-1].pose_true == ticks[-1].pose_estimated
 
 
-def test_truth_is_the_physics_and_yaw_is_counted() -> None:
+def test_true_motion_is_that_of_the_physics_and_yaw_is_not_wrapped() -> None:
     pytest.importorskip("mujoco")
-    seen = samples(Simulation(ROBOT, files_of(Mjcf, ROBOT)), 8.0)
-    last = seen[-1]
+    ticks = samples(Simulation(ROBOT, files_of(Mjcf, ROBOT)), 8.0)
+    last = ticks[-1]
     assert last.true != last.estimated
     assert last.true == pytest.approx(last.limited, abs=0.02)
     assert last.estimated == pytest.approx(last.limited, abs=0.02)

@@ -1,4 +1,4 @@
-"""Robots driven by the base driver in MuJoCo go where they should."""
+"""Robots that the base driver controls in MuJoCo follow their commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytest.importorskip("mujoco")
 
 S, F, P = "steered", "fixed", "passive"
 SQUARE = ((0.55, 0.45), (0.55, -0.45), (-0.55, 0.45), (-0.55, -0.45))
-MADE = {
+ROBOTS_OF_TESTS = {
     "four steered": make_robot(FOUR_STEERED),
     "six steered, suspended": make_robot(
         [(x, y, S) for x, y in (*SQUARE, (0.1, 0.6), (-0.1, -0.6))], suspended=True
@@ -43,19 +43,19 @@ EXAMPLES = sorted(
 
 @cache
 def simulation(name: str) -> Simulation:
-    if name in MADE:
-        return Simulation(MADE[name], files_of(Mjcf, MADE[name]))
+    if name in ROBOTS_OF_TESTS:
+        return Simulation(ROBOTS_OF_TESTS[name], files_of(Mjcf, ROBOTS_OF_TESTS[name]))
     root = Path(__file__).resolve().parents[2] / "examples" / name
-    done = compile_file(root / "robot.yaml")
-    assert isinstance(done.model, Robot), [d.message for d in done.report.errors]
-    return Simulation(done.model, emit(done.model, ["mjcf"], done.report))
+    compilation = compile_file(root / "robot.yaml")
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report.errors]
+    return Simulation(compilation.model, emit(compilation.model, ["mjcf"], compilation.report))
 
 
 def drive(name: str, twist: Twist, seconds: float) -> RobotResult:
-    """Drive a twist and stop; the wheels are at their angles before the way counts."""
-    made = simulation(name)
+    """Drives a twist and stops; the driver turns the wheels before it drives."""
+    sim = simulation(name)
     plan = [Segment(0.0, twist), Segment(seconds, ZERO_TWIST)]
-    return made.run(seconds + 1.5, plan).robots[0]
+    return sim.run(seconds + 1.5, plan).robots[0]
 
 
 def fast(name: str) -> float:
@@ -63,20 +63,20 @@ def fast(name: str) -> float:
     return min(1.0, 0.8 * robot.driver.max_linear_velocity)
 
 
-@pytest.mark.parametrize("name", [*MADE, *EXAMPLES])
-def test_straight_distance_is_that_of_the_wheels(name: str) -> None:
+@pytest.mark.parametrize("name", [*ROBOTS_OF_TESTS, *EXAMPLES])
+def test_straight_distance_agrees_with_the_wheels(name: str) -> None:
     run = drive(name, Twist(fast(name), 0.0, 0.0), 4.0)
     assert run.path_odometry > 2.0
     # One wheel that drives the whole robot has a stiff servo, integrated implicitly.
-    exact = 1e-3 if run.driven == 1 else 1e-4
-    assert run.path_true == pytest.approx(run.path_odometry, rel=exact)
+    tolerance = 1e-3 if run.driven == 1 else 1e-4
+    assert run.path_true == pytest.approx(run.path_odometry, rel=tolerance)
     assert run.path_commanded == pytest.approx(run.path_odometry, rel=1e-2)
     assert abs(run.pose_true.yaw) < 5e-3
 
 
-@pytest.mark.parametrize("name", [*MADE, *EXAMPLES])
+@pytest.mark.parametrize("name", [*ROBOTS_OF_TESTS, *EXAMPLES])
 @pytest.mark.parametrize("twist", [Twist(0.5, 0.0, 0.3), Twist(0.0, 0.0, -0.4)])
-def test_turning_is_that_of_the_wheels(name: str, twist: Twist) -> None:
+def test_turning_agrees_with_the_wheels(name: str, twist: Twist) -> None:
     run = drive(name, twist, 8.0)
     assert abs(run.pose_odometry.yaw) > 2.0
     assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-2)
@@ -85,24 +85,25 @@ def test_turning_is_that_of_the_wheels(name: str, twist: Twist) -> None:
 
 @pytest.mark.parametrize(
     ("middle", "bound"),
-    # Wheels that slip at different speeds pull alike; the fit takes them in proportion.
+    # Coulomb friction does not depend on the slip speed, but the least-squares fit of the
+    # odometry assumes that it does.
     [((), 0.02), (((0.0, 0.45), (0.0, -0.45)), 0.08)],
 )
-def test_skid_steering_turns_as_asked(
+def test_skid_steering_follows_the_commanded_yaw_rate(
     middle: tuple[tuple[float, float], ...], bound: float
 ) -> None:
     robot = make_robot([(x, y, F) for x, y in (*SQUARE, *middle)])
-    made = Simulation(robot, files_of(Mjcf, robot))
+    sim = Simulation(robot, files_of(Mjcf, robot))
     for twist in (Twist(0.0, 0.0, 0.4), Twist(0.5, 0.0, 0.3)):
-        run = made.run(9.5, [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]).robots[0]
+        run = sim.run(9.5, [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]).robots[0]
         assert run.pose_true.yaw == pytest.approx(twist.wz * 8.0, rel=bound)
         assert run.pose_odometry.yaw == pytest.approx(run.pose_true.yaw, rel=bound)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_every_example_does_its_manoeuvre(name: str) -> None:
-    made = simulation(name)
-    result = made.demonstrate()
+def test_every_example_drives_its_default_manoeuvre(name: str) -> None:
+    sim = simulation(name)
+    result = sim.demonstrate()
     (run,) = result.robots
     assert not run.tipped
     assert run.unreachable == ()
@@ -113,20 +114,22 @@ def test_every_example_does_its_manoeuvre(name: str) -> None:
 
 
 @pytest.mark.skipif(not EXAMPLES, reason="the examples are not in this distribution")
-def test_the_fleet_drives_without_meeting() -> None:
+def test_the_fleet_drives_without_collisions() -> None:
     root = Path(__file__).resolve().parents[2] / "examples" / "fleet_of_four"
-    done = compile_file(root / "fleet.yaml")
-    assert isinstance(done.model, Fleet), [d.message for d in done.report.errors]
-    result = Simulation(done.model, emit(done.model, ["mjcf"], done.report)).demonstrate()
+    compilation = compile_file(root / "fleet.yaml")
+    assert isinstance(compilation.model, Fleet), [d.message for d in compilation.report.errors]
+    result = Simulation(
+        compilation.model, emit(compilation.model, ["mjcf"], compilation.report)
+    ).demonstrate()
     assert len(result.robots) == 4
     for run in result.robots:
         assert run.path_true > 5.0
         assert run.end_error < 0.01 * run.path_true
 
 
-def test_a_wheel_that_must_turn_around_does_so_while_the_robot_stands() -> None:
-    """Backwards in a curve, then one in which a wheel would pass its limit of 176 deg."""
-    made = simulation("6wd6ws_asymmetric")
+def test_robot_stops_while_a_wheel_turns_around() -> None:
+    """Two curves: in the second one a wheel would pass its limit of 176 deg."""
+    sim = simulation("6wd6ws_asymmetric")
     plan = [Segment(0.0, Twist(-0.92, 0.52, 0.24)), Segment(4.0, Twist(0.96, 0.23, -0.18))]
     slips: list[float] = [0.0]
     stops: list[bool] = []
@@ -140,17 +143,17 @@ def test_a_wheel_that_must_turn_around_does_so_while_the_robot_stands() -> None:
                 c, s = math.cos(wheel.heading + angle), math.sin(wheel.heading + angle)
                 slips.append(abs(c * (vy + wz * wheel.x) - s * (vx - wz * wheel.y)))
 
-    run = made.run(12.0, plan, None, on_tick).robots[0]
+    run = sim.run(12.0, plan, None, on_tick).robots[0]
     assert any(stops[200:400])
     assert not any(stops[400:])
-    # Without the stop a wheel is dragged across at 0.5 m/s, over and over again.
+    # Without the stop a wheel slides sideways at 0.5 m/s, repeatedly.
     assert max(slips) < 0.06
     assert run.end_error < 0.02
 
 
 @pytest.mark.parametrize("twist", [Twist(0.0, 0.0, 0.5), Twist(0.5, 0.0, 0.3)])
-def test_wheels_that_lean_turn_the_robot_as_their_encoders_say(twist: Twist) -> None:
-    """Wheels tilted by 6 and 9 deg; what is left is their torsional friction."""
+def test_cambered_wheels_turn_the_robot_by_the_angle_of_their_encoders(twist: Twist) -> None:
+    """Wheels tilted by 6 and 9 deg; torsional friction causes the remaining error."""
     robot = ROBOTS["cambered"]
     plan = [Segment(0.0, twist), Segment(8.0, ZERO_TWIST)]
     run = Simulation(robot, files_of(Mjcf, robot)).run(10.0, plan).robots[0]

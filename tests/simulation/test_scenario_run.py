@@ -1,4 +1,4 @@
-"""Scenarios run: what is broken shows, what is expected decides, what is recorded is there."""
+"""Scenario runs: injected faults, metrics, expectations and records."""
 
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ script: [{{at: 0, vx: 0.8 m/s}}]
 def simulation(folder: Path, text: str) -> ScenarioSimulation:
     path = folder / "scenario.yaml"
     path.write_text(text, encoding="utf-8")
-    done = compile_file(path)
-    assert done.scenario is not None, [d.message for d in done.report]
-    return ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"], Report()))
+    compilation = compile_file(path)
+    assert compilation.scenario is not None, [d.message for d in compilation.report]
+    return ScenarioSimulation(
+        compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"], Report())
+    )
 
 
 def play(folder: Path, text: str) -> tuple[ScenarioResult, list[str]]:
@@ -53,13 +55,13 @@ def measured(folder: Path, text: str) -> Any:
     return result.metrics["cart"]
 
 
-def test_without_faults_it_drives_as_asked(tmp_path: Path) -> None:
-    found = measured(tmp_path, HEAD)
-    assert found["path"] == pytest.approx(0.8 * 4, abs=0.4)
-    assert found["end_error"] < 0.01  # the tyres give way while it speeds up
-    assert found["length_ratio"] == pytest.approx(1.0, abs=3e-3)
-    assert found["slip"] < 0.01
-    assert found["collisions"] == found["steering_limit_hits"] == 0
+def test_without_faults_the_robot_follows_the_script(tmp_path: Path) -> None:
+    metrics = measured(tmp_path, HEAD)
+    assert metrics["path"] == pytest.approx(0.8 * 4, abs=0.4)
+    assert metrics["end_error"] < 0.01  # the tyres slip a little while it accelerates
+    assert metrics["length_ratio"] == pytest.approx(1.0, abs=3e-3)
+    assert metrics["slip"] < 0.01
+    assert metrics["collisions"] == metrics["steering_limit_hits"] == 0
 
 
 def test_runs_are_equal_to_the_last_bit(tmp_path: Path) -> None:
@@ -75,14 +77,14 @@ def test_runs_are_equal_to_the_last_bit(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "thorvaldc", "sim", str(tmp_path / "scenario.yaml")]
     for seed in ("1", "77"):
         environment = {**os.environ, "PYTHONHASHSEED": seed}
-        done = subprocess.run(
+        process = subprocess.run(
             command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True
         )
-        assert f"result {first[:16]}" in done.stdout
+        assert f"result {first[:16]}" in process.stdout
     assert play(tmp_path, text.replace("seed: 2", "seed: 5"))[0].hash != first
 
 
-def test_the_ways_uphill_take_energy(tmp_path: Path) -> None:
+def test_driving_uphill_takes_energy(tmp_path: Path) -> None:
     slope = "world: {{ground: {{type: slope, angle: 5 deg, direction: {} deg}}}}\n"
     level = measured(tmp_path, HEAD)
     up = measured(tmp_path, HEAD + slope.format(0))
@@ -102,41 +104,43 @@ def test_the_ways_uphill_take_energy(tmp_path: Path) -> None:
         ("{type: ice, wheel: fl_wheel, friction: 0.01}", "end_error", 0.0, 0.1),
     ],
 )
-def test_faults_show(tmp_path: Path, fault: str, metric: str, low: float, high: float) -> None:
-    found = measured(tmp_path, HEAD + f"faults: [{fault}]\n")
-    assert low <= found[metric] <= high
+def test_injected_faults_change_the_metrics(
+    tmp_path: Path, fault: str, metric: str, low: float, high: float
+) -> None:
+    metrics = measured(tmp_path, HEAD + f"faults: [{fault}]\n")
+    assert low <= metrics[metric] <= high
 
 
-def test_a_lost_motor_comes_back_and_leaves_the_scene_as_it_was(tmp_path: Path) -> None:
+def test_a_lost_motor_recovers_and_the_scene_is_restored(tmp_path: Path) -> None:
     text = HEAD + "faults: [{type: motor_lost, wheel: fl_wheel, at: 0.5, until: 3}]\n"
     drive = simulation(tmp_path, text)
     assert drive.scene is not None
-    before = drive.scene.model.actuator_gainprm.copy()
-    energy = []
+    gains = drive.scene.model.actuator_gainprm.copy()
+    joints_of_ticks = []
     report = Report()
-    result = drive.play(report, on_tick=lambda m: energy.append(m.sample().joints))
+    result = drive.play(report, on_tick=lambda m: joints_of_ticks.append(m.sample().joints))
     assert list(report.errors) == []
-    assert (drive.scene.model.actuator_gainprm == before).all()
+    assert (drive.scene.model.actuator_gainprm == gains).all()
     assert result.metrics["cart"]["end_error"] < 0.05
-    speeds = [joints.speeds[0] for joints in energy if joints is not None]
+    speeds = [joints.speeds[0] for joints in joints_of_ticks if joints is not None]
     assert speeds[-1] == pytest.approx(0.8 / 0.2, rel=0.05)
 
 
-def test_frozen_encoders_stand_for_as_long(tmp_path: Path) -> None:
+def test_a_frozen_encoder_does_not_change(tmp_path: Path) -> None:
     text = HEAD + "faults: [{type: encoder_frozen, wheel: fl_wheel, at: 1, until: 2}]\n"
-    seen: list[tuple[float, float]] = []
+    positions: list[tuple[float, float]] = []
 
     def on_tick(loop: Any) -> None:
         joints = loop.sample().joints
-        seen.append((joints.time, joints.positions[0]))
+        positions.append((joints.time, joints.positions[0]))
 
     simulation(tmp_path, text).play(Report(), on_tick=on_tick)
-    held = {position for time, position in seen if 1.0 <= time < 2.0}
-    assert len(held) == 1
-    assert len({position for time, position in seen if time >= 2.0}) > 50
+    frozen = {position for time, position in positions if 1.0 <= time < 2.0}
+    assert len(frozen) == 1
+    assert len({position for time, position in positions if time >= 2.0}) > 50
 
 
-def test_what_is_touched_counts(tmp_path: Path) -> None:
+def test_collisions_count_obstacles_but_not_kerbs(tmp_path: Path) -> None:
     box = "world: {obstacles: {box: {shape: box, xyz: [2, 0, 0], size: [0.2, 2, 1]}}}\n"
     result, errors = play(tmp_path, HEAD + box + "expect: {collisions: {max: 0}}\n")
     assert result.metrics["cart"]["collisions"] >= 1
@@ -148,7 +152,9 @@ def test_what_is_touched_counts(tmp_path: Path) -> None:
     assert result.metrics["cart"]["tilt"] > math.radians(0.5)
 
 
-def test_who_falls_over_is_told_with_time_and_way_and_the_record_is_kept(tmp_path: Path) -> None:
+def test_tip_over_is_reported_with_time_and_direction_and_the_record_is_kept(
+    tmp_path: Path,
+) -> None:
     text = HEAD.replace("4wd4ws_slim", "4wd2ws_tall").replace("4 s", "40 s")
     text += "world: {ground: {type: slope, angle: 58 deg, direction: 90 deg}, friction: 4.5}\n"
     drive = simulation(tmp_path, text)
@@ -156,16 +162,16 @@ def test_who_falls_over_is_told_with_time_and_way_and_the_record_is_kept(tmp_pat
     report = Report()
     result = drive.play(report, [recorder])
     recorder.close()
-    (fault,) = report.errors
-    assert fault.code.name == "simulation-tipped"
-    assert "fell over to its right after 1." in fault.message
-    assert "lower its speed" in (fault.hint or "")
+    (error,) = report.errors
+    assert error.code.name == "simulation-tipped"
+    assert "fell over to its right after 1." in error.message
+    assert "lower its speed" in (error.hint or "")
     assert not result.completed
     rows = read(tmp_path / "records/cart.csv")
     assert float(rows[-1]["time"]) == pytest.approx(result.run.simulated)
 
 
-def test_who_starts_within_an_obstacle_is_not_told_to_drive_slower(tmp_path: Path) -> None:
+def test_a_start_inside_an_obstacle_has_its_own_hint(tmp_path: Path) -> None:
     crate = "{shape: box, xyz: [0.55, 0, 0.1], size: [1.2, 1.2, 0.1]}"
     drive = simulation(tmp_path, HEAD + f"world: {{obstacles: {{crate: {crate}}}}}\n")
     report = Report()
@@ -173,7 +179,7 @@ def test_who_starts_within_an_obstacle_is_not_told_to_drive_slower(tmp_path: Pat
     assert "start inside an obstacle" in (report.errors[0].hint or "")
 
 
-def test_records_have_the_groups_and_times_that_are_wanted(tmp_path: Path) -> None:
+def test_records_have_the_groups_and_times_of_the_scenario(tmp_path: Path) -> None:
     text = HEAD + "record: {what: [truth, joints], every: 0.1 s}\n"
     drive = simulation(tmp_path, text)
     scenario = drive.scenario
@@ -184,13 +190,13 @@ def test_records_have_the_groups_and_times_that_are_wanted(tmp_path: Path) -> No
     assert len(rows) == 41
     assert {"true_x", "fl_drive_axle_position"} <= rows[0].keys()
     assert not any(name.startswith(("odometry", "asked")) for name in rows[0])
-    # A driven wheel's turn is the way over its radius.
-    way = float(rows[-1]["true_x"])
-    turned = float(rows[-1]["fl_drive_axle_position"]) - float(rows[0]["fl_drive_axle_position"])
-    assert turned * 0.2 == pytest.approx(way, rel=0.01)
+    # The angle of a driven wheel is the distance over its radius.
+    distance = float(rows[-1]["true_x"])
+    angle = float(rows[-1]["fl_drive_axle_position"]) - float(rows[0]["fl_drive_axle_position"])
+    assert angle * 0.2 == pytest.approx(distance, rel=0.01)
 
 
-def test_rough_ground_is_as_high_as_it_says_and_level_where_robots_start() -> None:
+def test_rough_ground_has_its_amplitude_and_is_level_at_the_start() -> None:
     ground = Ground(amplitude=0.02, wavelength=1.0, seed=5, size=(20.0, 10.0))
     rows = heights(ground, [Pose((2.0, 1.0, 0.0))])
     inner = [h for row in rows[20:-20] for h in row[20:-20]]
@@ -203,7 +209,7 @@ def test_rough_ground_is_as_high_as_it_says_and_level_where_robots_start() -> No
     assert heights(Ground(0, 0, 0.02, 1.0, 6, (20.0, 10.0)), []) != heights(ground, [])
 
 
-def test_who_diverges_is_told_with_time_and_cause(tmp_path: Path) -> None:
+def test_divergence_is_reported_with_time_and_cause(tmp_path: Path) -> None:
     drive = simulation(tmp_path, HEAD)
 
     def on_tick(loop: Any) -> None:
@@ -212,14 +218,14 @@ def test_who_diverges_is_told_with_time_and_cause(tmp_path: Path) -> None:
 
     report = Report()
     result = drive.play(report, on_tick=on_tick)
-    (fault,) = report.errors
-    assert fault.code.name == "simulation-diverged"
-    assert "after 1.0" in fault.message
-    assert "the joint `cart/" in fault.message
+    (error,) = report.errors
+    assert error.code.name == "simulation-diverged"
+    assert "after 1.0" in error.message
+    assert "the joint `cart/" in error.message
     assert not result.passed
 
 
-def test_an_interrupted_run_leaves_whole_records(tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_complete_records(tmp_path: Path) -> None:
     drive = simulation(tmp_path, HEAD)
     recorder = CsvRecorder(tmp_path / "r", drive.robots, drive.scenario.record)
 

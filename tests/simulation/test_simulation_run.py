@@ -1,4 +1,4 @@
-"""The simulation as a whole: its results, and what it tells of faults."""
+"""Simulation runs: results, diagnostics, default manoeuvres and the demo table."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_a_run_on_ideal_joints_and_one_in_mujoco_agree() -> None:
 
 
 def test_same_run_gives_the_same_numbers() -> None:
-    made = Simulation(ROBOT, files_of(Mjcf, ROBOT))
-    assert made.run(2.0, Twist(0.5, 0.0, 0.3)).robots == made.run(2.0, Twist(0.5, 0.0, 0.3)).robots
+    sim = Simulation(ROBOT, files_of(Mjcf, ROBOT))
+    assert sim.run(2.0, Twist(0.5, 0.0, 0.3)).robots == sim.run(2.0, Twist(0.5, 0.0, 0.3)).robots
 
 
 def test_result_as_json() -> None:
@@ -61,7 +61,7 @@ def test_result_as_json() -> None:
 
 
 @pytest.mark.parametrize("twist", [Twist(math.nan, 0.0, 0.0), Twist(0.0, math.inf, 0.0)])
-def test_a_twist_that_is_not_finite_is_a_fault(twist: Twist) -> None:
+def test_a_twist_that_is_not_finite_is_an_error(twist: Twist) -> None:
     with pytest.raises(DiagnosticError) as caught:
         Simulation(ROBOT).run(1.0, twist)
     assert caught.value.diagnostic.code.name == "twist-invalid"
@@ -81,8 +81,8 @@ def test_twists_as_text() -> None:
         assert caught.value.diagnostic.code.name == "twist-invalid"
 
 
-def test_falling_over_ends_the_run_and_is_told() -> None:
-    """A tall, narrow robot that turns fast."""
+def test_tip_over_ends_the_run_and_is_reported() -> None:
+    """A tall, narrow robot turns fast."""
     narrow = [(0.5, 0.12, "steered"), (0.5, -0.12, "steered"), (-0.5, 0.12, "steered")]
     narrow.append((-0.5, -0.12, "steered"))
     robot = make_robot(narrow, body_height=1.5, body_mass=300.0)
@@ -98,19 +98,19 @@ def test_falling_over_ends_the_run_and_is_told() -> None:
     assert codes(upright) == []
 
 
-def test_divergence_ends_the_run_and_is_told() -> None:
-    made = Simulation(ROBOT, files_of(Mjcf, ROBOT))
-    assert made.scene is not None
-    made.scene.model.body_mass[2] = 1e-12
-    made.scene.model.body_inertia[2] = 1e-15
-    made.scene.model.opt.gravity[2] = -1e14
+def test_divergence_ends_the_run_and_is_reported() -> None:
+    sim = Simulation(ROBOT, files_of(Mjcf, ROBOT))
+    assert sim.scene is not None
+    sim.scene.model.body_mass[2] = 1e-12
+    sim.scene.model.body_inertia[2] = 1e-15
+    sim.scene.model.opt.gravity[2] = -1e14
     report = Report()
-    result = made.run(2.0, Twist(0.5, 0.0, 0.0), report)
+    result = sim.run(2.0, Twist(0.5, 0.0, 0.0), report)
     assert result.diverged
     assert codes(report) == ["simulation-diverged"]
 
 
-def test_unreachable_steering_is_told() -> None:
+def test_unreachable_steering_is_reported() -> None:
     joints = tuple(
         replace(j, lower=-0.6, upper=0.6) if j.role == "steering" else j for j in ROBOT.joints
     )
@@ -124,7 +124,7 @@ def test_unreachable_steering_is_told() -> None:
     assert codes(reachable) == []
 
 
-def test_infeasible_twists_are_told_but_not_the_swing_of_a_turn() -> None:
+def test_infeasible_twists_are_reported_but_not_the_swing_of_a_turn() -> None:
     robot = make_robot([(-0.3, 0.4, "fixed"), (-0.3, -0.4, "fixed"), (0.5, 0.0, "swivel")])
     report = Report()
     result = Simulation(robot).run(2.0, Twist(0.2, 0.5, 0.0), report)
@@ -149,7 +149,7 @@ def test_demo_reads_only_the_build_folder(tmp_path: Path) -> None:
     assert len({line.index("true") for line in table.splitlines() if "true" in line}) == 1
 
 
-def test_demo_tells_what_is_missing(tmp_path: Path) -> None:
+def test_demo_reports_missing_and_broken_files(tmp_path: Path) -> None:
     report = Report()
     assert drive_build(tmp_path, report) is None
     assert codes(report) == ["model-unreadable"]
@@ -180,14 +180,14 @@ def test_default_manoeuvre_suits_the_robot() -> None:
     assert not any(t.wz and not t.vx for t in narrow)
 
 
-def test_a_fleet_keeps_apart() -> None:
-    """Who can, goes sideways, unless another stands there that cannot."""
+def test_robots_of_a_fleet_keep_apart() -> None:
+    """A robot drives sideways, unless another robot stands there that cannot."""
     axle = make_robot([(-0.3, 0.4, "fixed"), (-0.3, -0.4, "fixed"), (0.5, 0.0, "swivel")])
 
-    # After the arc of 2 rad, the left of one is where the other stands.
+    # After the arc of 2 rad, the second robot stands to the left of the first.
     def sideways(distance: float) -> bool:
-        other = Pose2(-0.91 * distance, -0.42 * distance, 0.0)
-        robots = [("a", ROBOT, ORIGIN), ("b", axle, other)]
+        second = Pose2(-0.91 * distance, -0.42 * distance, 0.0)
+        robots = [("a", ROBOT, ORIGIN), ("b", axle, second)]
         plans, duration = fleet_manoeuvres(robots)
         assert duration == max(start for start, _ in plans["a"]) + 2.0
         assert [start for start, _ in plans["a"]] == [start for start, _ in plans["b"]]

@@ -1,4 +1,4 @@
-"""Environments pass Gymnasium's own checker, repeat by their seed, and end when they must."""
+"""Environments: Gymnasium's checker, repeatability, ends of episodes, errors."""
 
 from __future__ import annotations
 
@@ -32,51 +32,53 @@ def gymnasium() -> Any:
 
 @pytest.fixture
 def draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo draws here, by what it finds now, and as before when the test is over."""
+    """Chooses an OpenGL backend for the test; skips the test if there is none."""
     monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))
     try:
         opengl_backend.choose_opengl_backend()
-    except PictureError as fault:
+    except PictureError as error:
         if os.environ.get("CI"):
-            pytest.fail(str(fault))
-        pytest.skip(str(fault))
+            pytest.fail(str(error))
+        pytest.skip(str(error))
 
 
-def made(gymnasium: Any, file: Path, **options: Any) -> Any:
+def environment(gymnasium: Any, file: Path, **options: Any) -> Any:
     return gymnasium.make(environments.NAME, file=str(file), **options)
 
 
 @pytest.mark.usefixtures("draws")
 @pytest.mark.parametrize("action", ["twist", "joints"])
 @pytest.mark.parametrize("file", [TALL, CART, FIELD], ids=lambda path: path.parent.name)
-def test_gymnasium_finds_no_fault(gymnasium: Any, file: Path, action: str) -> None:
+def test_gymnasium_checker_passes(gymnasium: Any, file: Path, action: str) -> None:
     from gymnasium.utils.env_checker import check_env
 
-    env = made(gymnasium, file, action=action, spread=(0.1, 0.1, 0.2))
-    check_env(env.unwrapped)  # whose warnings are errors here
+    env = environment(gymnasium, file, action=action, spread=(0.1, 0.1, 0.2))
+    check_env(env.unwrapped)  # its warnings are errors in the tests
     env.close()
 
 
-def test_a_twist_drives_and_the_odometry_tells(gymnasium: Any) -> None:
-    env = made(gymnasium, SLIM, duration=3.0).unwrapped
+def test_a_twist_moves_the_robot_and_its_odometry(gymnasium: Any) -> None:
+    env = environment(gymnasium, SLIM, duration=3.0).unwrapped
     limit = env.robot.driver.max_linear_velocity
     env.reset(seed=1)
     for count in range(1, 31):
-        found, reward, terminated, truncated, info = env.step(np.array([0.8 / limit, 0.0, 0.0]))
+        observation, reward, terminated, truncated, info = env.step(
+            np.array([0.8 / limit, 0.0, 0.0])
+        )
         assert reward == 0.0
         assert not terminated
         assert truncated == (count == 30)
     assert info["cause"] == "time"
     assert info["time"] == pytest.approx(3.0)
-    told = dict(zip(env.observation_names, found, strict=True))
-    assert told["vx"] == pytest.approx(0.8, abs=0.02)
-    assert told["x"] == pytest.approx(info["true_pose"][0], abs=0.02)
-    assert 1.5 < told["x"] < 2.4
-    assert told["fl_wheel_speed"] == pytest.approx(0.8 / env.robot.wheels[0].radius, rel=0.03)
+    values = dict(zip(env.observation_names, observation, strict=True))
+    assert values["vx"] == pytest.approx(0.8, abs=0.02)
+    assert values["x"] == pytest.approx(info["true_pose"][0], abs=0.02)
+    assert 1.5 < values["x"] < 2.4
+    assert values["fl_wheel_speed"] == pytest.approx(0.8 / env.robot.wheels[0].radius, rel=0.03)
 
 
-def test_joints_do_as_they_are_told(gymnasium: Any) -> None:
-    env = made(gymnasium, TALL, action="joints", rate=5.0).unwrapped
+def test_joints_follow_their_actions(gymnasium: Any) -> None:
+    env = environment(gymnasium, TALL, action="joints", rate=5.0).unwrapped
     env.reset(seed=1)
     motor = env.robot.actuator_of(env.robot.wheels[0].spin_joint)
     turned = 0.5
@@ -84,45 +86,45 @@ def test_joints_do_as_they_are_told(gymnasium: Any) -> None:
     joint = env.robot.joint(env.robot.wheels[0].steering_joint)
     if joint.upper is not None:
         scale = max(abs(joint.lower), joint.upper)
-    asked = np.array([0.1] * 4 + [turned / scale, -1.0], dtype=np.float32)
+    action = np.array([0.1] * 4 + [turned / scale, -1.0], dtype=np.float32)
     for _ in range(10):
-        found, *_, info = env.step(asked)
-    told = dict(zip(env.observation_names, found, strict=True))
-    assert told["rl_wheel_speed"] == pytest.approx(0.1 * motor.max_velocity, rel=0.05)
-    assert told["fl_wheel_angle"] == pytest.approx(turned, abs=0.02)
-    assert told["fr_wheel_angle"] == pytest.approx(-scale, abs=0.05)
+        observation, *_, info = env.step(action)
+    values = dict(zip(env.observation_names, observation, strict=True))
+    assert values["rl_wheel_speed"] == pytest.approx(0.1 * motor.max_velocity, rel=0.05)
+    assert values["fl_wheel_angle"] == pytest.approx(turned, abs=0.02)
+    assert values["fr_wheel_angle"] == pytest.approx(-scale, abs=0.05)
     assert abs(info["true_pose"]).max() > 0.1
     with pytest.raises(ValueError, match="finite numbers"):
         env.step(np.array([math.nan] * 6))
-    # A new episode does not go on with the last one's commands.
+    # A new episode does not continue the commands of the last one.
     env.reset(seed=1)
     assert set(env._joints.commands.speeds) == {0.0}
 
 
 def episode(env: Any, seed: int, steps: int = 5) -> list[Any]:
-    found = [env.reset(seed=seed)[0]]
-    chance = np.random.default_rng(3)
-    actions = chance.uniform(-1, 1, (steps, 3)).astype(np.float32)
-    return [*found, *(env.step(action)[0] for action in actions)]
+    observation = [env.reset(seed=seed)[0]]
+    rng = np.random.default_rng(3)
+    actions = rng.uniform(-1, 1, (steps, 3)).astype(np.float32)
+    return [*observation, *(env.step(action)[0] for action in actions)]
 
 
-def test_all_chance_is_the_seeds(gymnasium: Any) -> None:
-    env = made(gymnasium, FIELD, spread=(0.3, 0.3, 0.5)).unwrapped
+def test_random_numbers_depend_only_on_the_seed(gymnasium: Any) -> None:
+    env = environment(gymnasium, FIELD, spread=(0.3, 0.3, 0.5)).unwrapped
     first, second = episode(env, 7), episode(env, 7)
-    other = episode(made(gymnasium, FIELD, spread=(0.3, 0.3, 0.5)).unwrapped, 7)
+    other = episode(environment(gymnasium, FIELD, spread=(0.3, 0.3, 0.5)).unwrapped, 7)
     for a, b, c in zip(first, second, other, strict=True):
         assert (a == b).all()
         assert (a == c).all()
-    # Another seed: another start, which odometry does not know, and other noise, which it does.
+    # Another seed changes the start, which the odometry does not see, and the noise, which it does.
     assert any((a != b).any() for a, b in zip(first, episode(env, 8), strict=True))
 
 
-def test_where_an_episode_starts_can_be_said(gymnasium: Any) -> None:
-    env = made(gymnasium, SLIM, spread=(1.0, 1.0, 3.0)).unwrapped
-    found, info = env.reset(seed=1, options={"offset": (0.5, -0.25, 1.0)})
+def test_an_option_sets_the_start_offset(gymnasium: Any) -> None:
+    env = environment(gymnasium, SLIM, spread=(1.0, 1.0, 3.0)).unwrapped
+    observation, info = env.reset(seed=1, options={"offset": (0.5, -0.25, 1.0)})
     assert info["true_pose"] == pytest.approx([0.5, -0.25, 1.0], abs=1e-9)
-    assert found[3:6] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-    found, _, _, _, info = env.step(np.array([0.5, 0.0, 0.0]))
+    assert observation[3:6] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    observation, _, _, _, info = env.step(np.array([0.5, 0.0, 0.0]))
     moved = info["true_pose"] - [0.5, -0.25, 1.0]
     assert math.atan2(moved[1], moved[0]) == pytest.approx(1.0, abs=0.05)
     starts = [env.reset(seed=seed)[1]["true_pose"] for seed in range(20)]
@@ -130,14 +132,14 @@ def test_where_an_episode_starts_can_be_said(gymnasium: Any) -> None:
     assert (np.abs(starts) <= [1.0, 1.0, 3.0]).all()
 
 
-def test_a_reward_sees_the_step(gymnasium: Any) -> None:
+def test_a_reward_function_gets_the_step(gymnasium: Any) -> None:
     seen = []
 
     def forward(step: Any) -> float:
         seen.append(step)
         return float(step.after.pose_true.x - step.before.pose_true.x)
 
-    env = made(gymnasium, SLIM, reward=forward).unwrapped
+    env = environment(gymnasium, SLIM, reward=forward).unwrapped
     env.reset(seed=1)
     total = sum(env.step(np.array([0.5, 0.0, 0.0]))[1] for _ in range(10))
     assert total == pytest.approx(env.step(np.zeros(3))[4]["true_pose"][0], abs=0.2)
@@ -146,8 +148,8 @@ def test_a_reward_sees_the_step(gymnasium: Any) -> None:
     assert seen[0].collisions == 0
 
 
-def test_who_falls_over_or_leaves_all_bounds_is_terminated(gymnasium: Any) -> None:
-    env = made(gymnasium, TALL).unwrapped
+def test_tip_over_and_divergence_terminate_an_episode(gymnasium: Any) -> None:
+    env = environment(gymnasium, TALL).unwrapped
     env.reset(seed=1)
     env.scene.model.opt.gravity[:] = (0.0, 12.0, -3.0)
     for _ in range(50):
@@ -161,15 +163,15 @@ def test_who_falls_over_or_leaves_all_bounds_is_terminated(gymnasium: Any) -> No
     _, info = env.reset(seed=1)
     assert info["tilt"] < 0.01
     env.scene.data.qvel[:] = 1e7
-    found, reward, terminated, _, info = env.step(np.zeros(3))
+    observation, reward, terminated, _, info = env.step(np.zeros(3))
     assert terminated
     assert info["cause"] == "diverged"
-    assert env.observation_space.contains(found)
+    assert env.observation_space.contains(observation)
     assert math.isfinite(reward)
 
 
-def test_faults_are_taken_back_between_episodes(gymnasium: Any) -> None:
-    env = made(gymnasium, FIELD).unwrapped
+def test_injected_faults_end_between_episodes(gymnasium: Any) -> None:
+    env = environment(gymnasium, FIELD).unwrapped
     before = env.scene.model.geom_friction.copy()
     env.reset(seed=1)
     for _ in range(75):
@@ -180,17 +182,17 @@ def test_faults_are_taken_back_between_episodes(gymnasium: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_several_at_once(gymnasium: Any, mode: str) -> None:
+def test_several_environments(gymnasium: Any, mode: str) -> None:
     envs = gymnasium.make_vec(
         environments.NAME, 2, vectorization_mode=mode, file=str(SLIM), spread=(0.1, 0.1, 0.1)
     )
     try:
-        found, info = envs.reset(seed=[3, 4])
-        assert found.shape == (2, len(info["true_pose"][0]) + 11)
+        observation, info = envs.reset(seed=[3, 4])
+        assert observation.shape == (2, len(info["true_pose"][0]) + 11)
         assert (info["true_pose"][0] != info["true_pose"][1]).any()
         for _ in range(3):
-            found, rewards, *_ = envs.step(np.full((2, 3), 0.4, dtype=np.float32))
-        assert (found[:, 3] > 0.001).all()
+            observation, rewards, *_ = envs.step(np.full((2, 3), 0.4, dtype=np.float32))
+        assert (observation[:, 3] > 0.001).all()
         assert rewards.shape == (2,)
     finally:
         envs.close()
@@ -198,7 +200,7 @@ def test_several_at_once(gymnasium: Any, mode: str) -> None:
 
 @pytest.mark.usefixtures("draws")
 def test_pictures_follow_the_robot(gymnasium: Any) -> None:
-    env = made(gymnasium, SLIM, render_mode="rgb_array", size=(160, 90)).unwrapped
+    env = environment(gymnasium, SLIM, render_mode="rgb_array", size=(160, 90)).unwrapped
     env.reset(seed=1)
     first = env.render()
     assert first.shape == (90, 160, 3)
@@ -207,10 +209,10 @@ def test_pictures_follow_the_robot(gymnasium: Any) -> None:
         env.step(np.array([1.0, 0.0, 1.0]))
     assert (env.render() != first).any()
     env.close()
-    assert made(gymnasium, SLIM).unwrapped.render() is None
+    assert environment(gymnasium, SLIM).unwrapped.render() is None
 
 
-def test_a_build_or_compiled_files_will_do(gymnasium: Any) -> None:
+def test_an_environment_of_a_build_or_of_compiled_files(gymnasium: Any) -> None:
     from thorvaldc.simulation.gym.robot_env import RobotEnv
 
     model = compile_file(SLIM).model
@@ -223,7 +225,7 @@ def test_a_build_or_compiled_files_will_do(gymnasium: Any) -> None:
     assert second.action_space.shape == (12,)
 
 
-def test_wrong_arguments_are_told(gymnasium: Any, tmp_path: Path) -> None:
+def test_wrong_arguments_are_errors(gymnasium: Any, tmp_path: Path) -> None:
     for options in (
         {"action": "torque"},
         {"rate": 0.0},
@@ -243,8 +245,8 @@ def test_wrong_arguments_are_told(gymnasium: Any, tmp_path: Path) -> None:
     assert (replaced.name, len(replaced.robot.wheels)) == ("thorvald", 4)
 
 
-def test_gymnasium_finds_it_by_its_module() -> None:
-    """In a process that has not heard of it."""
+def test_gymnasium_makes_the_environment_by_its_module() -> None:
+    """In a process that has not imported thorvaldc."""
     program = (
         "import gymnasium\n"
         f"env = gymnasium.make('thorvaldc.environments:thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
@@ -253,7 +255,7 @@ def test_gymnasium_finds_it_by_its_module() -> None:
         "gymnasium.register_envs(thorvaldc.environments)\n"
         f"gymnasium.make('thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-W", "error", "-c", program],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
@@ -261,14 +263,14 @@ def test_gymnasium_finds_it_by_its_module() -> None:
         text=True,
         check=False,
     )
-    assert done.stderr == ""
-    assert done.stdout == "(14,) thorvaldc/Robot-v0\n"
+    assert process.stderr == ""
+    assert process.stdout == "(14,) thorvaldc/Robot-v0\n"
 
 
 @pytest.mark.parametrize("module", ["environments", "simulation.gym.robot_env"])
-def test_without_gymnasium_a_line_says_what_to_install(module: str) -> None:
+def test_without_gymnasium_the_error_names_the_extra(module: str) -> None:
     program = f"import sys; sys.modules['gymnasium'] = None; import thorvaldc.{module}"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},
@@ -276,7 +278,7 @@ def test_without_gymnasium_a_line_says_what_to_install(module: str) -> None:
         text=True,
         check=False,
     )
-    assert done.returncode == 1
-    last = done.stderr.strip().splitlines()[-1]
+    assert process.returncode == 1
+    last = process.stderr.strip().splitlines()[-1]
     assert last.startswith("ImportError: an environment needs Gymnasium")
     assert "pip install 'thorvaldc[gym]'" in last

@@ -1,4 +1,4 @@
-"""The base in MuJoCo, from generated files."""
+"""The MuJoCo base with generated files."""
 
 from __future__ import annotations
 
@@ -33,14 +33,16 @@ def write(folder: Path, files: dict[str, bytes]) -> Path:
     return folder
 
 
-def fault_of(files: object, robot: Robot = ROBOT) -> str:
+def error_of(files: object, robot: Robot = ROBOT) -> str:
     with pytest.raises(DiagnosticError) as caught:
         MujocoBase(robot, MujocoScene(files))  # type: ignore[arg-type]
     assert caught.value.diagnostic.code.name == "simulation-scene"
     return caught.value.diagnostic.message
 
 
-def test_from_memory_as_from_disk(files: dict[str, bytes], tmp_path: Path) -> None:
+def test_files_from_memory_and_from_disk_give_equal_runs(
+    files: dict[str, bytes], tmp_path: Path
+) -> None:
     ends = []
     for source in (files, write(tmp_path, files)):
         base = MujocoBase(ROBOT, MujocoScene(source))
@@ -52,7 +54,7 @@ def test_from_memory_as_from_disk(files: dict[str, bytes], tmp_path: Path) -> No
     assert ends[0] == ends[1]
 
 
-def test_stands_still_at_home(files: dict[str, bytes]) -> None:
+def test_robot_stands_still_in_its_home_pose(files: dict[str, bytes]) -> None:
     base = MujocoBase(ROBOT, MujocoScene(files))
     start = base.true_pose()
     base.read(2.0)
@@ -61,40 +63,39 @@ def test_stands_still_at_home(files: dict[str, bytes]) -> None:
     assert base.uprightness() == pytest.approx(1.0, abs=1e-6)
 
 
-def test_true_twist_is_that_of_the_pose(files: dict[str, bytes]) -> None:
+def test_true_twist_is_the_derivative_of_the_pose(files: dict[str, bytes]) -> None:
     base = MujocoBase(ROBOT, MujocoScene(files))
     turn = 0.4
     for k in range(1, 150):
         base.read(k * 0.02)
         speeds = [3.0 * (0.8 if i % 2 == 0 else 1.2) for i in range(4)]
         base.write(JointCommands(speeds, [turn, turn, -turn, -turn]), k * 0.02)
-    before = base.true_pose()
+    first = base.true_pose()
     base.read(base.scene.time + 0.005)
-    after = base.true_pose()
-    moved = after.relative_to(before)
+    motion = base.true_pose().relative_to(first)
     twist = base.true_twist()
     assert abs(twist.wz) > 0.2
-    assert moved == pytest.approx(Twist(*twist).scaled(0.005), abs=2e-5)
+    assert motion == pytest.approx(Twist(*twist).scaled(0.005), abs=2e-5)
 
 
-def test_a_robot_of_another_build_is_a_fault(files: dict[str, bytes]) -> None:
+def test_a_robot_of_another_build_is_an_error(files: dict[str, bytes]) -> None:
     joint = replace(ROBOT.wheels[0], spin_joint="w0_other")
     other = replace(ROBOT, wheels=(joint, *ROBOT.wheels[1:]))
-    assert "no joint `w0_other`" in fault_of(files, other)
+    assert "no joint `w0_other`" in error_of(files, other)
 
 
-def test_missing_and_broken_scenes_are_faults(files: dict[str, bytes], tmp_path: Path) -> None:
-    assert "has no file mjcf/scene.xml" in fault_of(tmp_path)
-    assert "has no file mjcf/scene.xml" in fault_of({})
+def test_missing_and_broken_scenes_are_errors(files: dict[str, bytes], tmp_path: Path) -> None:
+    assert "has no file mjcf/scene.xml" in error_of(tmp_path)
+    assert "has no file mjcf/scene.xml" in error_of({})
     broken = {**files, "mjcf/robot.xml": b"<mujoco><worldbody></mujoco>"}
-    message = fault_of(broken)
+    message = error_of(broken)
     assert message.startswith("MuJoCo cannot read mjcf/scene.xml")
     assert "/tmp" not in message
     no_include = {"mjcf/scene.xml": files["mjcf/scene.xml"]}
-    assert "robot.xml" in fault_of(no_include)
+    assert "robot.xml" in error_of(no_include)
 
 
-def test_divergence_is_seen_and_leaves_no_log(
+def test_divergence_is_detected_and_leaves_no_log_file(
     files: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -106,8 +107,8 @@ def test_divergence_is_seen_and_leaves_no_log(
     assert not list(tmp_path.iterdir())
 
 
-def test_two_robots_of_a_scene_are_told_apart() -> None:
-    """Same names, told apart by the name space; one drives, the other stands."""
+def test_two_robots_of_a_scene_move_independently() -> None:
+    """Two robots with equal joint names in two name spaces; one drives, the other stands."""
     one, two = (replace(ROBOT, name=n, namespace=n) for n in ("one", "two"))
     fleet = Fleet(
         "pair",

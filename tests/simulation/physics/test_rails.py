@@ -1,4 +1,4 @@
-"""On rails a double wheel rolls on its smaller ring, held by its flanges."""
+"""On rails a double wheel rolls on its smaller ring, between its flanges."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 ROOT = Path(__file__).resolve().parents[3]
 CART = ROOT / "examples/2wd0ws_greenhouse/robot.yaml"
 RAIL, TYRE = 0.09, 0.125
-# As high as the pipes lift the rings over the floor.
+# The robot starts 16 mm above the floor: on the pipes.
 HEAD = f"""thorvaldc: 1
 scenario: trial
 robots: {{cart: {{robot: {CART}, xyz: [0, 0, 16 mm]}}}}
@@ -29,79 +29,81 @@ DRIVE = "script: [{at: 1, vx: 0.5 m/s}, {at: 7}]\n"
 def played(
     folder: Path, text: str, parameters: str | None = None
 ) -> tuple[ScenarioResult, list[Any], list[str]]:
-    """The result, samples, and what was said."""
+    """Returns the result, the samples, and the names of the diagnostics."""
     path = folder / "scenario.yaml"
     path.write_text(text, encoding="utf-8")
-    done = compile_file(path)
-    assert done.scenario is not None, [d.message for d in done.report]
-    files = emit(done.scenario.fleet, ["mjcf"])
-    simulation = ScenarioSimulation(done.scenario, files, parameters)
-    seen: list[Any] = []
+    compilation = compile_file(path)
+    assert compilation.scenario is not None, [d.message for d in compilation.report]
+    files = emit(compilation.scenario.fleet, ["mjcf"])
+    simulation = ScenarioSimulation(compilation.scenario, files, parameters)
+    samples: list[Any] = []
     report = Report()
-    result = simulation.play(report, on_tick=lambda m: seen.append(m.sample()))
-    return result, seen, [d.code.name for d in report]
+    result = simulation.play(report, on_tick=lambda m: samples.append(m.sample()))
+    return result, samples, [d.code.name for d in report]
 
 
 def test_the_small_ring_rolls_on_the_rail(tmp_path: Path) -> None:
-    _, seen, _ = played(tmp_path, HEAD + DRIVE)
-    first, last = (next(s for s in seen if s.time >= t) for t in (2.5, 6.5))
-    way = last.pose_true.x - first.pose_true.x
-    turned = last.joints.positions[0] - first.joints.positions[0]
-    assert turned > 10.0
-    assert way / turned == pytest.approx(RAIL, rel=1e-4)
+    _, samples, _ = played(tmp_path, HEAD + DRIVE)
+    first, last = (next(s for s in samples if s.time >= t) for t in (2.5, 6.5))
+    distance = last.pose_true.x - first.pose_true.x
+    angle = last.joints.positions[0] - first.joints.positions[0]
+    assert angle > 10.0
+    assert distance / angle == pytest.approx(RAIL, rel=1e-4)
 
 
-def test_with_the_set_for_rails_the_distance_is_right(tmp_path: Path) -> None:
-    result, _, said = played(tmp_path, HEAD + DRIVE, "rail")
-    found = result.metrics["cart"]
-    assert said == []  # that the wheels roll on other radii is no fault here
-    assert found["path"] > 2.2
-    assert found["end_error"] < 0.002
-    assert found["slip"] < 0.01
-    assert found["collisions"] == 0
-    # With the radii of the floor, it is wrong by as much as these are.
+def test_with_the_parameter_set_for_rails_the_distance_is_correct(tmp_path: Path) -> None:
+    result, _, diagnostics = played(tmp_path, HEAD + DRIVE, "rail")
+    metrics = result.metrics["cart"]
+    assert diagnostics == []  # with rails, other radii than those of the scene are correct
+    assert metrics["path"] > 2.2
+    assert metrics["end_error"] < 0.002
+    assert metrics["slip"] < 0.01
+    assert metrics["collisions"] == 0
+    # With the radii for the floor, the error is the ratio of the radii.
     result, _, _ = played(tmp_path, HEAD + DRIVE)
     assert result.metrics["cart"]["length_ratio"] == pytest.approx(RAIL / TYRE, rel=0.002)
     without = HEAD.replace("world: {rails: [{from: [-1 m, 0], to: [6 m, 0], gauge: 720 mm}]}\n", "")
     assert played(tmp_path, without + DRIVE, "rail")[2] == ["parameter-set-scene"]
 
 
-def test_flanges_hold_it_on_the_rails(tmp_path: Path) -> None:
+def test_flanges_keep_the_robot_on_the_rails(tmp_path: Path) -> None:
     text = HEAD.replace("16 mm]", "16 mm], yaw: 1 deg") + DRIVE
     leaning = text.replace(
         "world: {", "world: {ground: {type: slope, angle: 6 deg, direction: 90 deg}, "
     )
-    for one in (text, leaning):
-        _, seen, _ = played(tmp_path, one, "rail")
-        assert seen[-1].pose_true.x > 2.0
-        assert abs(seen[-1].pose_true.y) < 0.012
-        # Its casters are on the floor: only the front axle is held.
-        assert abs(seen[-1].pose_true.yaw) < math.radians(3.0)
+    for scenario in (text, leaning):
+        _, samples, _ = played(tmp_path, scenario, "rail")
+        assert samples[-1].pose_true.x > 2.0
+        assert abs(samples[-1].pose_true.y) < 0.012
+        # The casters are on the floor: the rails guide only the front axle.
+        assert abs(samples[-1].pose_true.yaw) < math.radians(3.0)
 
 
-def test_sets_change_with_the_script_while_it_drives(tmp_path: Path) -> None:
+def test_the_script_changes_parameter_sets_while_the_robot_drives(tmp_path: Path) -> None:
     script = (
         "script: [{at: 1, vx: 0.3 m/s, parameters: rail}, {at: 4, vx: 0.3 m/s, parameters: floor},"
         " {at: 7, parameters: rail}]\n"
     )
-    _, seen, _ = played(tmp_path, HEAD + script)
+    _, samples, _ = played(tmp_path, HEAD + script)
 
     def ratio(time: float) -> float:
-        sample = next(s for s in seen if s.time >= time)
+        sample = next(s for s in samples if s.time >= time)
         return float(sample.true.vx / sample.estimated.vx)
 
     assert ratio(3.9) == pytest.approx(1.0, abs=0.002)
     assert ratio(6.5) == pytest.approx(RAIL / TYRE, rel=0.002)
     # The pose does not jump.
-    steps = [b.pose_estimated.x - a.pose_estimated.x for a, b in itertools.pairwise(seen)]
+    steps = [b.pose_estimated.x - a.pose_estimated.x for a, b in itertools.pairwise(samples)]
     assert max(map(abs, steps)) < 0.3 * TYRE / RAIL / 50 * 1.05
 
 
 def test_from_the_floor_onto_rails_and_back(tmp_path: Path) -> None:
     example = ROOT / "examples/scenarios/greenhouse_rails.yaml"
-    done = compile_file(example)
-    assert done.scenario is not None
+    compilation = compile_file(example)
+    assert compilation.scenario is not None
     report = Report()
-    result = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"])).play(report)
+    result = ScenarioSimulation(
+        compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"])
+    ).play(report)
     assert result.passed, [d.message for d in report]
-    assert result.metrics["cart"]["tilt"] > math.radians(1.0)  # its casters stay on the floor
+    assert result.metrics["cart"]["tilt"] > math.radians(1.0)  # the casters stay on the floor

@@ -1,4 +1,4 @@
-"""Tyres on the ground against a closed form: skidding under Coulomb friction."""
+"""Skid steering under Coulomb friction, compared with the closed form."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ CORNERS = [(x, y, "fixed") for x in (X, -X) for y in (Y, -Y)]
 
 
 @pytest.mark.parametrize("rate", [0.1, 1.0])
-def test_four_wheels_that_do_not_steer_turn_by_sliding(rate: float) -> None:
-    """wz = 2 W v / (W^2 + L^2), with v the speed of the wheels' surfaces."""
+def test_a_turn_of_four_fixed_wheels_has_the_closed_form_rate(rate: float) -> None:
+    """wz = 2 W v / (W^2 + L^2), with track W, wheelbase L and surface speed v of the wheels."""
     robot = make_robot(CORNERS)
     motors = tuple(replace(a, max_velocity=50.0, max_torque=200.0) for a in robot.actuators)
     robot = replace(robot, actuators=motors)
@@ -32,17 +32,17 @@ def test_four_wheels_that_do_not_steer_turn_by_sliding(rate: float) -> None:
         number = scene.index("actuator", actuator.name, robot)
         scene.data.ctrl[number] = math.copysign(v, -wheel.y) / wheel.radius
     scene.advance(2.0)
-    turned, before = 0.0, base.true_pose().yaw
+    angle, last_yaw = 0.0, base.true_pose().yaw
     for k in range(200):
         scene.advance(2.0 + (k + 1) * 0.01)
         yaw = base.true_pose().yaw
-        turned += math.remainder(yaw - before, math.tau)
-        before = yaw
-    assert turned / 2.0 == pytest.approx(rate, rel=0.005)
+        angle += math.remainder(yaw - last_yaw, math.tau)
+        last_yaw = yaw
+    assert angle / 2.0 == pytest.approx(rate, rel=0.005)
 
 
-def test_wheels_that_slide_are_not_integrated_explicitly() -> None:
-    """At 2 rad/s they chatter then; robots whose wheels roll are nearer to their encoders by it."""
+def test_robots_that_must_skid_use_implicit_integration() -> None:
+    """Explicit integration is more exact for rolling, but sliding wheels chatter at 2 rad/s."""
     one_axle = [(0.0, Y, "fixed"), (0.0, -Y, "fixed"), (-X, 0.0, "swivel")]
     robots = [make_robot(wheels, body_mass=20.0) for wheels in (CORNERS, one_axle)]
     texts = [files_of(Mjcf, robot)["mjcf/robot.xml"] for robot in robots]

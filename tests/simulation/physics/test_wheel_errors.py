@@ -1,4 +1,4 @@
-"""Simulated robots whose wheels are not as their drivers think, and calibrated ones."""
+"""Simulated robots with wheel errors that their drivers do not know, and calibrated robots."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thorvaldc.simulation.simulation_run import Simulation
 
 ROBOT = make_robot(FOUR_STEERED)
 NAMES = [wheel.name for wheel in ROBOT.wheels]
-WAY = [
+MANOEUVRE = [
     Segment(0.0, Twist(0.8, 0.0, 0.0)),
     Segment(3.0, Twist(0.5, 0.3, 0.6)),
     Segment(6.0, Twist(0, 0, 0)),
@@ -31,16 +31,18 @@ RADII = {"w0": 1.01, "w1": 0.99, "w3": 1.02}
 OFFSETS = {"w0": math.radians(2.0), "w2": math.radians(-1.0)}
 
 
-def truly(robot: Robot, radii: dict[str, float], offsets: dict[str, float]) -> Robot:
-    """The robot as it is with these errors, known."""
+def with_errors(robot: Robot, radii: dict[str, float], offsets: dict[str, float]) -> Robot:
+    """Returns a model that contains these errors."""
     wheels = tuple(replace(w, radius=w.radius * radii.get(w.name, 1.0)) for w in robot.wheels)
-    turned = {w.steering_joint: offsets.get(w.name, 0.0) for w in robot.wheels}
-    actuators = tuple(replace(a, encoder_offset=turned.get(a.joint, 0.0)) for a in robot.actuators)
+    offset_of = {w.steering_joint: offsets.get(w.name, 0.0) for w in robot.wheels}
+    actuators = tuple(
+        replace(a, encoder_offset=offset_of.get(a.joint, 0.0)) for a in robot.actuators
+    )
     return replace(robot, wheels=wheels, actuators=actuators)
 
 
 def follow(base: BaseHandle, angle: float, speed: float, seconds: float) -> None:
-    """All wheels to one angle, then rolling."""
+    """Turns all wheels to an angle, then rolls."""
     n = len(NAMES)
     base.read(0.0)
     base.write(JointCommands([0.0] * n, [angle] * n), 0.0)
@@ -52,7 +54,7 @@ def follow(base: BaseHandle, angle: float, speed: float, seconds: float) -> None
 # -- ideal joints on ideal ground -------------------------------------------------------
 
 
-def test_without_errors_wheels_do_as_commanded() -> None:
+def test_without_errors_wheels_follow_their_commands() -> None:
     rolling, ideal = RollingBase(ROBOT), SimBase(ROBOT)
     for base in (rolling, ideal):
         follow(base, 0.3, 2.0, 2.0)
@@ -64,18 +66,18 @@ def test_without_errors_wheels_do_as_commanded() -> None:
     assert math.atan2(pose.y, pose.x) == pytest.approx(0.3, abs=1e-6)
 
 
-def test_errors_show_in_the_end_and_not_to_who_knows_them() -> None:
+def test_unknown_errors_cause_an_end_error_and_known_ones_do_not() -> None:
     wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, RADII, OFFSETS)}
-    blind = Simulation(ROBOT, wheel_errors=wheel_errors).run(8.0, WAY).robots[0]
-    assert blind.end_error > 0.02
-    # The readings are those of a robot that has these wheels and knows it.
-    known = truly(ROBOT, RADII, OFFSETS)
-    seeing = Simulation(known, open_loop=True).run(8.0, WAY).robots[0]
-    assert seeing.end_error < 1e-3
-    assert seeing.path_true == pytest.approx(seeing.path_odometry, rel=1e-4)
+    unaware = Simulation(ROBOT, wheel_errors=wheel_errors).run(8.0, MANOEUVRE).robots[0]
+    assert unaware.end_error > 0.02
+    # A driver that knows the errors has nearly no end error.
+    known = with_errors(ROBOT, RADII, OFFSETS)
+    aware = Simulation(known, open_loop=True).run(8.0, MANOEUVRE).robots[0]
+    assert aware.end_error < 1e-3
+    assert aware.path_true == pytest.approx(aware.path_odometry, rel=1e-4)
 
 
-def test_wheels_roll_and_point_as_the_ground_wants() -> None:
+def test_wheels_roll_along_their_direction_of_motion() -> None:
     base = RollingBase(ROBOT, WheelErrors.by_name(ROBOT, RADII, OFFSETS))
     follow(base, 0.2, 3.0, 3.0)
     states, (vx, vy, wz) = base.read(4.0), base.true_twist()
@@ -96,36 +98,35 @@ def files() -> dict[str, bytes]:
     return files_of(Mjcf, ROBOT)
 
 
-def test_larger_wheels_go_farther_in_mujoco(files: dict[str, bytes]) -> None:
+def test_larger_wheels_drive_farther_in_mujoco(files: dict[str, bytes]) -> None:
     wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, dict.fromkeys(NAMES, 1.02))}
-    plain = Simulation(ROBOT, files).run(4.0, WAY).robots[0]
-    larger = Simulation(ROBOT, files, wheel_errors=wheel_errors).run(4.0, WAY).robots[0]
+    plain = Simulation(ROBOT, files).run(4.0, MANOEUVRE).robots[0]
+    larger = Simulation(ROBOT, files, wheel_errors=wheel_errors).run(4.0, MANOEUVRE).robots[0]
     assert larger.path_odometry == pytest.approx(plain.path_odometry, rel=1e-3)
     assert larger.path_true == pytest.approx(1.02 * plain.path_true, rel=1e-3)
 
 
-def test_wheels_that_point_elsewhere_lead_there_in_mujoco(files: dict[str, bytes]) -> None:
+def test_steering_offsets_change_the_direction_in_mujoco(files: dict[str, bytes]) -> None:
     offset = math.radians(5.0)
     wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, None, dict.fromkeys(NAMES, offset))}
-    run = (
-        Simulation(ROBOT, files, wheel_errors=wheel_errors).run(4.0, Twist(0.8, 0.0, 0.0)).robots[0]
-    )
+    simulation = Simulation(ROBOT, files, wheel_errors=wheel_errors)
+    run = simulation.run(4.0, Twist(0.8, 0.0, 0.0)).robots[0]
     assert run.pose_odometry.y == pytest.approx(0.0, abs=1e-3)
     assert math.atan2(run.pose_true.y, run.pose_true.x) == pytest.approx(offset, abs=2e-3)
 
 
-def test_open_loop_drives_give_way_and_others_do_not(files: dict[str, bytes]) -> None:
+def test_open_loop_drives_give_way_and_closed_loop_drives_do_not(files: dict[str, bytes]) -> None:
     wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, {"w0": 1.02})}
 
     def speeds(open_loop: bool) -> tuple[float, ...]:
-        seen: list[tuple[float, ...]] = []
+        speeds_of_ticks: list[tuple[float, ...]] = []
         simulation = Simulation(ROBOT, files, wheel_errors=wheel_errors, open_loop=open_loop)
         simulation.run(
             4.0,
             Twist(0.8, 0.0, 0.0),
-            on_tick=lambda loop: seen.append(tuple(loop.driver.state.joints.speeds)),
+            on_tick=lambda loop: speeds_of_ticks.append(tuple(loop.driver.state.joints.speeds)),
         )
-        return seen[-1]
+        return speeds_of_ticks[-1]
 
     held, free = speeds(open_loop=False), speeds(open_loop=True)
     assert held == pytest.approx([4.0] * 4, rel=1e-3)
@@ -133,18 +134,18 @@ def test_open_loop_drives_give_way_and_others_do_not(files: dict[str, bytes]) ->
     assert 3.0 < free[2] < 3.99
 
 
-def test_offset_that_is_known_changes_nothing(files: dict[str, bytes]) -> None:
-    known = truly(ROBOT, {}, OFFSETS)
-    for where in (None, files):
-        plain = Simulation(ROBOT, where).run(4.0, WAY).robots[0]
-        assert Simulation(known, where).run(4.0, WAY).robots[0] == plain
+def test_a_known_offset_changes_nothing(files: dict[str, bytes]) -> None:
+    known = with_errors(ROBOT, {}, OFFSETS)
+    for scene_files in (None, files):
+        plain = Simulation(ROBOT, scene_files).run(4.0, MANOEUVRE).robots[0]
+        assert Simulation(known, scene_files).run(4.0, MANOEUVRE).robots[0] == plain
 
 
-# -- what cannot be -----------------------------------------------------------------------
+# -- invalid errors -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("radii", "offsets", "said"),
+    ("radii", "offsets", "message"),
     [
         ({"w9": 1.0}, {}, "no wheel `w9`"),
         ({"w0": math.nan}, {}, "radius ratio"),
@@ -152,8 +153,10 @@ def test_offset_that_is_known_changes_nothing(files: dict[str, bytes]) -> None:
         ({}, {"w0": math.inf}, "steering offset"),
     ],
 )
-def test_impossible_errors(radii: dict[str, float], offsets: dict[str, float], said: str) -> None:
-    with pytest.raises(DiagnosticError, match=said) as caught:
+def test_impossible_errors(
+    radii: dict[str, float], offsets: dict[str, float], message: str
+) -> None:
+    with pytest.raises(DiagnosticError, match=message) as caught:
         WheelErrors.by_name(ROBOT, radii, offsets)
     assert caught.value.diagnostic.code.name == "hidden-error"
 

@@ -1,4 +1,4 @@
-"""Zones of the ground: what they do to wheels agrees with closed-form answers."""
+"""Ground zones: friction, rolling resistance and height agree with closed-form results."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ DRIVE = HEAD + "duration: 8 s\nscript: [{at: 0, vx: 0.8 m/s}]\n"
 def played(folder: Path, text: str) -> tuple[ScenarioResult, ScenarioSimulation, list[Any]]:
     path = folder / "scenario.yaml"
     path.write_text(text, encoding="utf-8")
-    done = compile_file(path)
-    assert done.scenario is not None, [d.message for d in done.report]
-    simulation = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"]))
+    compilation = compile_file(path)
+    assert compilation.scenario is not None, [d.message for d in compilation.report]
+    simulation = ScenarioSimulation(
+        compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"])
+    )
     seen: list[Any] = []
     report = Report()
     result = simulation.play(
@@ -36,59 +38,61 @@ def played(folder: Path, text: str) -> tuple[ScenarioResult, ScenarioSimulation,
     return result, simulation, seen
 
 
-def test_on_ice_a_standing_robot_slides_down_as_friction_lets_it(tmp_path: Path) -> None:
+def test_a_braking_robot_slides_down_an_icy_slope_with_the_closed_form(tmp_path: Path) -> None:
     angle, mu, t = math.radians(8.0), 0.06, 2.0
     slope = "world: {{ground: {{type: slope, angle: 8 deg}}, zones: [{}]}}\n"
     zone = "{xyz: [-5, 0, 0], size: [14, 4], friction: 0.06}"
     text = HEAD + f"duration: {t} s\n"
-    held = played(tmp_path, text + slope.format(zone.replace("0.06", "0.6")))[2]
-    assert abs(held[-1][0].x) < 0.01
-    slid = played(tmp_path, text + slope.format(zone))[2]
-    wanted = 0.5 * 9.81 * (math.sin(angle) - mu * math.cos(angle)) * t**2
-    assert -slid[-1][0].x == pytest.approx(wanted, rel=0.03)
+    still = played(tmp_path, text + slope.format(zone.replace("0.06", "0.6")))[2]
+    assert abs(still[-1][0].x) < 0.01
+    sliding = played(tmp_path, text + slope.format(zone))[2]
+    expected = 0.5 * 9.81 * (math.sin(angle) - mu * math.cos(angle)) * t**2
+    assert -sliding[-1][0].x == pytest.approx(expected, rel=0.03)
 
 
-def test_mud_costs_what_its_resistance_says(tmp_path: Path) -> None:
-    path, mass = 0.0, 150.0
+def test_work_in_mud_agrees_with_its_rolling_resistance(tmp_path: Path) -> None:
+    mass = 150.0
     zone = "world: {zones: [{xyz: [0, 0, 0], size: [40, 4], rolling_resistance: 0.15}]}\n"
     firm = played(tmp_path, DRIVE)[0].metrics["cart"]
     mud = played(tmp_path, DRIVE + zone)[0].metrics["cart"]
     path = mud["path"]
-    own = compile_file(ROOT / "examples/4wd4ws_slim/robot.yaml").model
-    resistance = 0.15 - own.wheels[0].rolling_resistance  # type: ignore[union-attr]
-    more = resistance * mass * 9.81 * path
-    assert mud["energy"] - firm["energy"] == pytest.approx(more, rel=0.03)
+    robot = compile_file(ROOT / "examples/4wd4ws_slim/robot.yaml").model
+    resistance = 0.15 - robot.wheels[0].rolling_resistance  # type: ignore[union-attr]
+    extra_work = resistance * mass * 9.81 * path
+    assert mud["energy"] - firm["energy"] == pytest.approx(extra_work, rel=0.03)
 
 
-def test_the_last_of_overlapping_zones_is_seen(tmp_path: Path) -> None:
+def test_the_last_of_overlapping_zones_is_drawn_on_top(tmp_path: Path) -> None:
     zones = ", ".join(f"{{xyz: [{x}, 0, 0], size: [3, 3], friction: 0.1}}" for x in (3, 4, 5))
     path = tmp_path / "scenario.yaml"
     path.write_text(HEAD + f"duration: 1 s\nworld: {{zones: [{zones}]}}\n")
-    done = compile_file(path)
-    assert done.scenario is not None
-    scene = ET.fromstring(emit(done.scenario.fleet, ["mjcf"])["mjcf/scene.xml"])
+    compilation = compile_file(path)
+    assert compilation.scenario is not None
+    scene = ET.fromstring(emit(compilation.scenario.fleet, ["mjcf"])["mjcf/scene.xml"])
     sizes = [geom.get("size", "") for geom in scene.iter("geom") if "zone/" in geom.get("name", "")]
     tops = [float(size.split()[2]) for size in sizes]
     assert 0 < tops[0] < tops[1] < tops[2] < 0.005
 
 
-def test_a_wheel_is_in_the_zone_that_it_stands_in(tmp_path: Path) -> None:
-    """Ice under the left wheels alone, aslant, and the last of two zones counts."""
+def test_each_wheel_has_the_friction_of_its_zone(tmp_path: Path) -> None:
+    """Ice under the left wheels only, and a second zone that is turned by 90 deg."""
     zones = (
         "world: {zones: [{xyz: [3, 0.4, 0], size: [2, 0.4], friction: 0.02},"
         " {xyz: [3.5, -0.4, 0], size: [0.6, 3], yaw: 90 deg, friction: 0.5}]}\n"
     )
     path = tmp_path / "scenario.yaml"
     path.write_text(DRIVE + zones)
-    done = compile_file(path)
-    assert done.scenario is not None
-    simulation = ScenarioSimulation(done.scenario, emit(done.scenario.fleet, ["mjcf"]))
+    compilation = compile_file(path)
+    assert compilation.scenario is not None
+    simulation = ScenarioSimulation(
+        compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"])
+    )
     scene = simulation.scene
     assert scene is not None
     model = scene.model
     treads = {w.name: scene.index("geom", f"cart/{w.link}_tread", r) for _, r in simulation.robots
               for w in r.wheels}  # fmt: skip
-    before = model.geom_friction.copy()
+    frictions = model.geom_friction.copy()
     seen: dict[str, set[float]] = {name: set() for name in treads}
 
     def on_tick(_: Any) -> None:
@@ -101,13 +105,13 @@ def test_a_wheel_is_in_the_zone_that_it_stands_in(tmp_path: Path) -> None:
                 assert 0.2 < y < 0.6
 
     simulation.play(Report(), on_tick=on_tick)
-    own = before[treads["fl_wheel"], 0]
+    own = frictions[treads["fl_wheel"], 0]
     assert seen["fl_wheel"] == {own, 0.02}
     assert seen["fr_wheel"] == {own, 0.5}
-    assert (model.geom_friction == before).all()
+    assert (model.geom_friction == frictions).all()
 
 
-def test_a_robot_drives_up_what_is_raised(tmp_path: Path) -> None:
+def test_a_robot_drives_up_a_raised_zone(tmp_path: Path) -> None:
     zone = "world: {zones: [{xyz: [6, 0, 0], size: [8, 8], height: 300 mm, slope: 9 deg}]}\n"
     result, _, seen = played(tmp_path, DRIVE + zone)
     assert seen[-1][0].x > 5.0
@@ -116,14 +120,14 @@ def test_a_robot_drives_up_what_is_raised(tmp_path: Path) -> None:
     assert result.metrics["cart"]["collisions"] == 0
 
 
-def test_bumps_shake_where_they_are(tmp_path: Path) -> None:
+def test_bumps_tilt_the_robot_only_in_their_zone(tmp_path: Path) -> None:
     zone = (
         "world: {zones: [{xyz: [4, 0, 0], size: [3, 3], amplitude: 15 mm, wavelength: 400 mm,"
         " seed: 2}]}\n"
     )
     _, _, seen = played(tmp_path, DRIVE + zone)
-    shaken = [abs(posture[1]) for pose, posture in seen if 3.0 < pose.x < 5.0]
-    before = [abs(posture[1]) for pose, posture in seen if pose.x < 1.8]
-    assert max(shaken) > math.radians(0.5) > 10 * max(before)
-    other = played(tmp_path, DRIVE + zone.replace("seed: 2", "seed: 3"))[2]
-    assert other[-1] != seen[-1]
+    on_bumps = [abs(posture[1]) for pose, posture in seen if 3.0 < pose.x < 5.0]
+    on_plane = [abs(posture[1]) for pose, posture in seen if pose.x < 1.8]
+    assert max(on_bumps) > math.radians(0.5) > 10 * max(on_plane)
+    other_seed = played(tmp_path, DRIVE + zone.replace("seed: 2", "seed: 3"))[2]
+    assert other_seed[-1] != seen[-1]

@@ -1,4 +1,4 @@
-"""Plots: what is drawn, read back from the figure."""
+"""Plots: the curves and shapes in the figure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROBOT = example_robot("4wd4ws_slim")
 
 
 def drive(count: int = 50, x: float = 0.1) -> list[Sample]:
-    """A run whose estimate is 10 % short."""
+    """A run whose estimated path is 10 % too short."""
     return [
         Sample(
             0.1 * k,
@@ -54,7 +54,7 @@ def test_velocities_are_those_of_the_samples() -> None:
         }
 
 
-def test_paths_on_a_grid_of_a_metre_with_the_robot_to_scale() -> None:
+def test_paths_on_a_1_m_grid_with_the_robot_to_scale() -> None:
     ground = draw({"a": ROBOT}, {"a": drive()}, "a").axes[0]
     true, estimated = (list(line.get_xdata()) for line in ground.lines)
     assert true[-1] == pytest.approx(4.9)
@@ -76,13 +76,13 @@ def test_a_footprint_covers_the_wheels() -> None:
     assert max(xs) == pytest.approx(reach, abs=0.01)
 
 
-def test_long_ways_and_runs_without_bounds() -> None:
+def test_long_paths_and_diverged_runs() -> None:
     long = draw({"a": ROBOT}, {"a": drive(50, 100.0)}, "a").axes[0]
     assert "grid 100 m" in long.get_xlabel()
     wild = [*drive(), *drive(2, math.inf)[1:], *drive(3, 1e9)[1:]]
     ground = draw({"a": ROBOT}, {"a": wild}, "a").axes[0]
     assert max(ground.lines[0].get_xdata()) == pytest.approx(4.9)
-    assert draw({"a": ROBOT}, {"a": []}, "a").axes  # it ended before it began
+    assert draw({"a": ROBOT}, {"a": []}, "a").axes  # a run without samples
 
 
 def test_a_large_fleet_shows_the_velocities_of_some() -> None:
@@ -94,17 +94,17 @@ def test_a_large_fleet_shows_the_velocities_of_some() -> None:
 
 
 @pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
-def test_the_same_run_gives_the_same_bytes(tmp_path: Path, kind: str) -> None:
-    made = []
+def test_equal_runs_give_equal_bytes(tmp_path: Path, kind: str) -> None:
+    files = []
     for name in ("one", "two"):
         path = tmp_path / f"{name}.{kind}"
         plot({"a": ROBOT}, {"a": drive(5)}, str(path), "a")
-        made.append(path.read_bytes())
-    assert made[0] == made[1]
-    assert made[0].startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[kind])
+        files.append(path.read_bytes())
+    assert files[0] == files[1]
+    assert files[0].startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[kind])
 
 
-def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(PictureError, match=r"pip install 'thorvaldc\[plot\]'"):
         check_plotting()

@@ -1,4 +1,4 @@
-"""Pictures of a scene: the camera, what is asked for, and what is drawn."""
+"""Pictures of a scene: the camera, the options and the drawn pixels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from thorvaldc.simulation.pictures.video import VideoRecorder, encoder
 
 @pytest.mark.parametrize("view", [*VIEWS.values(), View(10.0, -45.0), View(77.0, 30.0)])
 @pytest.mark.parametrize("aspect", [0.5, 1.6])
-def test_the_camera_has_everything_in_the_picture(view: View, aspect: float) -> None:
+def test_all_points_are_in_the_picture(view: View, aspect: float) -> None:
     points = np.random.default_rng(3).uniform((-2.0, 1.0, 0.0), (3.0, 2.0, 1.5), (200, 3))
     camera = fit_camera(points, view, aspect)
     a, e = math.radians(camera.azimuth), math.radians(camera.elevation)
@@ -38,7 +38,7 @@ def test_the_camera_has_everything_in_the_picture(view: View, aspect: float) -> 
     along = from_eye @ np.cross(right, ahead) / depth / tan
     assert depth.min() > 0.0
     reach = [across.min(), across.max(), along.min(), along.max()]
-    assert max(map(abs, reach)) == pytest.approx(1 / 1.06, abs=0.01)  # it fills the picture
+    assert max(map(abs, reach)) == pytest.approx(1 / 1.06, abs=0.01)  # the points fill the picture
     assert abs(across.min() + across.max()) < 0.02
     assert abs(along.min() + along.max()) < 0.02
 
@@ -67,7 +67,7 @@ def test_a_picture_shows_the_robot(drawn: Path) -> None:
     assert black > 0.02
 
 
-def test_a_film_shows_it_moving(drawn: Path) -> None:
+def test_a_gif_shows_the_robot_moving(drawn: Path) -> None:
     from PIL import Image
 
     with Image.open(drawn / "run.gif") as film:
@@ -80,22 +80,22 @@ def test_a_film_shows_it_moving(drawn: Path) -> None:
     assert np.mean(abs(last - first).max(axis=2) > 40) > 0.01
 
 
-def test_a_film_as_mp4(drawn: Path) -> None:
+def test_an_mp4_has_its_size_and_rate(drawn: Path) -> None:
     data = (drawn / "run.mp4").read_bytes()
     assert data[4:8] == b"ftyp"
-    told = subprocess.run(
+    output = subprocess.run(
         [encoder(), "-hide_banner", "-i", str(drawn / "run.mp4")],
         capture_output=True,
         text=True,
         errors="replace",
     ).stderr
-    assert "960x540" in told
-    assert "25 fps" in told
+    assert "960x540" in output
+    assert "25 fps" in output
 
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with pictures that the command drew, in a process of its own.
+    """Returns a folder with pictures, drawn by the command in its own process.
 
     MuJoCo chooses what it draws by when it is imported, which the tests did long ago.
     """
@@ -103,10 +103,10 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if "MUJOCO_GL" not in os.environ and not any(map(opengl_backend._works, ("egl", "osmesa"))):
             raise PictureError("neither EGL nor OSMesa works here")
         encoder()
-    except PictureError as fault:
+    except PictureError as error:
         if os.environ.get("CI"):
-            pytest.fail(str(fault))
-        pytest.skip(str(fault))
+            pytest.fail(str(error))
+        pytest.skip(str(error))
     folder = tmp_path_factory.mktemp("drawn")
     robot = Path(__file__).parents[3] / "examples" / "4wd4ws_slim" / "robot.yaml"
     run = ["sim", str(robot), "--twist", "1,0,1", "--duration", "1", "--video"]
@@ -126,7 +126,9 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_egl_first_then_osmesa_then_a_clear_word(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_egl_is_tried_first_then_osmesa_then_there_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delitem(sys.modules, "mujoco", raising=False)
     monkeypatch.setenv("MUJOCO_GL", "")
@@ -155,7 +157,7 @@ def test_without_an_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
         encoder()
 
 
-def test_a_film_keeps_a_picture_when_it_is_time(
+def test_a_video_stores_positions_when_a_picture_is_due(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Scene:
@@ -169,7 +171,7 @@ def test_a_film_keeps_a_picture_when_it_is_time(
         Scene.time = k * 0.01
         film.on_tick(Scene)  # type: ignore[arg-type]
     assert len(film._positions) == 11
-    # A file that is there stays where the new one fails.
+    # After an error the existing file remains.
     old = tmp_path / "a.gif"
     old.write_bytes(b"old")
     monkeypatch.setattr(VideoRecorder, "_pictures", lambda *a: iter(()))

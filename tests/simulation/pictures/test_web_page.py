@@ -1,4 +1,4 @@
-"""The page to look at a robot: what is in it, and what a browser makes of it."""
+"""The web page of a robot: its data, and its display in a browser."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ OPTIONS = (
 )
 
 
-def data(made: str) -> dict[str, Any]:
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', made, re.S)
+def data(html: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', html, re.S)
     assert found is not None
     value: dict[str, Any] = json.loads(found[1])
     return value
 
 
-def test_it_holds_parts_joints_ids_and_surfaces() -> None:
+def test_the_page_has_parts_joints_ids_and_surfaces() -> None:
     robot = example_robot(NAME)
     (design,) = data(view_page(robot))["designs"]
     mass = sum(link["mass"] for link in design["links"])
@@ -55,7 +55,7 @@ def test_it_holds_parts_joints_ids_and_surfaces() -> None:
     assert ids
     assert {j["name"] for j in design["joints"]} == {j.name for j in robot.joints}
     known = {robot.links[0].name}
-    for joint in design["joints"]:  # the page places them in one go
+    for joint in design["joints"]:  # the page computes the poses in this order
         assert joint["parent"] in known
         known.add(joint["child"])
     assert known == {link.name for link in robot.links}
@@ -66,14 +66,14 @@ def test_it_holds_parts_joints_ids_and_surfaces() -> None:
     assert faces.max() < len(points) / 3
 
 
-def test_it_loads_nothing_and_is_the_same_every_time() -> None:
-    made = view_page(example_robot(NAME))
-    assert not re.findall(r"""(?:src|href)\s*=|url\(|import\s|fetch\(|https?://""", made)
-    assert "default-src 'none'" in made
-    assert view_page(example_robot(NAME)) == made
+def test_the_page_loads_nothing_and_is_deterministic() -> None:
+    html = view_page(example_robot(NAME))
+    assert not re.findall(r"""(?:src|href)\s*=|url\(|import\s|fetch\(|https?://""", html)
+    assert "default-src 'none'" in html
+    assert view_page(example_robot(NAME)) == html
 
 
-def test_equal_robots_of_a_fleet_are_held_once() -> None:
+def test_equal_robots_of_a_fleet_share_their_data() -> None:
     robot = example_robot(NAME)
     one, *_ = example_fleet("fleet_of_four").placements
     placements = tuple(
@@ -84,14 +84,14 @@ def test_equal_robots_of_a_fleet_are_held_once() -> None:
     assert [r["pose"][0] for r in value["robots"]] == [0.0, 3.0, 6.0, 9.0, 12.0]
 
 
-def test_text_of_the_robot_stays_text() -> None:
+def test_text_of_the_robot_is_not_html() -> None:
     nasty = "</script><script>document.title = 'taken'</script><!--"
-    made = view_page(replace(example_robot(NAME), description=nasty))
-    assert made.count("</script>") == 2
-    assert data(made)["description"] == nasty
+    html = view_page(replace(example_robot(NAME), description=nasty))
+    assert html.count("</script>") == 2
+    assert data(html)["description"] == nasty
 
 
-def test_a_template_without_a_place() -> None:
+def test_a_template_without_a_placeholder() -> None:
     with pytest.raises(ValueError, match="exactly once"):
         robot_page(example_robot(NAME), "<html></html>")
 
@@ -103,7 +103,7 @@ def test_surfaces_are_closed_and_of_the_right_size() -> None:
         points, faces = surface(robot, shape)
         a, b, c = (points[faces[:, k]] for k in range(3))
         volume = float(np.sum(np.cross(a, b) * c)) / 6.0
-        assert volume > 0.0, shape  # the triangles' front is outside
+        assert volume > 0.0, shape  # the triangles face outwards
     ball, faces = surface(robot, Sphere(0.4))
     assert np.linalg.norm(ball, axis=1) == pytest.approx(0.4)
 
@@ -113,7 +113,7 @@ def test_surfaces_are_closed_and_of_the_right_size() -> None:
 
 @pytest.fixture
 def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
-    """Opens a model's page with what to show; gives the document and a picture of it."""
+    """Opens a page in a browser; returns the document and a picture."""
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         reason = "chromium is not installed (Debian package chromium)"
@@ -124,7 +124,7 @@ def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
     def run(model: Robot | Fleet, shown: str = "") -> tuple[str, Path]:
         path = tmp_path / "view.html"
         path.write_text(view_page(model), encoding="utf-8")
-        done = subprocess.run(
+        process = subprocess.run(
             [
                 program,
                 *OPTIONS,
@@ -137,7 +137,7 @@ def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
             timeout=120,
             cwd=tmp_path,
         )
-        return done.stdout.decode(), tmp_path / "view.png"
+        return process.stdout.decode(), tmp_path / "view.png"
 
     return run
 
@@ -146,8 +146,8 @@ def texts(document: str) -> str:
     return html.unescape(re.sub(r"<script.*?</script>|<[^>]*>", " ", document, flags=re.S))
 
 
-def places(document: str) -> Mapping[str, tuple[float, ...]]:
-    """The positions that the page tells of the chosen part's links."""
+def positions(document: str) -> Mapping[str, tuple[float, ...]]:
+    """Returns the link positions that the page shows for the selected part."""
     found = re.findall(r"<div>(\S+) at (\S+), (\S+), (\S+) m</div>", document)
     return {name: tuple(map(float, xyz)) for name, *xyz in found}
 
@@ -168,11 +168,11 @@ def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
     triangles = sum(len(surface(robot, v.shape)[1]) for link in robot.links for v in link.visuals)
     assert f'data-triangles="{triangles}"' in document
     poses = JointTree(robot.links, robot.joints, {steering: 0.7, travel: 0.03}).pose
-    told = places(document)
-    assert wheel.link in told
-    for name, xyz in told.items():
+    shown_positions = positions(document)
+    assert wheel.link in shown_positions
+    for name, xyz in shown_positions.items():
         assert xyz == pytest.approx(poses[name].xyz, abs=6e-4)
-    assert told[wheel.link] != pytest.approx(
+    assert shown_positions[wheel.link] != pytest.approx(
         JointTree(robot.links, robot.joints).pose[wheel.link].xyz, abs=0.02
     )
     shown = texts(document)
@@ -189,7 +189,7 @@ def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
     orange = np.mean((pixels[:, 0] > 200) & (abs(pixels[:, 1] - 130) < 40) & (pixels[:, 2] < 60))
     assert red > 0.003  # the forks
     assert dark > 0.02  # the tyres
-    assert orange > 0.0005  # the chosen part
+    assert orange > 0.0005  # the selected part
 
 
 def test_a_fleet_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None:
@@ -203,5 +203,5 @@ def test_a_fleet_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
     ]
     link = six.robot.wheels[0].link
     expected = (six.pose * JointTree(six.robot.links, six.robot.joints).pose[link]).xyz
-    assert places(document)[link] == pytest.approx(expected, abs=6e-4)
+    assert positions(document)[link] == pytest.approx(expected, abs=6e-4)
     assert f"{six.robot.inertial.mass:.1f} kg" in texts(document)

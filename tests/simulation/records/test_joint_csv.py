@@ -1,4 +1,4 @@
-"""Logs of joint states: what is written is read back; anything else is a fault."""
+"""Joint logs: the reader returns what the writer wrote, and reports everything else."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "joints.csv"
 
 
-def test_what_is_written_is_read_back(path: Path) -> None:
+def test_a_written_log_is_read_back(path: Path) -> None:
     log, report = read(record(ROBOT, seconds=2.0), path, ROBOT)
     assert log is not None
     assert not len(report)
@@ -45,8 +45,8 @@ def test_what_is_written_is_read_back(path: Path) -> None:
     assert list(log.angles) == ["w0_steering_axis", "w1_steering_axis"]
     speed = 0.8 / ROBOT.wheels[0].radius
     assert log.commands["w0_axle"][-1] == pytest.approx(speed)
-    ahead = log.positions["w0_axle"]
-    assert ahead[-1] - ahead[-2] == pytest.approx(speed / 50, rel=1e-6)
+    angles = log.positions["w0_axle"]
+    assert angles[-1] - angles[-2] == pytest.approx(speed / 50, rel=1e-6)
 
 
 def test_angles_are_encoder_readings(path: Path) -> None:
@@ -58,7 +58,7 @@ def test_angles_are_encoder_readings(path: Path) -> None:
         assert log.angles[joint][-1] == pytest.approx(-offset, abs=1e-6)
 
 
-def test_lines_may_end_and_begin_as_other_systems_write_them(path: Path) -> None:
+def test_byte_order_mark_and_crlf_are_accepted(path: Path) -> None:
     text = "\ufeff" + HEADER + "0,0,1\n0.02,0.02,1\n\n"
     log, report = read(text.replace("\n", "\r\n"), path)
     assert log is not None
@@ -68,7 +68,7 @@ def test_lines_may_end_and_begin_as_other_systems_write_them(path: Path) -> None
     assert log.commands == {}
 
 
-def test_further_joints_of_the_robot_may_be_there(path: Path) -> None:
+def test_joints_without_a_motor_are_ignored(path: Path) -> None:
     text = "time,w2_axle.position,w0_axle.position,w1_axle.velocity\n0,9,0,1\n1e-2,9,0.02,1\n"
     assert read(text, path)[0] is not None
 
@@ -88,7 +88,7 @@ def test_further_joints_of_the_robot_may_be_there(path: Path) -> None:
         (b"time,\xff\n", "file-unreadable", 1, 1),
     ],
 )
-def test_faults_have_their_place(
+def test_errors_have_line_and_column(
     text: str | bytes, code: str, line: int, column: int, path: Path
 ) -> None:
     log, report = read(text, path)
@@ -98,12 +98,12 @@ def test_faults_have_their_place(
     assert (first.code.name, first.span.line, first.span.column) == (code, line, column)
 
 
-def test_not_every_bad_value_is_told(path: Path) -> None:
+def test_the_reader_stops_after_ten_errors(path: Path) -> None:
     _, report = read(HEADER + "0,nan,nan\n" * 1000, path)
     assert len(report) == 10
 
 
-def test_every_joint_that_lacks_is_told(path: Path) -> None:
+def test_every_missing_joint_is_reported(path: Path) -> None:
     _, report = read("time,w0_axle.position\n0,0\n", path, ROBOT)
     assert [d.message.split("`")[1] for d in report] == [
         "w1_axle",
@@ -113,7 +113,7 @@ def test_every_joint_that_lacks_is_told(path: Path) -> None:
     ]
 
 
-def test_gap_is_told_and_the_rest_is_read(path: Path) -> None:
+def test_gaps_are_reported_and_the_rest_is_read(path: Path) -> None:
     log, report = read(HEADER + "0,0,1\n0.1,0,1\n0.7,0,1\n0.8,0,1\n3,0,1\n", path)
     assert log is not None
     assert len(log.times) == 5
@@ -123,7 +123,7 @@ def test_gap_is_told_and_the_rest_is_read(path: Path) -> None:
     assert "0.8 s to 3 s" in gap.message
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_missing_file_and_folder(tmp_path: Path) -> None:
     for path, code in (
         (tmp_path / "none.csv", "file-not-found"),
         (tmp_path, "file-is-a-directory"),
@@ -133,7 +133,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         assert [d.code.name for d in report] == [code]
 
 
-def test_no_number_is_lost_in_writing(path: Path) -> None:
+def test_written_numbers_keep_their_precision(path: Path) -> None:
     log, _ = read(record(ROBOT, seconds=1.0, twists=[(0, 0.3, 0.1, 0.7)]), path, ROBOT)
     assert log is not None
     speeds = [

@@ -1,4 +1,4 @@
-"""Records as MCAP: what readers that are not ours find in them, and what ends a run."""
+"""MCAP records: contents as other readers see them, and records of interrupted runs."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 TURN = [Segment(0.0, Twist(0.5, 0.0, 0.4))]
 
 
-def model(name: str) -> Any:
-    done = compile_file(EXAMPLES / name)
-    assert done.model is not None
-    return done.model
+def compiled(name: str) -> Any:
+    compilation = compile_file(EXAMPLES / name)
+    assert compilation.model is not None
+    return compilation.model
 
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
-    found = model("4wd4ws_slim/robot.yaml")
-    assert isinstance(found, Robot)
-    return found
+    robot = compiled("4wd4ws_slim/robot.yaml")
+    assert isinstance(robot, Robot)
+    return robot
 
 
 def drive(
-    what: Robot | Fleet, path: Path, seconds: float = 1.0, **options: Any
+    model: Robot | Fleet, path: Path, seconds: float = 1.0, **options: Any
 ) -> dict[str, list[Sample]]:
-    simulation = Simulation(what)
+    simulation = Simulation(model)
     samples: dict[str, list[Sample]] = {}
     groups = options.pop("groups", GROUPS)
     recorder = McapRecorder(path, simulation.robots, groups, **options)
-    hand = record_ticks([recorder])
+    pass_on = record_ticks([recorder])
 
     def on_tick(loop: ControlLoop) -> None:
         samples.setdefault(loop.name, []).append(loop.sample())
-        hand(loop)
+        pass_on(loop)
 
     try:
         simulation.run(seconds, TURN, None, on_tick)
@@ -69,50 +69,50 @@ def messages(path: Path) -> Iterator[tuple[str, int, Any]]:
 
 
 def by_topic(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    found: dict[str, list[tuple[int, Any]]] = {}
+    topics: dict[str, list[tuple[int, Any]]] = {}
     for topic, time, message in messages(path):
-        found.setdefault(topic, []).append((time, message))
-    return found
+        topics.setdefault(topic, []).append((time, message))
+    return topics
 
 
-def test_the_messages_say_what_the_run_was(robot: Robot, tmp_path: Path) -> None:
+def test_messages_have_the_values_of_the_samples(robot: Robot, tmp_path: Path) -> None:
     samples = drive(robot, tmp_path / "a.mcap")[robot.name]
-    found = by_topic(tmp_path / "a.mcap")
-    assert {topic: len(got) for topic, got in found.items()} == {
+    topics = by_topic(tmp_path / "a.mcap")
+    assert {topic: len(got) for topic, got in topics.items()} == {
         "/tf_static": 1,
         **dict.fromkeys(("/odom", "/ground_truth/odom", "/cmd_vel", "/cmd_vel_limited"), 51),
         **dict.fromkeys(("/joint_states", "/joint_commands", "/tf"), 51),
     }
-    time, odom = found["/odom"][-1]
+    time, odom = topics["/odom"][-1]
     last = samples[-1]
     assert time == odom.header.stamp.sec * 10**9 + odom.header.stamp.nanosec == 10**9
     assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
-    place, turn = odom.pose.pose.position, odom.pose.pose.orientation
-    assert (place.x, place.y) == last.pose_estimated[:2]
-    assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(last.pose_estimated.yaw)
+    position, orientation = odom.pose.pose.position, odom.pose.pose.orientation
+    assert (position.x, position.y) == last.pose_estimated[:2]
+    assert 2.0 * math.atan2(orientation.z, orientation.w) == pytest.approx(last.pose_estimated.yaw)
     assert (odom.twist.twist.linear.x, odom.twist.twist.angular.z) == (
         last.estimated.vx,
         last.estimated.wz,
     )
-    (_, asked), (_, aimed) = found["/cmd_vel"][0], found["/cmd_vel_limited"][0]
-    assert asked.twist.linear.x == 0.5
-    assert aimed.twist.linear.x < 0.1
-    joints = found["/joint_states"][-1][1]
+    (_, commanded), (_, limited) = topics["/cmd_vel"][0], topics["/cmd_vel_limited"][0]
+    assert commanded.twist.linear.x == 0.5
+    assert limited.twist.linear.x < 0.1
+    joints = topics["/joint_states"][-1][1]
     assert last.joints is not None
     assert joints.name[:4] == [wheel.spin_joint for wheel in robot.wheels]
     assert list(joints.position[:4]) == list(last.joints.positions or ())
     assert list(joints.velocity[:4]) == list(last.joints.speeds)
     assert list(joints.position[4:]) == list(last.joints.angles)
-    frames = {t.child_frame_id: t for _, tf in found["/tf"] for t in tf.transforms}
+    frames = {t.child_frame_id: t for _, tf in topics["/tf"] for t in tf.transforms}
     assert {name: t.header.frame_id for name, t in frames.items()} == {
         "base_link": "odom",
         "base_link_true": "map",
     }
-    assert found["/tf_static"][0][1].transforms[0].child_frame_id == "odom"
+    assert topics["/tf_static"][0][1].transforms[0].child_frame_id == "odom"
 
 
-def test_covariances_are_those_of_the_frames_of_ros(robot: Robot, tmp_path: Path) -> None:
-    """Over the same way one that turned a quarter has its errors in x and y swapped."""
+def test_covariances_are_in_the_frames_of_ros(robot: Robot, tmp_path: Path) -> None:
+    """The covariance of the pose is in the frame `odom`, that of a sample in `base_link`."""
     last = drive(robot, tmp_path / "a.mcap", 4.0)[robot.name][-1]
     odom = by_topic(tmp_path / "a.mcap")["/odom"][-1][1]
     full = np.array(odom.pose.covariance).reshape(6, 6)
@@ -125,7 +125,7 @@ def test_covariances_are_those_of_the_frames_of_ros(robot: Robot, tmp_path: Path
     assert planar[0, 0] > 0.0
 
 
-def test_a_reader_that_is_not_of_rosbags_finds_profile_schemas_and_index(
+def test_another_reader_than_rosbags_reads_profile_schemas_and_index(
     robot: Robot, tmp_path: Path
 ) -> None:
     samples = drive(robot, tmp_path / "a.mcap")[robot.name]
@@ -142,47 +142,47 @@ def test_a_reader_that_is_not_of_rosbags_finds_profile_schemas_and_index(
         times = [message.log_time for _, _, message in reader.iter_messages()]
         assert len(times) == summary.statistics.message_count == 51 * 7 + 1
         assert times == sorted(times)
-        # Decoded by the definitions in the file alone.
+        # The decoder uses only the message definitions in the file.
         decoded = [m for *_, m in reader.iter_decoded_messages(topics=["/odom"])]
-        found = [(m.pose.pose.position.x, m.twist.twist.angular.z) for m in decoded]
-        assert found == [(s.pose_estimated.x, s.estimated.wz) for s in samples]
+        topics = [(m.pose.pose.position.x, m.twist.twist.angular.z) for m in decoded]
+        assert topics == [(s.pose_estimated.x, s.estimated.wz) for s in samples]
 
 
-def test_robots_of_a_fleet_have_their_name_spaces(tmp_path: Path) -> None:
-    fleet = model("fleet_of_four/fleet.yaml")
+def test_topics_of_a_fleet_have_name_spaces(tmp_path: Path) -> None:
+    fleet = compiled("fleet_of_four/fleet.yaml")
     samples = drive(fleet, tmp_path / "a.mcap", 0.2, groups=("odometry",))
-    found = by_topic(tmp_path / "a.mcap")
-    assert set(found) == {"/tf", "/tf_static", *(f"/{name}/odom" for name in samples)}
-    moved = {t.child_frame_id for _, tf in found["/tf"] for t in tf.transforms}
+    topics = by_topic(tmp_path / "a.mcap")
+    assert set(topics) == {"/tf", "/tf_static", *(f"/{name}/odom" for name in samples)}
+    moved = {t.child_frame_id for _, tf in topics["/tf"] for t in tf.transforms}
     assert moved == {f"{name}/base_link" for name in samples}
-    (odom,) = {m.header.frame_id for _, m in found["/wide/odom"]}
+    (odom,) = {m.header.frame_id for _, m in topics["/wide/odom"]}
     assert odom == "wide/odom"
-    first = found["/wide/odom"][0][1].pose.pose.position
+    first = topics["/wide/odom"][0][1].pose.pose.position
     assert (first.x, first.y) == (0.0, 0.0)
 
 
-def test_equal_runs_give_equal_bytes_whatever_they_are_called(robot: Robot, tmp_path: Path) -> None:
+def test_equal_runs_give_equal_bytes_with_any_file_name(robot: Robot, tmp_path: Path) -> None:
     for name in ("a", "b"):
         drive(robot, tmp_path / f"{name}.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["a.mcap", "b.mcap"]
 
 
-def test_groups_and_times_are_those_that_are_wanted(robot: Robot, tmp_path: Path) -> None:
+def test_groups_and_times_are_those_requested(robot: Robot, tmp_path: Path) -> None:
     drive(robot, tmp_path / "a.mcap", groups=("truth",), every=0.1)
-    found = by_topic(tmp_path / "a.mcap")
-    assert set(found) == {"/ground_truth/odom", "/tf"}
-    assert [time for time, _ in found["/ground_truth/odom"]] == [k * 10**8 for k in range(11)]
+    topics = by_topic(tmp_path / "a.mcap")
+    assert set(topics) == {"/ground_truth/odom", "/tf"}
+    assert [time for time, _ in topics["/ground_truth/odom"]] == [k * 10**8 for k in range(11)]
 
 
-def test_an_interrupted_run_leaves_a_whole_file(robot: Robot, tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_a_complete_file(robot: Robot, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     simulation = Simulation(robot)
     recorder = McapRecorder(path, simulation.robots, GROUPS)
-    hand = record_ticks([recorder])
+    pass_on = record_ticks([recorder])
 
     def on_tick(loop: ControlLoop) -> None:
-        hand(loop)
+        pass_on(loop)
         if loop.driver.state.time >= 0.5:
             raise KeyboardInterrupt
 
@@ -194,20 +194,24 @@ def test_an_interrupted_run_leaves_a_whole_file(robot: Robot, tmp_path: Path) ->
     assert by_topic(path)["/odom"][-1][0] == 5 * 10**8
 
 
-def test_a_full_disk_is_told_and_leaves_what_there_is(robot: Robot, tmp_path: Path) -> None:
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
+def test_a_full_disk_is_reported_and_leaves_the_incomplete_file(
+    robot: Robot, tmp_path: Path
+) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, limits[1]))
     try:
         with pytest.raises(OSError, match=r"a\.mcap"):
             drive(robot, tmp_path / "a.mcap", 20.0)
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert os.listdir(tmp_path) == ["a.mcap"]
     assert (tmp_path / "a.mcap").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("where", ["none/a.mcap", "folder.mcap"])
-def test_what_cannot_be_written_is_known_at_once(robot: Robot, tmp_path: Path, where: str) -> None:
+def test_a_path_that_cannot_be_written_is_an_error_before_the_run(
+    robot: Robot, tmp_path: Path, where: str
+) -> None:
     (tmp_path / "folder.mcap").mkdir()
     with pytest.raises(OSError, match=where):
         McapRecorder(tmp_path / where, [(robot.name, robot)], GROUPS)
