@@ -1,4 +1,4 @@
-"""Runs the command in this process, as a user would."""
+"""Runs the command in this process."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ modules:
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
 """
-# Two faults.
+# Two errors.
 BAD = GOOD.replace("name: good", "name: Bad").replace("can: 2", "cam: 2")
-# A warning: the centre of mass is nearly over the edge.
+# A warning: the robot tips over at a smaller angle than required.
 SHAKY = GOOD.replace("name: good", "name: shaky\ndesign: {minimum_tip_over_angle: 60 deg}")
 
 

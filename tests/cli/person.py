@@ -1,4 +1,4 @@
-"""Somebody at a terminal: a command on a pty, keys for it, what it shows."""
+"""A person at a terminal: a command on a pseudo-terminal, its keys and its output."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ PATIENCE = 20.0
 
 
 class Person:
-    """A command with a person at its terminal."""
+    """A running command and the person at its terminal."""
 
     def __init__(self, folder: Path, *arguments: str) -> None:
-        self.ours, self.theirs = pty.openpty()
-        self.before = termios.tcgetattr(self.theirs)
+        self.our_end, self.command_end = pty.openpty()
+        self.settings_before = termios.tcgetattr(self.command_end)
         self.shown = ""
         self.process = subprocess.Popen(
             [sys.executable, "-m", "thorvaldc", *arguments],
             cwd=folder,
-            stdin=self.theirs,
-            stdout=self.theirs,
-            stderr=self.theirs,
+            stdin=self.command_end,
+            stdout=self.command_end,
+            stderr=self.command_end,
             start_new_session=True,
-            # As a shell does: Ctrl-C and a hang-up reach the process by its terminal.
+            # As in a shell, Ctrl-C and a hang-up reach the process through its terminal.
             preexec_fn=lambda: os.close(os.open(os.ttyname(0), os.O_RDWR)),
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm"},
         )
 
     def read(self, seconds: float = 0.05) -> None:
-        while select.select([self.ours], [], [], seconds)[0]:
+        while select.select([self.our_end], [], [], seconds)[0]:
             try:
-                data = os.read(self.ours, 65536)
+                data = os.read(self.our_end, 65536)
             except OSError:
                 return
             if not data:
@@ -45,7 +45,7 @@ class Person:
             self.shown += data.decode("utf-8", "replace")
 
     def until(self, text: str, typing: str = "") -> None:
-        """Wait until it is shown after what was waited for before, ``typing`` all the while."""
+        """Waits until the output contains ``text``; keeps typing ``typing``."""
         limit = time.monotonic() + PATIENCE
         while text not in self.shown:
             assert time.monotonic() < limit, self.shown[-800:]
@@ -55,16 +55,16 @@ class Person:
         self.shown = self.shown.partition(text)[2]
 
     def type(self, text: str) -> None:
-        os.write(self.ours, text.encode())
+        os.write(self.our_end, text.encode())
 
     def end(self) -> int:
-        """Its status; the terminal is as it was."""
+        """Waits for the end; returns the status.  Checks that the terminal is restored."""
         limit = time.monotonic() + PATIENCE
         while self.process.poll() is None:
             assert time.monotonic() < limit, "it does not end"
             self.read()
         self.read()
-        assert termios.tcgetattr(self.theirs) == self.before
+        assert termios.tcgetattr(self.command_end) == self.settings_before
         assert "\x1b[?25h" in self.shown
         return self.process.returncode
 
@@ -72,6 +72,6 @@ class Person:
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
-        for fd in (self.ours, self.theirs):
+        for fd in (self.our_end, self.command_end):
             with contextlib.suppress(OSError):
                 os.close(fd)

@@ -1,4 +1,4 @@
-"""Runs that end badly: one line or a report says so, the status too, and records are kept."""
+"""Runs that fail: the message, the exit status, and records that are kept."""
 
 from __future__ import annotations
 
@@ -51,23 +51,23 @@ def scenario(
 
 
 def last_time(record: str) -> float:
-    """The time of the last line of a CSV, which must be whole."""
+    """Returns the time in the last line of a CSV file; checks that the lines are complete."""
     head, *rows = Path(record).read_text().splitlines()
     assert all(row.count(",") == head.count(",") for row in rows)
     return float(rows[-1].split(",")[0])
 
 
-def test_faults_of_scenario_and_robot_are_told_at_once(thorvaldc: Command) -> None:
-    done = thorvaldc("sim", scenario("bad.yaml", ground="swamp"), "--record", "r.mcap")
-    assert (done.status, done.out) == (1, "")
-    assert "bad.yaml:" in done.err
-    assert "`type` cannot be `swamp`" in done.err
-    assert "allowed values are `plane`, `slope`, `rough`" in done.err
+def test_errors_of_scenario_and_robot_are_reported_together(thorvaldc: Command) -> None:
+    result = thorvaldc("sim", scenario("bad.yaml", ground="swamp"), "--record", "r.mcap")
+    assert (result.status, result.out) == (1, "")
+    assert "bad.yaml:" in result.err
+    assert "`type` cannot be `swamp`" in result.err
+    assert "allowed values are `plane`, `slope`, `rough`" in result.err
     assert not Path("r.mcap").exists()
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "expected"),
     [
         ("--record", "none/r.mcap", "No such file or directory"),
         ("--record", "folder.mcap", "Is a directory"),
@@ -80,28 +80,28 @@ def test_faults_of_scenario_and_robot_are_told_at_once(thorvaldc: Command) -> No
         ("--video", "none/v.gif", "No such file or directory"),
     ],
 )
-def test_what_cannot_be_written_is_known_before_the_run(
-    thorvaldc: Command, option: str, value: str, said: str
+def test_an_output_that_cannot_be_written_is_reported_before_the_run(
+    thorvaldc: Command, option: str, value: str, expected: str
 ) -> None:
     Path("folder.mcap").mkdir()
     Path("full").mkdir()
     Path("full/cart.csv").symlink_to("/dev/full")
     started = time.monotonic()
-    done = thorvaldc("sim", scenario(duration=80000), option, value)
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("error: cannot write ")
-    assert value in done.err
-    assert said in done.err
-    assert done.err.count("\n") == 1
+    result = thorvaldc("sim", scenario(duration=80000), option, value)
+    assert (result.status, result.out) == (3, "")
+    assert result.err.startswith("error: cannot write ")
+    assert value in result.err
+    assert expected in result.err
+    assert result.err.count("\n") == 1
     assert time.monotonic() - started < 20
 
 
 @pytest.mark.parametrize("option", ["--record", "--log"])
 @pytest.mark.parametrize("name", ["r.csv", "r.mcap"])
-def test_a_disk_that_gets_full_is_told_by_the_files_name(
+def test_a_full_disk_is_reported_with_the_name_of_the_file(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch, option: str, name: str
 ) -> None:
-    """From the first tick on no file may grow beyond some size; what is there by then stays."""
+    """No file may grow beyond a limit after the first tick; the content so far is kept."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def watch(self: Progress, meter: ControlLoop) -> None:
@@ -109,21 +109,21 @@ def test_a_disk_that_gets_full_is_told_by_the_files_name(
 
     monkeypatch.setattr(Progress, "watch", watch)
     try:
-        done = thorvaldc("sim", scenario(duration=60), option, name)
+        result = thorvaldc("sim", scenario(duration=60), option, name)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert (done.status, done.out) == (3, "")
-    assert done.err == f"error: {name}: File too large\n"
+    assert (result.status, result.out) == (3, "")
+    assert result.err == f"error: {name}: File too large\n"
     assert 5000 < Path(name).stat().st_size <= 20000
     assert not list(Path().glob(".*"))
 
 
-def test_who_falls_over_is_told_everywhere_and_recorded(thorvaldc: Command) -> None:
+def test_a_robot_that_tips_over_is_reported_and_recorded(thorvaldc: Command) -> None:
     path = scenario(TALL, 40, "slope, angle: 58 deg, direction: 90 deg", 4.5)
-    done = thorvaldc("sim", path, "--record", "r.csv", "--junit", "j.xml", "--plot", "p.png")
-    assert done.status == 1
-    assert "cart fell over to its right after 1." in done.err
-    assert "ended after 1." in done.out
+    result = thorvaldc("sim", path, "--record", "r.csv", "--junit", "j.xml", "--plot", "p.png")
+    assert result.status == 1
+    assert "cart fell over to its right after 1." in result.err
+    assert "ended after 1." in result.out
     failure = ET.parse("j.xml").getroot().find(".//failure")
     assert failure is not None
     assert "fell over" in str(failure.get("message"))
@@ -131,17 +131,17 @@ def test_who_falls_over_is_told_everywhere_and_recorded(thorvaldc: Command) -> N
     assert Path("p.png").stat().st_size > 1000
 
 
-def test_who_leaves_all_bounds_is_named_with_time_and_cause(thorvaldc: Command) -> None:
+def test_a_diverged_robot_is_reported_with_time_and_cause(thorvaldc: Command) -> None:
     Path("stiff.yaml").write_text(STIFF)
     text = Path(scenario()).read_text()
     Path("s.yaml").write_text(
         text.replace("}}\nduration", "}, wild: {robot: stiff.yaml, xyz: [0, 5, 0]}}\nduration")
     )
-    done = thorvaldc("sim", "s.yaml", "--record", "r.mcap", "--plot", "p.png")
-    assert done.status == 1
-    assert "stiff.yaml:2:7: error[TV805]" in done.err
-    assert "after 0.0" in done.err
-    assert "the joint `wild/" in done.err
+    result = thorvaldc("sim", "s.yaml", "--record", "r.mcap", "--plot", "p.png")
+    assert result.status == 1
+    assert "stiff.yaml:2:7: error[TV805]" in result.err
+    assert "after 0.0" in result.err
+    assert "the joint `wild/" in result.err
     replayed = thorvaldc("sim", "s.yaml", "--replay", "r.mcap", "--plot", "q.png")
     assert replayed.status == 0
     assert "wild" in replayed.out
@@ -149,12 +149,12 @@ def test_who_leaves_all_bounds_is_named_with_time_and_cause(thorvaldc: Command) 
 
 @pytest.mark.parametrize("record", ["r.csv", "r.mcap"])
 @pytest.mark.parametrize(
-    ("number", "status", "said"),
+    ("number", "status", "expected"),
     [(signal.SIGINT, 130, "interrupted\n"), (signal.SIGTERM, 143, "terminated\n")],
     ids=["ctrl-c", "kill"],
 )
-def test_who_is_ended_leaves_a_record_that_can_be_read(
-    thorvaldc: Command, record: str, number: int, status: int, said: str
+def test_a_terminated_run_leaves_a_readable_record(
+    thorvaldc: Command, record: str, number: int, status: int, expected: str
 ) -> None:
     path = scenario(duration=80000)
     command = [sys.executable, "-m", "thorvaldc", "sim", path, "--record", record]
@@ -170,11 +170,11 @@ def test_who_is_ended_leaves_a_record_that_can_be_read(
             out, err = process.communicate(timeout=60)
         finally:
             process.kill()
-    assert (process.returncode, out, err) == (status, "", said)
+    assert (process.returncode, out, err) == (status, "", expected)
     assert not list(Path().glob(".*"))
-    done = thorvaldc("sim", path, "--replay", record, "--json")
-    assert done.status == 0, done.err
-    assert done.err == ""
+    result = thorvaldc("sim", path, "--replay", record, "--json")
+    assert result.status == 0, result.err
+    assert result.err == ""
     if record.endswith(".csv"):
         assert last_time(record) > 1.0
 
@@ -187,14 +187,14 @@ def test_runs_and_films_show_their_progress_on_a_terminal_only(
     tmp_path: Path, thorvaldc: Command
 ) -> None:
     scenario()
-    status, shown = on_terminal(tmp_path, "sim", "s.yaml", "--video", "v.gif", COLUMNS="40")
+    status, output = on_terminal(tmp_path, "sim", "s.yaml", "--video", "v.gif", COLUMNS="40")
     assert status == 0
-    assert "[##############################] 100 %" in shown
-    assert "v.gif [#######" in shown
-    bars = [part for part in shown.replace("\x1b[K", "\r").split("\r") if "%" in part]
+    assert "[##############################] 100 %" in output
+    assert "v.gif [#######" in output
+    bars = [part for part in output.replace("\x1b[K", "\r").split("\r") if "%" in part]
     assert len(bars) > 20
     assert max(map(len, bars)) < 40
-    done = thorvaldc("sim", "good.yaml", "--twist", "1,0,0", "--duration", "1", "--record", "r")
-    assert "%" not in done.err
-    _, shown = on_terminal(tmp_path, "sim", "good.yaml", "--ideal", "--duration", "1")
-    assert "1.0 of 1 s" in shown
+    result = thorvaldc("sim", "good.yaml", "--twist", "1,0,0", "--duration", "1", "--record", "r")
+    assert "%" not in result.err
+    _, output = on_terminal(tmp_path, "sim", "good.yaml", "--ideal", "--duration", "1")
+    assert "1.0 of 1 s" in output

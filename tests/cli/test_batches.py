@@ -1,4 +1,4 @@
-"""``sim`` of variations: the same whatever the number of processes, and kept after Ctrl-C."""
+"""Variations of a scenario: independent of the number of processes, and kept after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def scenario(tmp_path: Path) -> Path:
 
 def planned(path: Path, *settings: str, **more: Any) -> Variations:
     report = Report()
-    found = plan_variations(path, settings, **more, report=report)
+    variations = plan_variations(path, settings, **more, report=report)
     assert not report.has_errors, [d.message for d in report]
-    assert found is not None
-    return found
+    assert variations is not None
+    return variations
 
 
 def values(variations: Variations) -> list[dict[str, Any]]:
@@ -64,26 +64,26 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_combinations_and_draws(scenario: Path) -> None:
-    found = values(planned(scenario))
-    assert [v["world.friction"] for v in found] == [0.2, 0.2, 0.6, 0.6]
-    # A draw is the same beside every combination, and its noise is its own.
-    assert [v["noise.seed"] for v in found] == [3, 4, 3, 4]
-    angles = [v["faults.0.angle"] for v in found]
+    variations = values(planned(scenario))
+    assert [v["world.friction"] for v in variations] == [0.2, 0.2, 0.6, 0.6]
+    # A draw has the same values in every combination, and its own noise seed.
+    assert [v["noise.seed"] for v in variations] == [3, 4, 3, 4]
+    angles = [v["faults.0.angle"] for v in variations]
     assert angles[:2] == angles[2:]
     assert angles[0] != angles[1]
     assert all(a.endswith(" deg") and abs(float(a.split()[0])) < 1.0 for a in angles)
-    assert values(planned(scenario, seed=5)) != found
-    # What is drawn for one path does not depend on what else varies.
-    other = values(planned(scenario, "world.friction=0.1", "duration=1 s,2 s"))
-    assert {v["faults.0.angle"] for v in other} == set(angles)
+    assert values(planned(scenario, seed=5)) != variations
+    # The drawn values of a path do not depend on the other paths.
+    other_values = values(planned(scenario, "world.friction=0.1", "duration=1 s,2 s"))
+    assert {v["faults.0.angle"] for v in other_values} == set(angles)
 
 
-def test_settings_take_the_place_of_the_documents(scenario: Path) -> None:
+def test_settings_replace_the_variations_of_the_document(scenario: Path) -> None:
     assert values(planned(scenario, "world.friction=0.3..0.9", draws=1, own=False)) != []
-    found = values(planned(scenario, "faults=[],[{type: ice, wheel: fl_wheel, friction: 0.1}]",
+    variations = values(planned(scenario, "faults=[],[{type: ice, wheel: fl_wheel, friction: 0.1}]",
                            "robots.cart.robot=a/b.yaml,../c.yaml", own=False))  # fmt: skip
-    assert [v["robots.cart.robot"] for v in found] == ["a/b.yaml", "../c.yaml"] * 2
-    assert [v["faults"] for v in found[::2]] == [
+    assert [v["robots.cart.robot"] for v in variations] == ["a/b.yaml", "../c.yaml"] * 2
+    assert [v["faults"] for v in variations[::2]] == [
         [],
         [{"type": "ice", "wheel": "fl_wheel", "friction": 0.1}],
     ]
@@ -96,15 +96,15 @@ def test_the_result_does_not_depend_on_the_processes(thorvaldc: Command, scenari
     tables = []
     for jobs in ("1", "2"):
         out = scenario.with_name(f"{jobs}.csv")
-        done = thorvaldc("sim", str(scenario), "--variations", "-j", jobs, "-o", str(out))
-        assert (done.status, done.err) == (0, "")
-        assert "4 runs, all as expected" in done.out
-        tables.append((done.out, out.read_bytes()))
+        result = thorvaldc("sim", str(scenario), "--variations", "-j", jobs, "-o", str(out))
+        assert (result.status, result.err) == (0, "")
+        assert "4 runs, all as expected" in result.out
+        tables.append((result.out, out.read_bytes()))
     assert tables[0] == tables[1]
     listed = rows(scenario.with_name("1.csv"))
     assert [row["run"] for row in listed] == ["1", "2", "3", "4"]
     assert len({row["hash"] for row in listed}) == 4
-    # And it is that of the run alone.
+    # The result equals that of the same run outside a batch.
     third = listed[2]
     settings = [f"--set={path}={third[path]}" for path in
                 ("world.friction", "faults.0.angle", "noise.seed")]  # fmt: skip
@@ -112,16 +112,16 @@ def test_the_result_does_not_depend_on_the_processes(thorvaldc: Command, scenari
     assert json.loads(alone.out)["hash"] == third["hash"]
 
 
-def test_what_fails_is_named_and_decides(thorvaldc: Command, scenario: Path) -> None:
+def test_failed_runs_are_named_and_decide_the_status(thorvaldc: Command, scenario: Path) -> None:
     out = scenario.with_name("out.json")
-    done = thorvaldc("sim", str(scenario), "--set", "script.0.vx=0.5 m/s,1.6 m/s",
+    result = thorvaldc("sim", str(scenario), "--set", "script.0.vx=0.5 m/s,1.6 m/s",
                      "--set", "faults=[]", "-j", "1", "-o", str(out))  # fmt: skip
-    assert done.status == 0
-    done = thorvaldc("sim", str(scenario), "--set", "expect.path.max=1 m,0.1 m", "-j", "1",
+    assert result.status == 0
+    result = thorvaldc("sim", str(scenario), "--set", "expect.path.max=1 m,0.1 m", "-j", "1",
                      "-o", str(out))  # fmt: skip
-    assert done.status == 1
-    assert "2 runs, 1 not as expected" in done.out
-    assert "run 2: error[TV820]: `path` of cart is" in done.err
+    assert result.status == 1
+    assert "2 runs, 1 not as expected" in result.out
+    assert "run 2: error[TV820]: `path` of cart is" in result.err
     listed = json.loads(out.read_text())
     assert [run["passed"] for run in listed] == [True, False]
     assert listed[1]["values"] == {"expect.path.max": "0.1 m"}
@@ -129,8 +129,10 @@ def test_what_fails_is_named_and_decides(thorvaldc: Command, scenario: Path) -> 
     assert "real_time_factor" not in listed[0]["result"]["run"]
 
 
-def test_wrong_values_are_told_before_anything_runs(thorvaldc: Command, scenario: Path) -> None:
-    for settings, said in (
+def test_invalid_values_are_reported_before_the_first_run(
+    thorvaldc: Command, scenario: Path
+) -> None:
+    for settings, stderr in (
         (["world.friction=0.3,-1"], "--set world.friction:1:1: error[TV206]"),
         (["world.friktion=0.3"], "error[TV201] unknown-key"),
         (["world.friction=0.9..0.3"], "error[TV847] variation-value"),
@@ -140,18 +142,18 @@ def test_wrong_values_are_told_before_anything_runs(thorvaldc: Command, scenario
         (["duration=1 s,two"], "error[TV210]"),
         (["noise.seed=1..9", "--draws", "200000"], "at most 100000"),
     ):
-        done = thorvaldc("sim", str(scenario), "-j", "1", "--set", *settings)
-        assert done.status == 1, settings
-        assert done.out == ""
-        assert said in done.err
+        result = thorvaldc("sim", str(scenario), "-j", "1", "--set", *settings)
+        assert result.status == 1, settings
+        assert result.out == ""
+        assert stderr in result.err
     text = SCENARIO.replace("[0.2, 0.6]", "[0.2, slippery]")
     scenario.write_text(text)
-    done = thorvaldc("sim", str(scenario), "--variations")
-    assert done.status == 1
-    assert "s.yaml:12:27: error[TV" in done.err
+    result = thorvaldc("sim", str(scenario), "--variations")
+    assert result.status == 1
+    assert "s.yaml:12:27: error[TV" in result.err
 
 
-def test_misuse_is_told(thorvaldc: Command, scenario: Path) -> None:
+def test_wrong_options_are_usage_errors(thorvaldc: Command, scenario: Path) -> None:
     several = ["--set", "world.friction=0.2,0.3"]
     for arguments in (
         [str(ROBOT), *several],
@@ -165,8 +167,8 @@ def test_misuse_is_told(thorvaldc: Command, scenario: Path) -> None:
     assert thorvaldc("sim", str(scenario), *several, "-o", "none/x.csv").status == 3
 
 
-def test_ctrl_c_keeps_what_is_done(scenario: Path) -> None:
-    """Sent to all processes at once, as a terminal does it."""
+def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
+    """The signal goes to all processes, as from a terminal."""
     out = scenario.with_name("out.csv")
     scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400").replace("1 s", "20 s", 1))
     command = [sys.executable, "-m", "thorvaldc", "sim", str(scenario), "--variations", "-j", "2"]
@@ -186,24 +188,24 @@ def test_ctrl_c_keeps_what_is_done(scenario: Path) -> None:
         ):
             time.sleep(0.05)
         os.killpg(process.pid, signal.SIGINT)
-        shown, said = process.communicate(timeout=20)
+        stdout, stderr = process.communicate(timeout=20)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 130
-    assert said.splitlines()[-1] == "interrupted"
-    assert "Traceback" not in said
-    done = rows(out)
-    assert 3 <= len(done) < 800
-    assert f"{len(done)} of 800 runs are done" in said
-    numbers = [int(row["run"]) for row in done]
+    assert stderr.splitlines()[-1] == "interrupted"
+    assert "Traceback" not in stderr
+    result = rows(out)
+    assert 3 <= len(result) < 800
+    assert f"{len(result)} of 800 runs are done" in stderr
+    numbers = [int(row["run"]) for row in result]
     assert numbers == sorted(numbers)
-    assert all(len(row["hash"]) == 64 for row in done)
-    assert shown.count("\n") == len(done) + 2
+    assert all(len(row["hash"]) == 64 for row in result)
+    assert stdout.count("\n") == len(result) + 2
 
 
-def test_a_killed_process_is_told(scenario: Path) -> None:
-    """By whom it was killed, such as for want of memory, is the world's."""
+def test_a_killed_process_is_reported(scenario: Path) -> None:
+    """The operating system may kill a process, for instance when memory is short."""
     scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400").replace("1 s", "20 s", 1))
     batch = Batch(scenario, planned(scenario))
     import multiprocessing

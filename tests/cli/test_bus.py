@@ -1,4 +1,4 @@
-"""`thorvaldc bus`: a process that others attach to, and how it ends."""
+"""`thorvaldc bus`: a process that other programs attach to, and its end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 def running(
     folder: Path, *arguments: str
 ) -> Iterator[tuple[subprocess.Popen[str], dict[str, object]]]:
-    """The command in a process of its own, once it has said where its bus is."""
+    """Runs the command in a process; yields it with the description of its bus."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(folder)}
     process = subprocess.Popen(
         [sys.executable, "-m", "thorvaldc", "bus", *arguments, "--json"],
@@ -50,7 +50,7 @@ def running(
 
 
 def end(process: subprocess.Popen[str], number: int = signal.SIGINT) -> str:
-    """Interrupt it; what it said last."""
+    """Interrupts the process; returns its last messages."""
     process.send_signal(number)
     _, err = process.communicate(timeout=20)
     assert process.returncode == 0, err
@@ -65,12 +65,12 @@ def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     interface.register()
     store = tmp_path / "store.json"
-    with running(tmp_path, "robot.yaml", "--store", "store.json") as (process, said):
-        assert said["channel"] == "with_cia402"
-        assert said["bitrate"] == 500_000
-        assert "fl_controller" in said["devices"]  # type: ignore[operator]
+    with running(tmp_path, "robot.yaml", "--store", "store.json") as (process, listing):
+        assert listing["channel"] == "with_cia402"
+        assert listing["bitrate"] == 500_000
+        assert "fl_controller" in listing["devices"]  # type: ignore[operator]
         with canopen.Network() as network:
-            network.connect(interface="thorvaldc_sim", channel=said["channel"])
+            network.connect(interface="thorvaldc_sim", channel=listing["channel"])
             node = network.add_node(3, canopen.ObjectDictionary())
             node.nmt.wait_for_heartbeat(5.0)
             node.sdo.RESPONSE_TIMEOUT = 2.0
@@ -83,8 +83,8 @@ def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
         assert "error frames" in end(process)
         assert list((tmp_path / "thorvaldc").iterdir()) == []
     assert json.loads(store.read_text(encoding="utf-8"))["rl_controller"]["node_id"] == 9
-    with running(tmp_path, "robot.yaml", "--store", "store.json") as (process, said):
-        client = SimulatedBusClient(str(said["channel"]))
+    with running(tmp_path, "robot.yaml", "--store", "store.json") as (process, listing):
+        client = SimulatedBusClient(str(listing["channel"]))
         ids = set()
         while 0x709 not in ids:
             got = client.receive(5.0)
@@ -94,7 +94,7 @@ def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
         end(process, signal.SIGTERM)
 
 
-def test_faults_are_told_when_they_happen(tmp_path: Path) -> None:
+def test_injected_faults_are_reported_at_their_time(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
     (tmp_path / "faults.yaml").write_text(
         "thorvaldc: 1\nfaults:\n"
@@ -113,9 +113,9 @@ def test_mujoco_moves_the_motors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with running(tmp_path, "robot.yaml", "--physics", "mujoco", "--channel", "mine") as (
         process,
-        said,
+        listing,
     ):
-        assert said["channel"] == "mine"
+        assert listing["channel"] == "mine"
         bus = interface.SimulatedBus("mine")
         bus.recv(1.0)
         bus.send(can.Message(arbitration_id=0, data=[1, 0], is_extended_id=False))
@@ -123,9 +123,7 @@ def test_mujoco_moves_the_motors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         end(process)
 
 
-def test_a_channel_in_use_is_the_worlds_fault(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_channel_in_use_is_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
     with running(tmp_path, "robot.yaml") as (process, _):
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(tmp_path)}
@@ -139,7 +137,7 @@ def test_a_channel_in_use_is_the_worlds_fault(
         end(process)
 
 
-def test_what_is_wrong_is_said_before_anything_runs(thorvaldc: Command) -> None:
+def test_invalid_input_is_reported_before_the_bus_runs(thorvaldc: Command) -> None:
     none = re.sub("can: [0-9]", "params: {controller: none}", GOOD)
     Path("none.yaml").write_text(none, encoding="utf-8")
     missing = thorvaldc("bus", "none.yaml")
@@ -160,6 +158,6 @@ def test_what_is_wrong_is_said_before_anything_runs(thorvaldc: Command) -> None:
         ("--seed", "x"),
         ("--store", "store.json"),
     ):
-        said = thorvaldc("bus", "good.yaml", *arguments)
-        assert said.status == 2, said
-        assert "Traceback" not in said.err
+        listing = thorvaldc("bus", "good.yaml", *arguments)
+        assert listing.status == 2, listing
+        assert "Traceback" not in listing.err

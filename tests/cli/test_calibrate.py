@@ -1,4 +1,4 @@
-"""sim --log and calibrate, as a user calls them."""
+"""`sim --log` and `calibrate`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ wheels:
 
 @pytest.fixture
 def calibrated(thorvaldc: Command) -> str:
-    """A robot whose driver knows what its wheels are; `good.yaml` does not say."""
+    """A robot with calibrated wheels; the wheels of `good.yaml` are not calibrated."""
     Path("true.yaml").write_text(TRUE, encoding="utf-8")
     Path("knows.yaml").write_text(GOOD + "calibration: true.yaml\n", encoding="utf-8")
     return "knows.yaml"
@@ -30,11 +30,11 @@ def test_calibration_is_found_and_included(thorvaldc: Command, calibrated: str) 
     pytest.importorskip("mujoco")
     driven = thorvaldc("sim", calibrated, "--open-loop", "--log", "joints.csv")
     assert driven.status == 0, driven.err
-    found = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "calibration.yaml")
-    assert found.status == 0, found.err
-    fl = next(line for line in found.out.splitlines() if line.startswith("fl_wheel"))
+    result = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "calibration.yaml")
+    assert result.status == 0, result.err
+    fl = next(line for line in result.out.splitlines() if line.startswith("fl_wheel"))
     assert "+1.0" in fl or "+0.9" in fl
-    # Included, the robot agrees with the log.
+    # With the calibration, the robot agrees with the log.
     Path("again.yaml").write_text(GOOD + "calibration: calibration.yaml\n", encoding="utf-8")
     assert thorvaldc("check", "again.yaml").status == 0
     again = thorvaldc("calibrate", "joints.csv", "again.yaml", "--json")
@@ -44,36 +44,36 @@ def test_calibration_is_found_and_included(thorvaldc: Command, calibrated: str) 
     assert value["wheels"][1]["radius_ratio"]["value"] == pytest.approx(1.0, abs=1e-5)
 
 
-def test_written_only_over_a_calibration(thorvaldc: Command, calibrated: str) -> None:
+def test_only_a_calibration_file_is_overwritten(thorvaldc: Command, calibrated: str) -> None:
     thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
     for path in ("true.yaml", "new.yaml"):
         assert thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", path).status == 0
-    before = Path("good.yaml").read_text(encoding="utf-8")
+    text_before = Path("good.yaml").read_text(encoding="utf-8")
     refused = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "good.yaml")
     assert refused.status == 3
     assert "no calibration" in refused.err
-    assert Path("good.yaml").read_text(encoding="utf-8") == before
+    assert Path("good.yaml").read_text(encoding="utf-8") == text_before
     assert thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "none/c.yaml").status == 3
     assert not [path for path in Path().iterdir() if path.name.endswith(".new")]
 
 
-def test_log_that_tells_nothing_is_not_written(thorvaldc: Command, calibrated: str) -> None:
+def test_a_log_that_determines_nothing_writes_no_file(thorvaldc: Command, calibrated: str) -> None:
     thorvaldc("sim", "good.yaml", "--ideal", "--log", "joints.csv")
-    found = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "calibration.yaml")
-    assert found.status == 1
-    assert "calibration-forced" in found.err
+    result = thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "calibration.yaml")
+    assert result.status == 1
+    assert "calibration-forced" in result.err
     assert not Path("calibration.yaml").exists()
 
 
 @pytest.mark.parametrize(
     "text", ["", "time\n", "time,fl_drive_axle.position\n", "\n\n", "a,b\n1,2\n"]
 )
-def test_bad_logs_are_faults(thorvaldc: Command, text: str) -> None:
+def test_invalid_logs_are_errors(thorvaldc: Command, text: str) -> None:
     Path("joints.csv").write_text(text, encoding="utf-8")
-    found = thorvaldc("calibrate", "joints.csv", "good.yaml")
-    assert found.status == 1
-    assert "error[TV83" in found.err
-    assert found.out == ""
+    result = thorvaldc("calibrate", "joints.csv", "good.yaml")
+    assert result.status == 1
+    assert "error[TV83" in result.err
+    assert result.out == ""
 
 
 def test_log_with_a_header_alone(thorvaldc: Command, calibrated: str) -> None:
@@ -81,12 +81,12 @@ def test_log_with_a_header_alone(thorvaldc: Command, calibrated: str) -> None:
     lines = Path("joints.csv").read_text(encoding="utf-8").splitlines()
     for count in (1, 2, 3):
         Path("joints.csv").write_text("\n".join(lines[:count]) + "\n", encoding="utf-8")
-        found = thorvaldc("calibrate", "joints.csv", "good.yaml")
-        assert found.status == 1
-        assert "joint-log-short" in found.err
+        result = thorvaldc("calibrate", "joints.csv", "good.yaml")
+        assert result.status == 1
+        assert "joint-log-short" in result.err
 
 
-def test_what_is_included_stays_where_the_log_is_silent(
+def test_values_that_the_log_does_not_determine_are_kept(
     thorvaldc: Command, calibrated: str
 ) -> None:
     thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
@@ -95,16 +95,16 @@ def test_what_is_included_stays_where_the_log_is_silent(
     Path("has.yaml").write_text(GOOD + "calibration: old.yaml\n", encoding="utf-8")
     assert thorvaldc("calibrate", "joints.csv", "has.yaml", "-o", "old.yaml").status == 0
     text = Path("old.yaml").read_text(encoding="utf-8")
-    # Wheels that turned as commanded tell no radius.
+    # Wheels that turn exactly as commanded determine no radius.
     assert "radius: 203.0000 mm  # as before" in text
     assert "steering_offset: 1.0000 deg  # +-" in text
 
 
 def test_unknown_parameter_set(thorvaldc: Command, calibrated: str) -> None:
     thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
-    found = thorvaldc("calibrate", "joints.csv", "good.yaml", "--parameters", "rails")
-    assert found.status == 1
-    assert "parameter-set-unknown" in found.err
+    result = thorvaldc("calibrate", "joints.csv", "good.yaml", "--parameters", "rails")
+    assert result.status == 1
+    assert "parameter-set-unknown" in result.err
 
 
 @pytest.mark.parametrize("distance", ["ten", "10 kg", "-3", "0", "nan"])
@@ -112,7 +112,7 @@ def test_bad_distance(thorvaldc: Command, distance: str) -> None:
     assert thorvaldc("calibrate", "j.csv", "good.yaml", f"--distance={distance}").status == 2
 
 
-def test_missing_files_and_robots_at_fault(thorvaldc: Command) -> None:
+def test_missing_files_and_robots_with_errors(thorvaldc: Command) -> None:
     assert thorvaldc("calibrate", "none.csv", "good.yaml").status == 1
     assert thorvaldc("calibrate", "none.csv", "bad.yaml").status == 1
     assert thorvaldc("sim", "good.yaml", "--ideal", "--log", "none/joints.csv").status == 3

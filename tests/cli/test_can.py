@@ -1,4 +1,4 @@
-"""`thorvaldc can scan|plan|flash|verify`, in virtual time and against a bus of another process."""
+"""`thorvaldc can scan|plan|flash|verify`, in virtual time and on a bus in another process."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def test_from_new_drives_to_a_verified_robot_and_back(thorvaldc: Command, robot:
     assert (dry.status, dry.out) == (0, plan.out)
     assert "nothing was written" in dry.err
     assert not robot.with_name("robot.flash.jsonl").exists()
-    done = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--plan", hash_)
-    assert (done.status, done.out) == (0, "with_cia402: done, 8 steps\n")
-    assert done.err.count(": verified") == 8
+    result = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--plan", hash_)
+    assert (result.status, result.out) == (0, "with_cia402: done, 8 steps\n")
+    assert result.err.count(": verified") == 8
     verified = thorvaldc("can", "verify", *NEW, "--json")
     assert verified.status == 0
     assert json.loads(verified.out)["passed"]
@@ -70,10 +70,10 @@ def test_from_new_drives_to_a_verified_robot_and_back(thorvaldc: Command, robot:
     assert "8 differences" in differs.out
 
 
-def test_a_builds_model_is_all_that_is_needed(thorvaldc: Command, robot: Path) -> None:
+def test_the_model_of_a_build_is_sufficient(thorvaldc: Command, robot: Path) -> None:
     thorvaldc("build", "robot.yaml", "--target", "can")
-    there = ("build/with_cia402/model.json", *NEW[1:])
-    assert thorvaldc("can", "flash", *there, "--apply", "--yes").status == 0
+    target = ("build/with_cia402/model.json", *NEW[1:])
+    assert thorvaldc("can", "flash", *target, "--apply", "--yes").status == 0
     assert Path("with_cia402.flash.jsonl").exists(), "not in the build, which is replaced"
     assert thorvaldc("can", "verify", *NEW).status == 0, "the file itself says the same"
     undone = thorvaldc(
@@ -85,13 +85,13 @@ def test_a_builds_model_is_all_that_is_needed(thorvaldc: Command, robot: Path) -
 TWO_BUSES = ONE.replace("modules:", "buses: {left: {}, right: {}}\nmodules:", 1)
 
 
-def test_a_bus_of_several_is_set_up_by_itself(thorvaldc: Command, robot: Path) -> None:
-    """Its one node was alone on it until the scan began: frames that waited are no second node."""
+def test_one_bus_of_two_is_set_up(thorvaldc: Command, robot: Path) -> None:
+    """Frames of the only node that waited for an acknowledge do not count as a second node."""
     text = TWO_BUSES.replace("fr: {type: caster/swivel, mount: frame.front_right}", FRONT_RIGHT)
     robot.write_text(text.replace("{id: 1,", "{bus: left, id: 1,"), encoding="utf-8")
-    there = ("robot.yaml", "--bus", "left=virtual:delivered", "--store", "memory.json")
-    assert thorvaldc("can", "flash", *there, "--apply", "--yes").status == 0
-    verified = thorvaldc("can", "verify", *there)
+    target = ("robot.yaml", "--bus", "left=virtual:delivered", "--store", "memory.json")
+    assert thorvaldc("can", "flash", *target, "--apply", "--yes").status == 0
+    verified = thorvaldc("can", "verify", *target)
     assert verified.status == 0, verified.out
     wrong = thorvaldc("can", "verify", "robot.yaml", "--bus", "lft=virtual")
     assert wrong.status == 2
@@ -100,7 +100,7 @@ def test_a_bus_of_several_is_set_up_by_itself(thorvaldc: Command, robot: Path) -
     assert "has the buses left, right; select one: left=sim:x" in none.err
 
 
-def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
+def test_passive_scan(thorvaldc: Command, robot: Path) -> None:
     scan = thorvaldc("can", "scan", "robot.yaml", "--bus", "virtual", "--json")
     assert scan.status == 0
     nodes = json.loads(scan.out)["nodes"]
@@ -108,7 +108,7 @@ def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "says"),
+    ("arguments", "status", "expected"),
     [
         (["flash", *NEW, "--apply"], 2, "needs a terminal to ask at, or --yes"),
         (["flash", *NEW, "--rollback"], 2, "'--rollback': needs a terminal"),
@@ -124,17 +124,17 @@ def test_scan_without_asking(thorvaldc: Command, robot: Path) -> None:
         (["scan", "good.yaml", "--bus", "virtual", "--store", "robot.yaml"], 2, "robot.yaml"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_a_few_lines(
-    thorvaldc: Command, robot: Path, arguments: list[str], status: int, says: str
+def test_errors_are_a_few_lines(
+    thorvaldc: Command, robot: Path, arguments: list[str], status: int, expected: str
 ) -> None:
     got = thorvaldc("can", *arguments)
     assert got.status == status, got
-    assert says in got.err
+    assert expected in got.err
     assert "Traceback" not in got.err
     assert not Path("robot.flash.jsonl").exists()
 
 
-def test_a_second_master_of_this_computer_waits_outside(thorvaldc: Command, robot: Path) -> None:
+def test_a_second_master_on_this_computer_is_refused(thorvaldc: Command, robot: Path) -> None:
     with BusLock("sim:anything"):
         got = thorvaldc("can", "scan", "robot.yaml", "--bus", "sim:anything")
     assert got.status == 3
@@ -144,14 +144,14 @@ def test_a_second_master_of_this_computer_waits_outside(thorvaldc: Command, robo
 def test_on_the_bus_of_another_process(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the clock: flashed, broken off in the middle, gone on with, verified."""
+    """In real time: flash, interrupt, resume, verify."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     (tmp_path / "robot.yaml").write_text(ONE, encoding="utf-8")
-    there = ("robot.yaml", "--bus", "sim:bench")
+    target = ("robot.yaml", "--bus", "sim:bench")
     journal = tmp_path / "robot.flash.jsonl"
     with running(tmp_path, "robot.yaml", "--channel", "bench", "--delivered"):
         process = subprocess.Popen(
-            [sys.executable, "-m", "thorvaldc", "can", "flash", *there, "--apply", "--yes"],
+            [sys.executable, "-m", "thorvaldc", "can", "flash", *target, "--apply", "--yes"],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
@@ -168,18 +168,18 @@ def test_on_the_bus_of_another_process(
         assert (process.returncode, out) == (130, ""), err
         assert "continue with --resume" in err.lower()
         assert '"interrupted"' in journal.read_text().splitlines()[-1]
-        refused = thorvaldc("can", "flash", *there, "--apply", "--yes")
+        refused = thorvaldc("can", "flash", *target, "--apply", "--yes")
         assert (refused.status, "TV866" in refused.err) == (1, True)
-        done = thorvaldc("can", "flash", *there, "--resume", "--yes")
-        assert done.status == 0, done.err
-        verified = thorvaldc("can", "verify", *there)
+        result = thorvaldc("can", "flash", *target, "--resume", "--yes")
+        assert result.status == 0, result.err
+        verified = thorvaldc("can", "verify", *target)
         assert verified.status == 0, verified.out
 
 
 def test_through_a_serial_adapter(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As with hardware: python-can's slcan over a terminal, and what was never tried is said."""
+    """python-can's slcan over a pseudo-terminal; the warning for hardware is shown."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     (tmp_path / "robot.yaml").write_text(ONE, encoding="utf-8")
     simulated = SimulatedRobot(compiled(ONE), delivered=True)

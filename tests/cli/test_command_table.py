@@ -78,8 +78,8 @@ def test_each_command_has_one_line_of_help(group: tuple[str, ...], thorvaldc: Co
     for entry in COMMANDS:
         if isinstance(entry, GroupEntry) and group == (entry.name,):
             entries = entry.commands
-    shown = thorvaldc(*group, "--help").out
-    lines = shown.partition("Commands:\n")[2].splitlines()
+    output = thorvaldc(*group, "--help").out
+    lines = output.partition("Commands:\n")[2].splitlines()
     visible = [entry for entry in entries if not entry.hidden]
     assert [line.split()[0] for line in lines] == [entry.name for entry in visible]
     for line, entry in zip(lines, visible, strict=True):

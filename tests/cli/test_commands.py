@@ -1,4 +1,4 @@
-"""What each command prints, where, and its exit status."""
+"""The output of each command on stdout and stderr, and its exit status."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from thorvaldc.diagnostics import CODES
 
 
 def test_help_names_every_command(thorvaldc: Command) -> None:
-    shown = thorvaldc("--help")
-    assert shown.status == 0
+    output = thorvaldc("--help")
+    assert output.status == 0
     for word in [
         "check",
         "build",
@@ -31,8 +31,8 @@ def test_help_names_every_command(thorvaldc: Command) -> None:
         "explain",
         "modules",
     ]:
-        assert re.search(rf"^  {word} ", shown.out, re.M), word
-    assert thorvaldc("-h") == shown
+        assert re.search(rf"^  {word} ", output.out, re.M), word
+    assert thorvaldc("-h") == output
 
 
 def test_version(thorvaldc: Command) -> None:
@@ -40,7 +40,7 @@ def test_version(thorvaldc: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         (["buidl", "x"], "Did you mean 'build'"),
         (["check"], "Missing argument 'FILE"),
@@ -60,10 +60,10 @@ def test_version(thorvaldc: Command) -> None:
         (["modules", "check", "nowhere"], "no folder 'nowhere'"),
     ],
 )
-def test_usage_is_2_and_one_error(thorvaldc: Command, arguments: list[str], says: str) -> None:
+def test_usage_is_2_and_one_error(thorvaldc: Command, arguments: list[str], expected: str) -> None:
     status, out, err = thorvaldc(*arguments)
     assert (status, out) == (2, "")
-    assert says in err
+    assert expected in err
     assert len(err.splitlines()) <= 4
     assert not Path("build").exists()
 
@@ -77,7 +77,7 @@ def test_check_of_a_good_file(thorvaldc: Command) -> None:
     assert re.fullmatch(r"good\.yaml: good, 4 wheels \(4 driven, 4 steered\), \d+\.\d kg\n", out)
 
 
-def test_check_of_a_bad_file_tells_all_on_stdout(thorvaldc: Command) -> None:
+def test_check_reports_all_errors_on_stdout(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("check", "good.yaml", "bad.yaml")
     assert (status, err) == (1, "")
     assert "bad.yaml:2:7" in out
@@ -96,7 +96,7 @@ def test_warnings_are_no_errors_unless_strict(thorvaldc: Command) -> None:
 @pytest.mark.parametrize(
     "name", ["missing.yaml", ".", "empty.yaml", "binary.yaml", "list.yaml", "good.yaml/x"]
 )
-def test_what_is_no_robot_is_one_fault(thorvaldc: Command, name: str) -> None:
+def test_a_file_that_is_no_robot_is_one_error(thorvaldc: Command, name: str) -> None:
     Path("empty.yaml").write_text("")
     Path("binary.yaml").write_bytes(b"\x7fELF\x00\xff\xfe")
     Path("list.yaml").write_text("[1, 2]\n")
@@ -108,14 +108,14 @@ def test_what_is_no_robot_is_one_fault(thorvaldc: Command, name: str) -> None:
 def test_check_as_json_is_one_document(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("check", "bad.yaml", "good.yaml", "--format", "json")
     assert (status, err) == (1, "")
-    found = json.loads(out)["diagnostics"]
-    assert len(found) >= 2
-    assert {"code", "message"} <= found[0].keys()
+    document = json.loads(out)["diagnostics"]
+    assert len(document) >= 2
+    assert {"code", "message"} <= document[0].keys()
     good = json.loads(thorvaldc("check", "good.yaml", "--format", "json").out)
     assert good["diagnostics"] == []
 
 
-def test_check_for_github_is_a_line_per_fault(thorvaldc: Command) -> None:
+def test_check_for_github_is_a_line_per_diagnostic(thorvaldc: Command) -> None:
     status, out, _ = thorvaldc("check", "bad.yaml", "--format", "github")
     assert status == 1
     assert all(line.startswith("::error ") for line in out.splitlines())
@@ -123,15 +123,15 @@ def test_check_for_github_is_a_line_per_fault(thorvaldc: Command) -> None:
 
 
 def test_check_as_sarif(thorvaldc: Command) -> None:
-    found = json.loads(thorvaldc("check", "bad.yaml", "--format", "sarif").out)
-    assert found["version"] == "2.1.0"
-    assert len(found["runs"][0]["results"]) >= 2
+    document = json.loads(thorvaldc("check", "bad.yaml", "--format", "sarif").out)
+    assert document["version"] == "2.1.0"
+    assert len(document["runs"][0]["results"]) >= 2
 
 
 # -- build ------------------------------------------------------------------------------
 
 
-def test_build_goes_to_a_folder_of_its_name(thorvaldc: Command) -> None:
+def test_build_writes_a_folder_with_the_name_of_the_robot(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("build", "good.yaml")
     assert (status, err) == (0, "")
     assert re.fullmatch(r"build/good: \d+ files \(urdf, mjcf, ros2, can\)\n", out)
@@ -140,7 +140,7 @@ def test_build_goes_to_a_folder_of_its_name(thorvaldc: Command) -> None:
         assert Path("build/good", folder).is_dir()
 
 
-def test_build_of_one_goes_where_it_is_told(thorvaldc: Command) -> None:
+def test_build_of_one_file_writes_the_named_folder(thorvaldc: Command) -> None:
     thorvaldc("build", "good.yaml", "-o", "there", "--target", "can")
     assert sorted(p.name for p in Path("there").iterdir()) == [
         "can",
@@ -165,20 +165,20 @@ def test_two_robots_of_one_name_do_not_overwrite_each_other(thorvaldc: Command) 
 
 def test_a_build_with_errors_writes_nothing_and_keeps_the_last(thorvaldc: Command) -> None:
     thorvaldc("build", "good.yaml", "-o", "out")
-    before = Path("out/manifest.json").read_bytes()
+    manifest_before = Path("out/manifest.json").read_bytes()
     status, out, err = thorvaldc("build", "bad.yaml", "-o", "out")
     assert (status, out) == (1, "")
     assert "bad.yaml:2:7" in err
-    assert Path("out/manifest.json").read_bytes() == before
+    assert Path("out/manifest.json").read_bytes() == manifest_before
 
 
-def test_of_several_the_good_ones_are_built(thorvaldc: Command) -> None:
+def test_files_without_errors_are_built(thorvaldc: Command) -> None:
     status, out, _ = thorvaldc("build", "bad.yaml", "good.yaml")
     assert status == 1
     assert out.startswith("build/good: ")
 
 
-def test_build_as_json_says_what_was_written(thorvaldc: Command) -> None:
+def test_build_as_json_lists_the_written_files(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("build", "good.yaml", "--format", "json")
     assert (status, err) == (0, "")
     (built,) = json.loads(out)["builds"]
@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_is_3_and_one_line(thorvaldc: Command, f
     assert len(err.splitlines()) == 1
 
 
-def test_a_folder_with_files_of_others_is_refused(thorvaldc: Command) -> None:
+def test_a_folder_with_other_files_is_refused(thorvaldc: Command) -> None:
     status, _, err = thorvaldc("build", "good.yaml", "-o", ".")
     assert status == 3
     assert "will not write into the current folder" in err
@@ -210,7 +210,7 @@ run()
 
 
 def test_output_is_the_same_bytes_everywhere(thorvaldc: Command, tmp_path: Path) -> None:
-    """Two folders, two hash seeds, two ways to name the file."""
+    """Builds in two folders, with two hash seeds and two spellings of the path."""
     trees = []
     for seed, where in (("1", "a"), ("4242", "b/deeper")):
         folder = tmp_path / where
@@ -231,27 +231,27 @@ def test_output_is_the_same_bytes_everywhere(thorvaldc: Command, tmp_path: Path)
     assert not any(str(tmp_path).encode() in data for data in trees[0].values())
 
 
-def test_a_build_loads_nothing_heavy(thorvaldc: Command) -> None:
+def test_a_build_loads_no_heavy_package(thorvaldc: Command) -> None:
     script = BUILD.replace(
         "run()\n",
         "try:\n    run()\nfinally:\n"
         "    heavy = 'numpy jinja2 trimesh xacro mujoco can rich pydantic scipy'.split()\n"
         "    print([name for name in heavy if name in sys.modules])\n",
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script, "good.yaml", "out"],
         check=True,
         capture_output=True,
         text=True,
         env={"PYTHONPATH": ":".join(sys.path)},
     )
-    assert done.stdout.splitlines()[-1] == "[]"
+    assert process.stdout.splitlines()[-1] == "[]"
 
 
 # -- the rest -----------------------------------------------------------------------------
 
 
-def test_sim_tells_how_it_went(thorvaldc: Command) -> None:
+def test_sim_prints_a_table(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("sim", "good.yaml", "--duration", "1", "--twist", "0.5,0,0")
     assert (status, err) == (0, "")
     assert len(out.splitlines()) == 2
@@ -261,16 +261,16 @@ def test_sim_tells_how_it_went(thorvaldc: Command) -> None:
 def test_sim_by_a_parameter_set(thorvaldc: Command) -> None:
     examples = Path(__file__).parent.parent.parent / "examples"
     file = str(shutil.copy(examples / "2wd0ws_greenhouse/robot.yaml", "greenhouse.yaml"))
-    shown = thorvaldc(
+    output = thorvaldc(
         "sim", file, "--ideal", "--twist", "1,0,0", "--duration", "3", "--parameters", "rail"
     )
-    assert (shown.status, shown.err) == (0, "")
-    # 0.4 m/s, ramped at 1.08 m/s^2.
-    assert re.search(r" 1\.1[0-9]+ m ", shown.out)
-    shown = thorvaldc("sim", file, "--ideal", "--twist", "1,0,0", "--parameters", "rial")
-    assert shown.status == 1
-    assert "parameter-set-unknown" in shown.err
-    assert "did you mean `rail`?" in shown.err
+    assert (output.status, output.err) == (0, "")
+    # The set limits the speed to 0.4 m/s and the ramp to 1.08 m/s^2.
+    assert re.search(r" 1\.1[0-9]+ m ", output.out)
+    output = thorvaldc("sim", file, "--ideal", "--twist", "1,0,0", "--parameters", "rial")
+    assert output.status == 1
+    assert "parameter-set-unknown" in output.err
+    assert "did you mean `rail`?" in output.err
 
 
 def test_sim_as_json(thorvaldc: Command) -> None:
@@ -278,9 +278,9 @@ def test_sim_as_json(thorvaldc: Command) -> None:
         *("sim", "good.yaml", "--duration", "2 s", "--twist", "-0.5,0,0.2", "--json")
     )
     assert (status, err) == (0, "")
-    result = json.loads(out)
-    assert result["physics"] == "mujoco"
-    (robot,) = result["robots"]
+    summary = json.loads(out)
+    assert summary["physics"] == "mujoco"
+    (robot,) = summary["robots"]
     assert 0.5 < robot["path_true"] < 1.0
     assert robot["end_error"] < 0.01
 
@@ -295,7 +295,7 @@ def test_sim_of_a_bad_file_and_a_bad_twist(thorvaldc: Command) -> None:
 
 
 @pytest.mark.parametrize("preset", ["4wd4ws", "2wd0ws", "1wd1ws"])
-def test_new_starts_a_robot_without_faults(thorvaldc: Command, preset: str) -> None:
+def test_new_creates_a_robot_without_errors(thorvaldc: Command, preset: str) -> None:
     status, out, _ = thorvaldc("new", "mine", "--preset", preset)
     assert status == 0
     assert out.startswith("mine/robot.yaml")
@@ -319,7 +319,7 @@ def test_targets(thorvaldc: Command) -> None:
 @pytest.mark.parametrize(
     "kind", ["robot", "module", "fleet", "calibration", "scenario", "bus_faults", "model"]
 )
-def test_schema_is_a_document_that_stands_alone(thorvaldc: Command, kind: str) -> None:
+def test_schema_is_a_complete_document(thorvaldc: Command, kind: str) -> None:
     import jsonschema
 
     schema = json.loads(thorvaldc("schema", kind).out)
@@ -328,22 +328,22 @@ def test_schema_is_a_document_that_stands_alone(thorvaldc: Command, kind: str) -
     assert all(reference.startswith("#") for reference in references)
 
 
-def test_explain_takes_number_and_name(thorvaldc: Command) -> None:
+def test_explain_accepts_number_and_name(thorvaldc: Command) -> None:
     code = next(iter(CODES.values()))
-    shown = thorvaldc("explain", code.number)
-    assert shown.status == 0
-    assert code.number in shown.out
-    assert thorvaldc("explain", code.name) == shown
-    assert thorvaldc("explain", code.number.lower()) == shown
+    output = thorvaldc("explain", code.number)
+    assert output.status == 0
+    assert code.number in output.out
+    assert thorvaldc("explain", code.name) == output
+    assert thorvaldc("explain", code.number.lower()) == output
 
 
 def test_modules_list_and_show(thorvaldc: Command) -> None:
     assert "drive/standard" in thorvaldc("modules", "list").out
     listed = json.loads(thorvaldc("modules", "list", "--json").out)
     assert "gear_ratio" in next(m for m in listed if m["type"] == "drive/standard")["params"]
-    shown = thorvaldc("modules", "show", "drive/standard").out
-    assert "gear_ratio" in shown
-    assert "published: " in shown
+    output = thorvaldc("modules", "show", "drive/standard").out
+    assert "gear_ratio" in output
+    assert "published: " in output
     assert json.loads(thorvaldc("modules", "show", "drive/standard", "--json").out)["params"]
 
 
@@ -357,7 +357,7 @@ def test_modules_check(thorvaldc: Command) -> None:
     assert "lib/wheel/odd/module.yaml:2:1" in out
 
 
-def test_modules_of_the_user_are_found_by_the_option(thorvaldc: Command) -> None:
+def test_the_option_adds_a_library_folder(thorvaldc: Command) -> None:
     source = Path(__file__).parents[2] / "modules/wheel/agri_200"
     shutil.copytree(source, "lib/wheel/mine")
     assert "wheel/mine" in thorvaldc("modules", "list", "--library", "lib").out

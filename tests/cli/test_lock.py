@@ -1,4 +1,4 @@
-"""`build` pins ids that were chosen, and nothing else writes beside a user's file."""
+"""`build` pins automatic ids in a lock file; no other command writes beside the robot file."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ def pins() -> dict[str, int]:
     return dict(document["addresses"]["main"]["canopen"])
 
 
-def test_build_pins_what_it_chose(thorvaldc: Command) -> None:
-    done = thorvaldc("build", "auto.yaml", "-o", "out")
-    assert (done.status, done.err) == (0, "")
-    assert "auto.lock.yaml: automatic ids are pinned" in done.out
+def test_build_pins_automatic_ids(thorvaldc: Command) -> None:
+    result = thorvaldc("build", "auto.yaml", "-o", "out")
+    assert (result.status, result.err) == (0, "")
+    assert "auto.lock.yaml: automatic ids are pinned" in result.out
     assert pins() == {"rl.controller": 3, "rr.controller": 4}
-    # a module before the others, and one of them by hand
+    # A new module before the others, and one with an id set by hand.
     text = AUTO.replace("  fl:", "  io: {type: io/board}\n  new: {type: io/board, can: 5}\n  fl:")
     Path("auto.yaml").write_text(text.replace("  rr:", "  rr2:"), encoding="utf-8")
     assert thorvaldc("build", "auto.yaml", "-o", "out").status == 0
     assert pins() == {"io": 32, "rl.controller": 3, "rr2.controller": 4}
 
 
-def test_the_second_build_is_the_first(thorvaldc: Command) -> None:
+def test_two_builds_are_equal(thorvaldc: Command) -> None:
     outputs = []
     for _ in range(2):
-        done = thorvaldc("build", "auto.yaml", "-o", "out")
+        result = thorvaldc("build", "auto.yaml", "-o", "out")
         outputs.append({p: p.read_bytes() for p in Path("out").rglob("*") if p.is_file()})
     assert outputs[0] == outputs[1]  # the manifest with the sources' hash, too
-    assert "pinned" not in done.out
+    assert "pinned" not in result.out
 
 
 def test_the_sources_hash_is_of_the_lock_file_too(thorvaldc: Command) -> None:
@@ -68,18 +68,18 @@ def test_the_sources_hash_is_of_the_lock_file_too(thorvaldc: Command) -> None:
 def test_others_do_not_write_beside_the_file(
     thorvaldc: Command, arguments: tuple[str, ...]
 ) -> None:
-    before = sorted(os.listdir())
+    bytes_before = sorted(os.listdir())
     thorvaldc(arguments[0], "auto.yaml", *arguments[1:])
-    assert sorted(os.listdir()) == before
+    assert sorted(os.listdir()) == bytes_before
 
 
 def test_check_reads_the_lock_file(thorvaldc: Command) -> None:
     LOCK.write_text("thorvaldc_lock: 1\naddresses: {main: {canopen: {rl.controller: 2}}}\n")
-    done = thorvaldc("check", "auto.yaml")
-    assert done.status == 1
-    assert "auto.yaml:6:" in done.out
-    assert "TV509" in done.out
-    assert "auto.lock.yaml:2:" in done.out
+    result = thorvaldc("check", "auto.yaml")
+    assert result.status == 1
+    assert "auto.yaml:6:" in result.out
+    assert "TV509" in result.out
+    assert "auto.lock.yaml:2:" in result.out
 
 
 def test_a_build_that_fails_pins_nothing(thorvaldc: Command) -> None:
@@ -112,10 +112,10 @@ def read_only(robot: None) -> Iterator[Path]:
 
 
 def test_a_folder_that_is_read_only_is_a_warning(thorvaldc: Command, read_only: Path) -> None:
-    done = thorvaldc("build", "robots/auto.yaml", "-o", "out")
-    assert done.status == 0
-    assert "TV515" in done.err
-    assert "robots/auto.lock.yaml" in done.err
+    result = thorvaldc("build", "robots/auto.yaml", "-o", "out")
+    assert result.status == 0
+    assert "TV515" in result.err
+    assert "robots/auto.lock.yaml" in result.err
     assert Path("out/can/canmap.json").exists()
     assert os.listdir(read_only) == ["auto.yaml"]
     report = json.loads(thorvaldc("build", "robots/auto.yaml", "--format", "json").out)
@@ -124,10 +124,10 @@ def test_a_folder_that_is_read_only_is_a_warning(thorvaldc: Command, read_only: 
 
 def test_a_lock_file_that_is_a_folder_is_an_error_in_words(thorvaldc: Command) -> None:
     LOCK.mkdir()
-    done = thorvaldc("build", "auto.yaml")
-    assert done.status == 1
-    assert "auto.lock.yaml" in done.err
-    assert "Traceback" not in done.err
+    result = thorvaldc("build", "auto.yaml")
+    assert result.status == 1
+    assert "auto.lock.yaml" in result.err
+    assert "Traceback" not in result.err
 
 
 def test_a_lock_file_behind_a_link_is_written_where_it_is(thorvaldc: Command) -> None:

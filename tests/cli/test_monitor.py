@@ -1,4 +1,4 @@
-"""``can monitor`` beside a bus that another process runs."""
+"""``can monitor`` on a bus in another process."""
 
 from __future__ import annotations
 
@@ -28,28 +28,30 @@ def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def bus(folder: Path) -> Iterator[str]:
-    """The channel of a bus that is run."""
+    """The channel of a running bus."""
     sockets = Path(os.environ["XDG_RUNTIME_DIR"])
     (sockets / "good.yaml").write_text(GOOD)
-    with running(sockets, "good.yaml") as (_, said):
-        yield f"sim:{said['channel']}"
+    with running(sockets, "good.yaml") as (_, listing):
+        yield f"sim:{listing['channel']}"
 
 
 def test_json_lines_a_page_and_a_live_view(bus: str, folder: Path, thorvaldc: Command) -> None:
     watch = ("can", "monitor", "good.yaml", "--bus", bus)
-    done = thorvaldc(*watch, "--duration", "1 s", "--interval", "250 ms", "--json")
-    assert (done.status, done.err) == (0, "")
-    told = [json.loads(line) for line in done.out.splitlines()]
-    assert len(told) == 4
-    assert {n["nmt"] for n in told[-1]["nodes"] if "controller" in n["name"]} == {"pre-operational"}
-    assert 0.0 < told[-1]["load"] < told[-1]["load_budget"]
-    assert not told[-1]["unknown"]
+    result = thorvaldc(*watch, "--duration", "1 s", "--interval", "250 ms", "--json")
+    assert (result.status, result.err) == (0, "")
+    summaries = [json.loads(line) for line in result.out.splitlines()]
+    assert len(summaries) == 4
+    assert {n["nmt"] for n in summaries[-1]["nodes"] if "controller" in n["name"]} == {
+        "pre-operational"
+    }
+    assert 0.0 < summaries[-1]["load"] < summaries[-1]["load_budget"]
+    assert not summaries[-1]["unknown"]
 
-    done = thorvaldc(*watch, "--duration", "300 ms")
-    assert done.status == 0
-    assert done.out.startswith("good main  500 kbit/s  load ")
-    assert "fl_controller_heartbeat" in done.out
-    assert "\x1b" not in done.out
+    result = thorvaldc(*watch, "--duration", "300 ms")
+    assert result.status == 0
+    assert result.out.startswith("good main  500 kbit/s  load ")
+    assert "fl_controller_heartbeat" in result.out
+    assert "\x1b" not in result.out
 
     person = Person(folder, *watch)
     try:
@@ -66,7 +68,7 @@ def test_json_lines_a_page_and_a_live_view(bus: str, folder: Path, thorvaldc: Co
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_with_what_was_heard(bus: str, folder: Path, number: int) -> None:
+def test_a_signal_ends_the_monitor(bus: str, folder: Path, number: int) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus, "--json"],
         cwd=folder,
@@ -86,11 +88,11 @@ def test_a_signal_ends_it_with_what_was_heard(bus: str, folder: Path, number: in
         process.wait()
 
 
-def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -> None:
+def test_a_bus_that_ends_is_3(folder: Path, thorvaldc: Command) -> None:
     sockets = Path(os.environ["XDG_RUNTIME_DIR"])
     (sockets / "good.yaml").write_text(GOOD)
-    with running(sockets, "good.yaml") as (process, said):
-        person = Person(folder, "can", "monitor", "good.yaml", "--bus", f"sim:{said['channel']}")
+    with running(sockets, "good.yaml") as (process, listing):
+        person = Person(folder, "can", "monitor", "good.yaml", "--bus", f"sim:{listing['channel']}")
         try:
             person.until("good main")
             process.terminate()
@@ -102,7 +104,7 @@ def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "said"),
+    ("arguments", "status", "expected"),
     [
         (("--bus", "sim:nobody"), 3, "no bus runs at"),
         (("--bus", "virtual"), 2, "a virtual bus exists only in its own process"),
@@ -112,9 +114,9 @@ def test_a_bus_that_ends_is_the_worlds_fault(folder: Path, thorvaldc: Command) -
         ((), 2, "Missing option '--bus'"),
     ],
 )
-def test_what_is_said_of_a_wrong_call(
-    folder: Path, thorvaldc: Command, arguments: tuple[str, ...], status: int, said: str
+def test_wrong_options(
+    folder: Path, thorvaldc: Command, arguments: tuple[str, ...], status: int, expected: str
 ) -> None:
-    done = thorvaldc("can", "monitor", "good.yaml", *arguments)
-    assert done.status == status
-    assert said in " ".join(done.err.replace("│", " ").split())
+    result = thorvaldc("can", "monitor", "good.yaml", *arguments)
+    assert result.status == status
+    assert expected in " ".join(result.err.replace("│", " ").split())

@@ -1,4 +1,4 @@
-"""Pictures on the command line: what is said, where they go, what is checked before the work."""
+"""Pictures on the command line: output files, and errors before the work."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from tests.cli.conftest import Command
 
 
 def test_plot(thorvaldc: Command) -> None:
-    done = thorvaldc(
+    result = thorvaldc(
         "sim", "good.yaml", "--ideal", "--duration", "1", "--twist", "1,0,0", "--plot", "a.png"
     )
-    assert (done.status, done.err) == (0, "a.png\n")
+    assert (result.status, result.err) == (0, "a.png\n")
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
-    ("path", "status", "says"),
+    ("path", "status", "expected"),
     [
         ("a.jpg", 2, "'a.jpg' does not end in .png or .svg or .pdf"),
         ("nowhere/a.png", 3, "cannot write nowhere/a.png: No such file or directory"),
@@ -27,24 +27,24 @@ def test_plot(thorvaldc: Command) -> None:
     ],
 )
 def test_where_a_plot_cannot_go_is_told_before_the_run(
-    thorvaldc: Command, path: str, status: int, says: str
+    thorvaldc: Command, path: str, status: int, expected: str
 ) -> None:
     Path("folder.png").mkdir()
-    done = thorvaldc("sim", "bad.yaml", "--plot", path)
-    assert done.status == status
-    assert says in done.err
-    assert "error[" not in done.err  # the robot was not even looked at
+    result = thorvaldc("sim", "bad.yaml", "--plot", path)
+    assert result.status == status
+    assert expected in result.err
+    assert "error[" not in result.err  # the robot was not even looked at
 
 
 def test_without_matplotlib(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    done = thorvaldc("sim", "good.yaml", "--plot", "a.png")
-    assert done.status == 3
-    assert done.err.startswith("error: a plot needs matplotlib, which is not installed")
+    result = thorvaldc("sim", "good.yaml", "--plot", "a.png")
+    assert result.status == 3
+    assert result.err.startswith("error: a plot needs matplotlib, which is not installed")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "says"),
+    ("arguments", "status", "expected"),
     [
         (["render", "good.yaml", "--size", "big"], 2, "'big' is not a size such as 1000x700"),
         (["render", "good.yaml", "--view", "behind"], 2, "'behind' is not corner, front"),
@@ -56,11 +56,11 @@ def test_without_matplotlib(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch)
     ],
 )
 def test_what_cannot_be_drawn_is_told(
-    thorvaldc: Command, arguments: list[str], status: int, says: str
+    thorvaldc: Command, arguments: list[str], status: int, expected: str
 ) -> None:
-    done = thorvaldc(*arguments)
-    assert done.status == status
-    assert says in done.err
+    result = thorvaldc(*arguments)
+    assert result.status == status
+    assert expected in result.err
     assert not Path("a.png").exists()
 
 
@@ -71,9 +71,9 @@ def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(opengl_backend, "_works", lambda name: False)
     for arguments in (["render", "good.yaml"], ["sim", "good.yaml", "--video", "a.gif"]):
-        done = thorvaldc(*arguments)
-        assert done.status == 3
-        assert done.err.startswith("error: cannot draw without a display: neither EGL nor")
+        result = thorvaldc(*arguments)
+        assert result.status == 3
+        assert result.err.startswith("error: cannot draw without a display: neither EGL nor")
 
 
 def test_view_without_a_display_writes_a_page(
@@ -82,8 +82,8 @@ def test_view_without_a_display_writes_a_page(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
-    done = thorvaldc("view", "good.yaml")
-    assert (done.status, done.out) == (0, "good.html\n")
+    result = thorvaldc("view", "good.yaml")
+    assert (result.status, result.out) == (0, "good.html\n")
     assert Path("good.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert thorvaldc("view", "bad.yaml").status == 1
     assert thorvaldc("view", "good.yaml", "-o", "a.txt").status == 2
@@ -108,6 +108,6 @@ def test_view_with_a_display_opens_the_viewer(
         raise RuntimeError("could not create window")
 
     monkeypatch.setattr(viewer, "launch", fail)
-    done = thorvaldc("view", "good.yaml")
-    assert done.status == 3
-    assert "could not create window; try --html" in done.err
+    result = thorvaldc("view", "good.yaml")
+    assert result.status == 3
+    assert "could not create window; try --html" in result.err

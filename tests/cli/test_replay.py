@@ -1,4 +1,4 @@
-"""``sim --replay``: what was recorded goes through the outputs of a run."""
+"""Replays: a record gives the same table, plot and film as its run."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ def recorded(thorvaldc: Command, tmp_path: Path) -> dict[str, Any]:
     Path("s.yaml").write_text(SCENARIO)
     run = thorvaldc("sim", "s.yaml", "--record", "a.csv", "--json")
     assert thorvaldc("sim", "s.yaml", "--record", "a.mcap").status == run.status == 0
-    result: dict[str, Any] = json.loads(run.out)
-    return result
+    run_summary: dict[str, Any] = json.loads(run.out)
+    return run_summary
 
 
 @pytest.mark.parametrize("record", ["a.mcap", "a.csv"])
 def test_a_record_tells_what_the_run_did(
     thorvaldc: Command, recorded: dict[str, Any], record: str
 ) -> None:
-    done = thorvaldc("sim", "s.yaml", "--replay", record, "--json")
-    assert done.status == 0, done.err
-    played = json.loads(done.out)
+    result = thorvaldc("sim", "s.yaml", "--replay", record, "--json")
+    assert result.status == 0, result.err
+    played = json.loads(result.out)
     assert (played["physics"], played["simulated"]) == ("record", 3.0)
-    (before,), (after,) = recorded["run"]["robots"], played["robots"]
+    (run_robot,), (replay_robot,) = recorded["run"]["robots"], played["robots"]
     for key in ("path_true", "path_odometry", "end_error", "yaw_error", "largest_tilt"):
-        assert after[key] == pytest.approx(before[key], rel=1e-4, abs=1e-7), key
+        assert replay_robot[key] == pytest.approx(run_robot[key], rel=1e-4, abs=1e-7), key
     for pose in ("pose_true", "pose_odometry"):
-        assert after[pose] == pytest.approx(before[pose], abs=1e-6)
+        assert replay_robot[pose] == pytest.approx(run_robot[pose], abs=1e-6)
 
 
 def test_records_are_turned_into_one_another_without_loss(
@@ -68,24 +68,24 @@ def test_robots_stand_where_they_stood(
     thorvaldc: Command, recorded: dict[str, Any], record: str
 ) -> None:
     """Every wheel is on the bumpy ground again, as deep as it was while it drove."""
-    done = compile_file("s.yaml")
-    assert done.scenario is not None
-    fleet = done.scenario.fleet
+    result = compile_file("s.yaml")
+    assert result.scenario is not None
+    fleet = result.scenario.fleet
     robots = [(p.name, p.robot) for p in fleet.placements]
     report = Report()
     runs = read_record(Path(record), robots, report)
     assert runs is not None, [d.message for d in report]
     scene = MujocoScene(emit(fleet, ["mjcf"], report))
-    seen = []
+    heights_seen = []
     replay = Replay(scene, robots, runs)
     for time in replay.times(2.0):
         sample = max((s for s in runs["cart"].samples if s.time <= time), key=lambda s: s.time)
         position = scene.data.qpos[:7].tolist()
         assert position[:3] == pytest.approx([*sample.pose_true[:2], sample.posture[0]])
         touching = {int(c.geom[1]) for c in scene.data.contact[: scene.data.ncon]}
-        seen.append(len(touching))
-    assert len(seen) == 7
-    assert min(seen) >= 3
+        heights_seen.append(len(touching))
+    assert len(heights_seen) == 7
+    assert min(heights_seen) >= 3
     heights = [sample.posture[0] for sample in runs["cart"].samples]
     assert max(heights) - min(heights) > 0.005
     joint = scene.index("joint", "cart/fl_steering_joint", robots[0][1])
@@ -97,9 +97,9 @@ def test_robots_stand_where_they_stood(
 
 def test_plots_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any]) -> None:
     thorvaldc("sim", "s.yaml", "--plot", "run.svg")
-    done = thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--plot", "p.svg")
-    assert done.status == 0, done.err
-    assert done.err == "p.svg\n"
+    result = thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--plot", "p.svg")
+    assert result.status == 0, result.err
+    assert result.err == "p.svg\n"
     # The same lines but for the last digits of headings, which went through quaternions.
     played, run = Path("p.svg").read_text().split(), Path("run.svg").read_text().split()
     assert len(played) == len(run)
@@ -108,8 +108,8 @@ def test_plots_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any])
 
 def test_films_and_pictures_show_where_the_robot_was(thorvaldc: Command, tmp_path: Path) -> None:
     assert thorvaldc("sim", SLIM, "--ideal", "--duration", "1", "--record", "a.mcap").status == 0
-    done = thorvaldc("sim", SLIM, "--replay", "a.mcap", "--video", "v.gif")
-    assert done.status == 0, done.err
+    result = thorvaldc("sim", SLIM, "--replay", "a.mcap", "--video", "v.gif")
+    assert result.status == 0, result.err
     from PIL import Image
 
     with Image.open("v.gif") as film:
@@ -117,8 +117,8 @@ def test_films_and_pictures_show_where_the_robot_was(thorvaldc: Command, tmp_pat
     small = ["--size", "64x48", "--view", "top", "--replay", "a.mcap", "-o", "p.png"]
     pictures = []
     for options in ([], ["--at", "0.5 s"], ["--at", "99"]):
-        done = thorvaldc("render", SLIM, *small, *options)
-        assert done.status == 0, done.err
+        result = thorvaldc("render", SLIM, *small, *options)
+        assert result.status == 0, result.err
         pictures.append(Path("p.png").read_bytes())
     assert pictures[0] == pictures[2] != pictures[1]
     assert thorvaldc("render", SLIM, "--at", "1").status == 2
@@ -131,35 +131,35 @@ def test_fleets_are_played_from_a_folder_and_a_file(thorvaldc: Command, tmp_path
     tables = []
     for record in ("all", "all.mcap"):
         assert thorvaldc("sim", FLEET, *short, "--record", record).status == 0
-        done = thorvaldc("sim", FLEET, "--replay", record)
-        assert done.status == 0, done.err
-        tables.append(done.out)
+        result = thorvaldc("sim", FLEET, "--replay", record)
+        assert result.status == 0, result.err
+        tables.append(result.out)
     assert tables[0] == tables[1]
     Path("all/six.csv").unlink()
-    done = thorvaldc("sim", FLEET, "--replay", "all")
-    assert done.status == 1
-    assert "`all` has no robot six" in done.err
+    result = thorvaldc("sim", FLEET, "--replay", "all")
+    assert result.status == 1
+    assert "`all` has no robot six" in result.err
 
 
 def test_of_what_was_not_recorded_there_is_a_dash(thorvaldc: Command, tmp_path: Path) -> None:
     Path("s.yaml").write_text(SCENARIO + "record: {what: [odometry]}\n")
     for record in ("a.csv", "a.mcap"):
         assert thorvaldc("sim", "s.yaml", "--record", record).status == 0
-        done = thorvaldc("sim", "s.yaml", "--replay", record)
-        assert done.status == 0, done.err
-        assert done.out.splitlines()[1].split()[-6:-4] == ["-", "-"]
-        assert done.out.splitlines()[1].split()[-2:] == ["-", "-"]
+        result = thorvaldc("sim", "s.yaml", "--replay", record)
+        assert result.status == 0, result.err
+        assert result.out.splitlines()[1].split()[-6:-4] == ["-", "-"]
+        assert result.out.splitlines()[1].split()[-2:] == ["-", "-"]
 
 
 def test_a_record_that_ended_before_its_first_tick_holds_nothing(
     thorvaldc: Command, tmp_path: Path
 ) -> None:
-    done = compile_file(SLIM)
-    assert isinstance(done.model, Robot)
-    McapRecorder(Path("a.mcap"), [(done.model.name, done.model)], GROUPS).close()
-    told = thorvaldc("sim", SLIM, "--replay", "a.mcap")
-    assert told.status == 1
-    assert "`a.mcap` has no samples of thorvald_4wd4ws_slim" in told.err
+    result = compile_file(SLIM)
+    assert isinstance(result.model, Robot)
+    McapRecorder(Path("a.mcap"), [(result.model.name, result.model)], GROUPS).close()
+    result = thorvaldc("sim", SLIM, "--replay", "a.mcap")
+    assert result.status == 1
+    assert "`a.mcap` has no samples of thorvald_4wd4ws_slim" in result.err
 
 
 def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path)
     whole = Path("a.mcap").read_bytes()
     broken = bytearray(whole)
     broken[len(whole) // 4 : len(whole) // 2] = bytes(len(whole) // 2 - len(whole) // 4)
-    for name, content, said in (
+    for name, content, expected in (
         ("cut", whole[: len(whole) // 2], "mcap recover"),
         ("broken", bytes(broken), "mcap recover"),
         ("empty", b"", "seems to be empty"),
@@ -175,22 +175,22 @@ def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path)
     ):
         path = Path(f"{name}.mcap")
         path.write_bytes(content)
-        done = thorvaldc("sim", SLIM, "--replay", str(path))
-        assert (done.status, done.out) == (1, ""), name
-        assert "error[TV821]" in done.err
-        assert said in done.err
-    done = thorvaldc("sim", SLIM, "--replay", "none.mcap")
-    assert done.status == 1
-    assert "does not exist" in done.err
-    other = str(EXAMPLES / "6wd6ws/robot.yaml")
-    done = thorvaldc("sim", other, "--replay", "a.mcap")
-    assert done.status == 1
-    assert "error[TV822]" in done.err
-    assert "is it the record of another robot?" in done.err
+        result = thorvaldc("sim", SLIM, "--replay", str(path))
+        assert (result.status, result.out) == (1, ""), name
+        assert "error[TV821]" in result.err
+        assert expected in result.err
+    result = thorvaldc("sim", SLIM, "--replay", "none.mcap")
+    assert result.status == 1
+    assert "does not exist" in result.err
+    other_robot = str(EXAMPLES / "6wd6ws/robot.yaml")
+    result = thorvaldc("sim", other_robot, "--replay", "a.mcap")
+    assert result.status == 1
+    assert "error[TV822]" in result.err
+    assert "is it the record of another robot?" in result.err
 
 
 def test_a_record_has_its_own_length_and_motion(thorvaldc: Command, tmp_path: Path) -> None:
     for option in ("--twist", "--duration", "--log", "--parameters", "--junit"):
-        done = thorvaldc("sim", SLIM, "--replay", "a.mcap", option, "1")
-        assert done.status == 2
-        assert option in done.err
+        result = thorvaldc("sim", SLIM, "--replay", "a.mcap", option, "1")
+        assert result.status == 2
+        assert option in result.err

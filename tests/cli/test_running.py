@@ -52,13 +52,13 @@ def test_a_virtual_robot_drives_for_a_time(thorvaldc: Command) -> None:
         *VIRTUAL, "--fast", "--duration", "3 s", "--twist", "0.5,0,0", "--json"
     )
     assert (status, err) == (0, "")
-    found = json.loads(out)
-    assert 1.3 < found["pose"]["x"] < 1.6
+    summary = json.loads(out)
+    assert 1.3 < summary["pose"]["x"] < 1.6
     started = ["init", "preop", "config", "homing", "ready", "active"]
-    assert states(found)[: len(started)] == started
-    assert found["state"] == "ready"
-    assert found["buses"]["main"]["not_sent"] == 0
-    assert found["timing"]["overruns"] == 0
+    assert states(summary)[: len(started)] == started
+    assert summary["state"] == "ready"
+    assert summary["buses"]["main"]["not_sent"] == 0
+    assert summary["timing"]["overruns"] == 0
 
 
 def test_with_physics_it_drives_as_far(thorvaldc: Command) -> None:
@@ -74,8 +74,8 @@ def test_what_happens_is_told_on_stderr(thorvaldc: Command) -> None:
     status, out, err = thorvaldc(*VIRTUAL, "--fast", "--duration", "1 s")
     assert status == 0
     assert len(out.splitlines()) == 1
-    said = [line.split() for line in err.splitlines()]
-    assert [line[2] for line in said] == ["init", "preop", "config", "homing", "ready"]
+    lines = [line.split() for line in err.splitlines()]
+    assert [line[2] for line in lines] == ["init", "preop", "config", "homing", "ready"]
 
 
 def test_the_model_of_a_build_is_enough(thorvaldc: Command) -> None:
@@ -110,7 +110,7 @@ def test_a_fault_ends_a_run_that_nobody_watches(thorvaldc: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         (["good.yaml"], "--bus"),
         (["good.yaml", "--bus", "virtual", "--physics", "magic"], "neither ideal nor mujoco"),
@@ -121,10 +121,10 @@ def test_a_fault_ends_a_run_that_nobody_watches(thorvaldc: Command) -> None:
         (["good.yaml", "--bus", "sim:x", "--physics", "mujoco"], "for a simulated robot"),
     ],
 )
-def test_usage(arguments: list[str], says: str, thorvaldc: Command) -> None:
+def test_usage(arguments: list[str], expected: str, thorvaldc: Command) -> None:
     status, out, err = thorvaldc("run", *arguments)
     assert (status, out) == (2, "")
-    assert says in err
+    assert expected in err
 
 
 @pytest.mark.parametrize(
@@ -142,12 +142,12 @@ def test_usage(arguments: list[str], says: str, thorvaldc: Command) -> None:
 def test_what_cannot_be_run(
     arguments: list[str], status: int, code: str, thorvaldc: Command
 ) -> None:
-    found = thorvaldc("run", *arguments)
-    assert found.status == status
-    assert found.out == ""
-    assert f"error[{code}]" in found.err
+    summary = thorvaldc("run", *arguments)
+    assert summary.status == status
+    assert summary.out == ""
+    assert f"error[{code}]" in summary.err
     if status == 3:
-        assert len(found.err.splitlines()) == 2  # and a hint
+        assert len(summary.err.splitlines()) == 2  # and a hint
 
 
 def test_a_bus_without_power_and_nobody_there(thorvaldc: Command) -> None:
@@ -191,8 +191,10 @@ def over_slcan(
     simulated = SimulatedRobot(robot)
     simulated.power_on()
     adapter = SlcanAdapter(simulated)
-    seen: dict[int, bytes] = {}
-    simulated.wire().observers.append(lambda _, frame, __: seen.update({frame.id: frame.data}))
+    frames_seen: dict[int, bytes] = {}
+    simulated.wire().observers.append(
+        lambda _, frame, __: frames_seen.update({frame.id: frame.data})
+    )
     process = started(
         folder,
         *("good.yaml", "--bus", f"slcan:{adapter.path}", "--twist", "0.4,0,0"),
@@ -212,24 +214,24 @@ def over_slcan(
     adapter.serve(over, 60.0)
     out, err = process.communicate(timeout=10)
     adapter.close()
-    return process.returncode, out, err, adapter, seen, fastest
+    return process.returncode, out, err, adapter, frames_seen, fastest
 
 
 def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(GOOD)
-    with running(tmp_path, "good.yaml") as (bus, said):
+    with running(tmp_path, "good.yaml") as (bus, listing):
         for _ in range(ATTEMPTS):
             process = started(
                 tmp_path,
-                *("good.yaml", "--bus", f"sim:{said['channel']}", "--twist", "0.4,0,0"),
+                *("good.yaml", "--bus", f"sim:{listing['channel']}", "--twist", "0.4,0,0"),
                 *("--duration", "2 s", "--json"),
             )
             out, err = process.communicate(timeout=60)
             if not held_up(process.returncode, err):
                 break
         assert process.returncode == 0, err
-        found = json.loads(out)
-        assert found["pose"]["x"] > 0.3
+        summary = json.loads(out)
+        assert summary["pose"]["x"] > 0.3
         assert "hardware" not in err
         end(bus)
 
@@ -244,19 +246,19 @@ def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
         state = tmp_path / f"attempt{attempt}"
         state.mkdir()
         (state / "good.yaml").write_text(GOOD)
-        status, out, err, adapter, seen, fastest = over_slcan(robot, state)
+        status, out, err, adapter, frames_seen, fastest = over_slcan(robot, state)
         if not held_up(status, err):
             break
     assert status == 0, err
-    found = json.loads(out)
+    summary = json.loads(out)
     assert "never tried on physical hardware" in err
     assert adapter.commands[:3] == ["C", "S6", "O"]
     assert fastest == pytest.approx(0.4 / 0.2, rel=0.02)
-    assert 0.6 < found["pose"]["x"] < 1.3
+    assert 0.6 < summary["pose"]["x"] < 1.3
     planned = {f.cob_id for f in robot.buses[0].frames if f.period is not None}
-    assert planned <= set(seen)
+    assert planned <= set(frames_seen)
     # It left the drives as it found them: nobody commanded, nobody operational.
-    assert all(seen[0x700 + node.id] == b"\x7f" for node in robot.buses[0].nodes)
+    assert all(frames_seen[0x700 + node.id] == b"\x7f" for node in robot.buses[0].nodes)
 
 
 def test_the_note_on_hardware_comes_once(

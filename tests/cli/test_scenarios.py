@@ -1,4 +1,4 @@
-"""``sim`` of scenarios at the command line: statuses, reports, records."""
+"""Scenarios at the command line: exit statuses, reports, records."""
 
 from __future__ import annotations
 
@@ -22,50 +22,54 @@ expect: {{path: {{max: 1 m}}, collisions: {{max: 0}}}}
 """
 
 
-def test_what_is_met_and_what_is_not_decides(thorvaldc: Command, tmp_path: Path) -> None:
+def test_expectations_decide_the_status(thorvaldc: Command, tmp_path: Path) -> None:
     path, report = tmp_path / "s.yaml", tmp_path / "out.xml"
     path.write_text(SCENARIO)
-    done = thorvaldc("sim", str(path), "--junit", str(report))
-    assert done.status == 0
-    assert "short: 2 of 2 expectations met" in done.out
+    result = thorvaldc("sim", str(path), "--junit", str(report))
+    assert result.status == 0
+    assert "short: 2 of 2 expectations met" in result.out
     assert ET.parse(report).getroot().get("failures") == "0"
     path.write_text(SCENARIO.replace("1 m}", "0.1 m}"))
-    done = thorvaldc("sim", str(path), "--junit", str(report), "--json")
-    assert done.status == 1
-    assert "s.yaml:6:10: error[TV820]" in done.err
-    result = json.loads(done.out)
-    assert [(c["metric"], c["passed"]) for c in result["checks"]] == [
+    result = thorvaldc("sim", str(path), "--junit", str(report), "--json")
+    assert result.status == 1
+    assert "s.yaml:6:10: error[TV820]" in result.err
+    summary = json.loads(result.out)
+    assert [(c["metric"], c["passed"]) for c in summary["checks"]] == [
         ("path", False),
         ("collisions", True),
     ]
-    assert len(result["hash"]) == 64
+    assert len(summary["hash"]) == 64
     suite = ET.parse(report).getroot().find("testsuite")
     assert suite is not None
     assert [len(case) for case in suite.iter("testcase")] == [0, 1, 0]
 
 
-def test_another_robot_drives_it(thorvaldc: Command, tmp_path: Path) -> None:
+def test_another_robot_drives_the_scenario(thorvaldc: Command, tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(SCENARIO)
-    other = ROOT / "examples/6wd6ws/robot.yaml"
-    done = thorvaldc("sim", str(other), "--scenario", str(path), "--record", str(tmp_path / "r"))
-    assert done.status == 0
-    assert "6: 6/6" in done.out
+    other_robot = ROOT / "examples/6wd6ws/robot.yaml"
+    result = thorvaldc(
+        "sim", str(other_robot), "--scenario", str(path), "--record", str(tmp_path / "r")
+    )
+    assert result.status == 0
+    assert "6: 6/6" in result.out
     assert (tmp_path / "r/cart.csv").read_text().startswith("time,odometry_x,")
 
 
-def test_what_cannot_be_written_is_known_before(thorvaldc: Command, tmp_path: Path) -> None:
-    path, there = tmp_path / "s.yaml", tmp_path / "file"
+def test_an_output_that_cannot_be_written_is_reported_before_the_run(
+    thorvaldc: Command, tmp_path: Path
+) -> None:
+    path, existing_file = tmp_path / "s.yaml", tmp_path / "file"
     path.write_text(SCENARIO)
-    there.write_text("")
-    for option, value in (("--record", there), ("--junit", tmp_path / "none/out.xml")):
-        done = thorvaldc("sim", str(path), option, str(value))
-        assert done.status == 3, option
-        assert f"cannot write {value}" in done.err
-        assert done.out == ""
+    existing_file.write_text("")
+    for option, value in (("--record", existing_file), ("--junit", tmp_path / "none/out.xml")):
+        result = thorvaldc("sim", str(path), option, str(value))
+        assert result.status == 3, option
+        assert f"cannot write {value}" in result.err
+        assert result.out == ""
 
 
-def test_options_of_one_twist_are_none_of_a_scenario(thorvaldc: Command, tmp_path: Path) -> None:
+def test_options_of_a_drive_are_refused_for_a_scenario(thorvaldc: Command, tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(SCENARIO)
     assert thorvaldc("sim", str(path), "--twist", "1,0,0").status == 2
@@ -73,19 +77,19 @@ def test_options_of_one_twist_are_none_of_a_scenario(thorvaldc: Command, tmp_pat
     assert thorvaldc("sim", str(ROBOT), "--scenario", str(ROBOT)).status == 2
 
 
-def test_what_is_recorded_is_chosen_by_the_name(thorvaldc: Command, tmp_path: Path) -> None:
+def test_the_suffix_selects_the_format_of_the_record(thorvaldc: Command, tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(SCENARIO)
     for source in (path, ROBOT):
         seconds = [] if source == path else ["--twist", "0.5,0,0", "--duration", "1"]
         for name, starts in (("a.mcap", b"\x89MCAP"), ("a.csv", b"time,")):
-            done = thorvaldc("sim", str(source), *seconds, "--record", name)
-            assert done.status == 0, done.err
-            assert done.err == f"{name}\n"
+            result = thorvaldc("sim", str(source), *seconds, "--record", name)
+            assert result.status == 0, result.err
+            assert result.err == f"{name}\n"
             assert Path(name).read_bytes().startswith(starts)
-    done = thorvaldc("sim", str(path), "--record", "a.bag")
-    assert done.status == 2
-    assert "no record is a .bag file; name a .mcap or .csv file, or a folder" in done.err
+    result = thorvaldc("sim", str(path), "--record", "a.bag")
+    assert result.status == 2
+    assert "no record is a .bag file; name a .mcap or .csv file, or a folder" in result.err
 
 
 def test_fleets_have_logs_records_and_plots_of_every_robot(
@@ -93,8 +97,8 @@ def test_fleets_have_logs_records_and_plots_of_every_robot(
 ) -> None:
     fleet = str(ROOT / "examples/fleet_of_four/fleet.yaml")
     short = ["--twist", "0.5,0,0", "--duration", "0.5"]
-    done = thorvaldc("sim", fleet, *short, "--log", "logs", "--record", "r", "--plot", "p.png")
-    assert done.status == 0, done.err
+    result = thorvaldc("sim", fleet, *short, "--log", "logs", "--record", "r", "--plot", "p.png")
+    assert result.status == 0, result.err
     names = ["six.csv", "slim.csv", "tall.csv", "wide.csv"]
     for folder, column in (("logs", ".position"), ("r", "odometry_x")):
         files = sorted((tmp_path / folder).iterdir())
@@ -103,16 +107,16 @@ def test_fleets_have_logs_records_and_plots_of_every_robot(
             head, *rows = file.read_text().splitlines()
             assert column in head
             assert len(rows) == 26
-    done = thorvaldc("sim", fleet, "--record", "all.csv")
-    assert done.status == 2
-    assert "4 robots do not go into one CSV file" in done.err
+    result = thorvaldc("sim", fleet, "--record", "all.csv")
+    assert result.status == 2
+    assert "4 robots do not go into one CSV file" in result.err
 
 
-def test_without_rosbags_one_line_says_what_to_install(
+def test_without_rosbags_one_line_names_the_package(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    done = thorvaldc("sim", str(ROBOT), "--record", "a.mcap")
-    assert done.status == 3
-    assert done.out == ""
-    assert "pip install 'thorvaldc[record]'" in done.err
+    result = thorvaldc("sim", str(ROBOT), "--record", "a.mcap")
+    assert result.status == 3
+    assert result.out == ""
+    assert "pip install 'thorvaldc[record]'" in result.err

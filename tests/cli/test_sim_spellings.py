@@ -73,7 +73,7 @@ def test_a_robot_file_is_no_scenario(thorvaldc: Command, command: str) -> None:
 
 
 def test_the_help_of_sim_shows_the_options_of_a_drive(thorvaldc: Command) -> None:
-    shown = thorvaldc("sim", "--help").out
-    assert "--twist" in shown
+    output = thorvaldc("sim", "--help").out
+    assert "--twist" in output
     for option in ("--scenario", "--set", "--variations", "--replay", "--jobs", "--junit"):
-        assert option not in shown
+        assert option not in output

@@ -1,4 +1,4 @@
-"""``teleop`` on a terminal of its own, and ``call`` beside it."""
+"""``teleop`` on a pseudo-terminal, and ``call`` beside it."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def teleop(folder: Path) -> Iterator[Person]:
 
 
 def state(thorvaldc: Command, name: str = "good") -> dict[str, Any]:
-    done = thorvaldc("call", name, "state", "--json")
-    assert done.status == 0, done.err
-    found = json.loads(done.out)
-    assert isinstance(found, dict)
-    return found
+    result = thorvaldc("call", name, "state", "--json")
+    assert result.status == 0, result.err
+    values = json.loads(result.out)
+    assert isinstance(values, dict)
+    return values
 
 
 def test_keys_drive_and_a_service_is_called_beside(
@@ -73,15 +73,15 @@ def test_keys_drive_and_a_service_is_called_beside(
     listed = thorvaldc("call", "good").out
     assert "twist source=... [vx=...] [vy=...] [wz=...]\n" in listed
     assert "pose: x " in thorvaldc("call", "good", "state").out
-    taken = thorvaldc("teleop", "good.yaml")
-    assert taken.status == 3  # and it has no terminal here
+    second_teleop = thorvaldc("teleop", "good.yaml")
+    assert second_teleop.status == 3  # and it has no terminal here
     teleop.type("q")
     assert teleop.end() == 0
     assert thorvaldc("call", "good", "state").status == 3
 
 
 @pytest.mark.parametrize("way", ["ctrl-c", "terminate", "hang-up"])
-def test_the_terminal_is_put_back(teleop: Person, way: str) -> None:
+def test_the_terminal_is_restored(teleop: Person, way: str) -> None:
     teleop.type("i")
     teleop.until("drives: teleop_joy")
     if way == "ctrl-c":
@@ -92,31 +92,31 @@ def test_the_terminal_is_put_back(teleop: Person, way: str) -> None:
     assert "Traceback" not in teleop.shown
 
 
-def test_one_drives_what_another_runs(teleop: Person, folder: Path, thorvaldc: Command) -> None:
-    other = at_teleop(folder, "--to", "good", "--source", "auto_nav", "--speed", "100")
+def test_two_operators_drive_one_robot(teleop: Person, folder: Path, thorvaldc: Command) -> None:
+    other_person = at_teleop(folder, "--to", "good", "--source", "auto_nav", "--speed", "100")
     try:
-        other.until("drives: nobody")
-        other.until("drives: auto_nav", typing="j")
-        other.type("j")
+        other_person.until("drives: nobody")
+        other_person.until("drives: auto_nav", typing="j")
+        other_person.type("j")
         assert state(thorvaldc)["asked"]["wz"] > 0.5
         teleop.read()  # its terminal may be full of what was shown before
         for _ in range(3):
-            other.type("j")
+            other_person.type("j")
             teleop.read()
         teleop.until("drives: auto_nav")
         teleop.type("q")
         teleop.end()
         limit = time.monotonic() + PATIENCE
-        while other.process.poll() is None and time.monotonic() < limit:
-            other.read()
-        assert other.end() == 3
-        assert "error: the driver `good` has ended" in other.shown
+        while other_person.process.poll() is None and time.monotonic() < limit:
+            other_person.read()
+        assert other_person.end() == 3
+        assert "error: the driver `good` has ended" in other_person.shown
     finally:
-        other.close()
+        other_person.close()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "said"),
+    ("arguments", "status", "expected"),
     [
         ((), 2, "name a robot's FILE"),
         (("good.yaml", "--to", "x"), 2, "name a robot's FILE"),
@@ -125,44 +125,44 @@ def test_one_drives_what_another_runs(teleop: Person, folder: Path, thorvaldc: C
         (("good.yaml",), 3, "the keyboard needs a terminal"),
     ],
 )
-def test_what_is_said_of_a_wrong_call(
-    thorvaldc: Command, arguments: tuple[str, ...], status: int, said: str
+def test_wrong_options(
+    thorvaldc: Command, arguments: tuple[str, ...], status: int, expected: str
 ) -> None:
-    done = thorvaldc("teleop", *arguments)
-    assert done.status == status
-    assert said in " ".join(done.err.replace("│", " ").split())
+    result = thorvaldc("teleop", *arguments)
+    assert result.status == status
+    assert expected in " ".join(result.err.replace("│", " ").split())
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "said"),
+    ("arguments", "status", "expected"),
     [
         (("--on", "sky"), 2, "'sky' is none of sim, ideal, virtual"),
         (("--source", "me"), 2, "it has teleop_joy, auto_nav"),
     ],
 )
-def test_what_is_said_on_a_terminal(
-    folder: Path, arguments: tuple[str, ...], status: int, said: str
+def test_wrong_options_on_a_terminal(
+    folder: Path, arguments: tuple[str, ...], status: int, expected: str
 ) -> None:
     running = at_teleop(folder, "good.yaml", *arguments)
     try:
         running.process.wait(PATIENCE)
         running.read()
         assert running.process.returncode == status
-        assert said in " ".join(running.shown.replace("│", " ").split())
-        assert termios.tcgetattr(running.theirs) == running.before
+        assert expected in " ".join(running.shown.replace("│", " ").split())
+        assert termios.tcgetattr(running.command_end) == running.settings_before
     finally:
         running.close()
 
 
-def test_call_where_nothing_is_run(folder: Path, thorvaldc: Command) -> None:
-    done = thorvaldc("call", "nobody", "state")
-    assert done.status == 3
-    assert done.err.startswith("error: no driver runs at ")
-    assert done.err.count("\n") == 1
+def test_call_without_a_driver(folder: Path, thorvaldc: Command) -> None:
+    result = thorvaldc("call", "nobody", "state")
+    assert result.status == 3
+    assert result.err.startswith("error: no driver runs at ")
+    assert result.err.count("\n") == 1
     assert thorvaldc("call", "nobody", "state", "novalue").status == 2
 
 
-def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
+def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> None:
     command = [sys.executable, "-m", "thorvaldc", "run", "good.yaml", "--bus", "virtual"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(
@@ -172,8 +172,8 @@ def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
         ready = False
         while not ready and time.monotonic() < limit:
             time.sleep(0.05)
-            asked = thorvaldc("call", "good", "state", "--json")
-            ready = asked.status == 0 and json.loads(asked.out)["supervisor"] == "ready"
+            answer = thorvaldc("call", "good", "state", "--json")
+            ready = answer.status == 0 and json.loads(answer.out)["supervisor"] == "ready"
         assert ready
         person = at_teleop(folder, "--to", "good")
         try:
@@ -193,12 +193,12 @@ def test_others_drive_what_run_runs(folder: Path, thorvaldc: Command) -> None:
         finally:
             person.close()
             process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=PATIENCE)
-    assert b"Traceback" not in said
+        _, expected = process.communicate(timeout=PATIENCE)
+    assert b"Traceback" not in expected
     assert thorvaldc("call", "good", "state").status == 3
 
 
-def test_a_builds_model_drives_without_the_compiler(folder: Path, thorvaldc: Command) -> None:
+def test_the_model_of_a_build_drives(folder: Path, thorvaldc: Command) -> None:
     assert thorvaldc("build", str(folder / "good.yaml"), "-o", str(folder / "out")).status == 0
     running = at_teleop(folder, "out/model.json")
     try:
@@ -222,38 +222,38 @@ def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "said"),
+    ("arguments", "status", "expected"),
     [
         (("good.yaml", "--map", "enable=BTN_TL"), 2, "is for a --joystick"),
         (("good.yaml", "--joystick", "/dev/input/none"), 3, "/dev/input/none"),
     ],
 )
-def test_joysticks_that_are_not_there(
+def test_missing_joysticks(
     monkeypatch: pytest.MonkeyPatch,
     thorvaldc: Command,
     arguments: tuple[str, ...],
     status: int,
-    said: str,
+    expected: str,
 ) -> None:
     search = types.ModuleType("evdev")
     search.InputDevice = _no_device  # type: ignore[attr-defined]
     search.ecodes = types.SimpleNamespace(ecodes={})  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "evdev", search)
-    done = thorvaldc("teleop", *arguments)
-    assert done.status == status
-    assert said in " ".join(done.err.replace("│", " ").split())
+    result = thorvaldc("teleop", *arguments)
+    assert result.status == status
+    assert expected in " ".join(result.err.replace("│", " ").split())
 
 
 def _no_device(path: str) -> None:
     raise FileNotFoundError(path)
 
 
-def test_without_evdev_it_says_what_to_install(
+def test_without_evdev_one_line_names_the_package(
     monkeypatch: pytest.MonkeyPatch, thorvaldc: Command
 ) -> None:
     monkeypatch.setitem(sys.modules, "evdev", None)
-    done = thorvaldc("teleop", "good.yaml", "--joystick", "auto")
-    assert (done.status, done.err) == (
+    result = thorvaldc("teleop", "good.yaml", "--joystick", "auto")
+    assert (result.status, result.err) == (
         3,
         "error: a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'\n",
     )
@@ -262,7 +262,7 @@ def test_without_evdev_it_says_what_to_install(
 def test_a_joystick_drives_without_a_terminal(
     folder: Path, monkeypatch: pytest.MonkeyPatch, thorvaldc: Command
 ) -> None:
-    """As from a service; the joystick is unplugged on the way, and the robot stands."""
+    """Standard input is no terminal; unplugging the joystick stops the robot."""
     pad = Device()
     pad.button(BTN_TL)
     pad.axis(ABS_Y, -32768)
@@ -284,11 +284,11 @@ def test_a_joystick_drives_without_a_terminal(
 
     thread = threading.Thread(target=beside)
     thread.start()
-    done = thorvaldc("teleop", "good.yaml", "--on", "ideal", "--joystick", "auto")
+    result = thorvaldc("teleop", "good.yaml", "--on", "ideal", "--joystick", "auto")
     thread.join()
-    assert (done.status, done.err, speeds) == (0, "", [0.0])
-    assert "Joystick: hold the left shoulder button" in done.out
-    assert "A key drives" not in done.out
+    assert (result.status, result.err, speeds) == (0, "", [0.0])
+    assert "Joystick: hold the left shoulder button" in result.out
+    assert "A key drives" not in result.out
 
 
 def wait_for(holds: Callable[[ControlClient], bool]) -> None:

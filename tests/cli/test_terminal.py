@@ -1,4 +1,4 @@
-"""Colours and progress are for terminals, and only if the user wants them."""
+"""Colours and progress appear on terminals only, and only if the user permits them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from tests.cli.conftest import BAD, GOOD
 
 
 def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int, str]:
-    """Status and everything shown, on a terminal of 60 columns."""
-    ours, theirs = pty.openpty()
+    """Returns the status and the output on a terminal of 60 columns."""
+    our_end, command_end = pty.openpty()
     inherited = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR")}
     with subprocess.Popen(
         [sys.executable, "-m", "thorvaldc", *arguments],
         cwd=folder,
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
+        stdin=command_end,
+        stdout=command_end,
+        stderr=command_end,
         env={
             **inherited,
             "PYTHONPATH": os.pathsep.join(sys.path),
@@ -32,13 +32,13 @@ def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int,
             **environment,
         },
     ) as process:
-        os.close(theirs)
-        shown = b""
+        os.close(command_end)
+        output = b""
         with contextlib.suppress(OSError):  # the other end is closed
-            while part := os.read(ours, 4096):
-                shown += part
-        os.close(ours)
-    return process.returncode, shown.decode()
+            while part := os.read(our_end, 4096):
+                output += part
+        os.close(our_end)
+    return process.returncode, output.decode()
 
 
 @pytest.fixture
@@ -48,20 +48,20 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_faults_have_colours_on_a_terminal(folder: Path) -> None:
-    status, shown = on_terminal(folder, "check", "bad.yaml")
+def test_diagnostics_have_colours_on_a_terminal(folder: Path) -> None:
+    status, output = on_terminal(folder, "check", "bad.yaml")
     assert status == 1
-    assert "\x1b[1;31merror" in shown
+    assert "\x1b[1;31merror" in output
 
 
 @pytest.mark.parametrize("wish", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
-def test_no_colours_for_who_wants_none(folder: Path, wish: dict[str, str]) -> None:
+def test_colours_can_be_switched_off(folder: Path, wish: dict[str, str]) -> None:
     assert "\x1b" not in on_terminal(folder, "check", "bad.yaml", **wish)[1]
 
 
 def test_excerpts_fit_the_terminal(folder: Path) -> None:
-    shown = on_terminal(folder, "check", "bad.yaml", NO_COLOR="1")[1]
-    excerpts = [line for line in shown.splitlines() if line.startswith("6 |")]
+    output = on_terminal(folder, "check", "bad.yaml", NO_COLOR="1")[1]
+    excerpts = [line for line in output.splitlines() if line.startswith("6 |")]
     assert excerpts
     assert all(len(line) <= 60 for line in excerpts)
 
@@ -72,10 +72,10 @@ def test_machine_formats_have_no_colours_on_a_terminal(folder: Path) -> None:
 
 
 def test_demo_shows_its_progress_on_a_terminal_only(folder: Path) -> None:
-    status, shown = on_terminal(folder, "demo", "good.yaml")
+    status, output = on_terminal(folder, "demo", "good.yaml")
     assert status == 0
-    assert "1 of 1" in shown
-    done = subprocess.run(
+    assert "1 of 1" in output
+    process = subprocess.run(
         [sys.executable, "-m", "thorvaldc", "demo", "good.yaml"],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
@@ -83,6 +83,6 @@ def test_demo_shows_its_progress_on_a_terminal_only(folder: Path) -> None:
         text=True,
         check=True,
     )
-    assert "1 of 1" not in done.stderr
-    assert done.stdout.splitlines()[1].startswith("good ")
-    assert "1 file built to build/ and 1 robot driven" in done.stderr
+    assert "1 of 1" not in process.stderr
+    assert process.stdout.splitlines()[1].startswith("good ")
+    assert "1 file built to build/ and 1 robot driven" in process.stderr

@@ -1,4 +1,7 @@
-"""A joystick drives while its button is held; gone, it stops the robot.  No device is needed."""
+"""A joystick drives while its button is held and stops the robot when unplugged.
+
+The devices are simulated.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ class Axis(NamedTuple):
 
 
 class Device:
-    """A gamepad, or with other ``axes`` and ``buttons`` something else."""
+    """A gamepad, or a device with other ``axes`` and ``buttons``."""
 
     name = "pad"
 
@@ -112,33 +115,33 @@ def test_sticks_drive_while_the_button_is_held(hand: Hand) -> None:
     hand.pad.axis(js.ABS_RX, -32768)
     assert hand.at(0.2) == (-0.75, 0, 1.0)
     hand.pad.axis(js.ABS_X, 32767)
-    found = hand.at(0.3)
-    assert found is not None
-    assert found.vy == pytest.approx(-0.75)
+    result = hand.at(0.3)
+    assert result is not None
+    assert result.vy == pytest.approx(-0.75)
     hand.pad.button(js.BTN_TL, 0)
     assert hand.at(0.32) == ZERO_TWIST
     assert hand.at(0.5) is None  # others may drive
 
 
-def test_full_speed_has_a_button_of_its_own(hand: Hand) -> None:
+def test_a_button_for_full_speed(hand: Hand) -> None:
     hand.pad.button(js.BTN_TR)
     hand.pad.axis(js.ABS_Y, -32768)
     assert hand.at(0.1) == (1.5, 0, 0)
 
 
-def test_the_middle_is_zero_and_speed_grows_from_its_edge(hand: Hand) -> None:
+def test_the_speed_is_continuous_at_the_edge_of_the_dead_zone(hand: Hand) -> None:
     hand.pad.button(js.BTN_TR)
     hand.pad.axis(js.ABS_Y, -3000)
     assert hand.at(0.1) == ZERO_TWIST
     hand.pad.axis(js.ABS_Y, -3600)
-    found = hand.at(0.2)
-    assert found is not None
-    assert 0.0 < found.vx < 0.03
+    result = hand.at(0.2)
+    assert result is not None
+    assert 0.0 < result.vx < 0.03
     hand.pad.axis(js.ABS_Y, -18022)  # 55 %
     assert hand.at(0.3) == pytest.approx((0.75, 0, 0), abs=1e-3)
 
 
-def test_unplugged_it_stops_and_back_it_wants_the_button_anew(hand: Hand) -> None:
+def test_unplugging_stops_until_the_button_is_pressed_again(hand: Hand) -> None:
     hand.pad.button(js.BTN_TL)
     hand.pad.axis(js.ABS_Y, -32768)
     assert hand.at(1.0) == (0.75, 0, 0)
@@ -156,7 +159,7 @@ def test_unplugged_it_stops_and_back_it_wants_the_button_anew(hand: Hand) -> Non
     assert hand.at(2.7) == (0.75, 0, 0)
 
 
-def test_it_may_come_later() -> None:
+def test_a_joystick_plugged_in_later_is_found() -> None:
     hand = Hand()
     pad, hand.device = hand.device, None
     assert hand.at(0.0) is None
@@ -167,7 +170,7 @@ def test_it_may_come_later() -> None:
     assert hand.at(1.0) == ZERO_TWIST
 
 
-def test_lost_events_may_have_been_the_release(hand: Hand) -> None:
+def test_lost_events_release_the_button(hand: Hand) -> None:
     hand.pad.button(js.BTN_TL)
     hand.pad.axis(js.ABS_Y, -32768)
     assert hand.at(0.1) == (0.75, 0, 0)
@@ -175,13 +178,13 @@ def test_lost_events_may_have_been_the_release(hand: Hand) -> None:
     assert hand.at(0.2) == ZERO_TWIST
 
 
-def test_buttons_ask_for_services(hand: Hand) -> None:
+def test_buttons_request_services(hand: Hand) -> None:
     for button in (js.BTN_EAST, js.BTN_START, js.BTN_SELECT):
         hand.pad.button(button)
         hand.pad.button(button, 2)  # held
         hand.pad.button(button, 0)
-    asked = [request.service for request in hand.joystick.poll(0.1)]
-    assert asked == ["safety_stop", "release_safety_stop", "reset_faults"]
+    requests = [request.service for request in hand.joystick.poll(0.1)]
+    assert requests == ["safety_stop", "release_safety_stop", "reset_faults"]
 
 
 def test_layouts_by_what_the_device_has() -> None:
@@ -190,19 +193,19 @@ def test_layouts_by_what_the_device_has() -> None:
     plain = Device((js.ABS_X, js.ABS_Y), (js.BTN_TRIGGER,))
     assert Layout.of(Device()) == Layout()
     assert Layout.of(simple) == Layout(turn=js.ABS_Z)
-    found = Layout.of(stick)
-    assert found is not None
-    assert (found.enable, found.turn, found.sideways) == (js.BTN_TRIGGER, js.ABS_RZ, js.ABS_X)
-    found = Layout.of(plain)
-    assert found is not None
-    assert (found.turn, found.sideways) == (js.ABS_X, -1)
+    result = Layout.of(stick)
+    assert result is not None
+    assert (result.enable, result.turn, result.sideways) == (js.BTN_TRIGGER, js.ABS_RZ, js.ABS_X)
+    result = Layout.of(plain)
+    assert result is not None
+    assert (result.turn, result.sideways) == (js.ABS_X, -1)
     assert Layout.of(Device((), (30, 31))) is None  # a keyboard
     assert Layout.of(Device((js.ABS_X, js.ABS_Y), (0x14A,))) is None  # a touch pad
 
 
 def test_a_layout_can_be_changed() -> None:
-    found = Layout().changed("enable=BTN_TOP2, turn=ABS_Z", CODES)
-    assert (found.enable, found.turn, found.forward) == (js.BTN_TOP2, js.ABS_Z, js.ABS_Y)
+    result = Layout().changed("enable=BTN_TOP2, turn=ABS_Z", CODES)
+    assert (result.enable, result.turn, result.forward) == (js.BTN_TOP2, js.ABS_Z, js.ABS_Y)
     for text, reason in {
         "go=BTN_TOP2": "`go` is none of forward, sideways",
         "enable": "`` is no code such as BTN_TL",
@@ -214,19 +217,19 @@ def test_a_layout_can_be_changed() -> None:
         assert reason in str(refused.value)
 
 
-def test_the_first_joystick_is_found_and_others_are_let_go(
+def test_the_first_joystick_is_used_and_other_devices_are_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     keys, pad = Device((), (30,)), Device()
-    there = {"/dev/input/event1": keys, "/dev/input/event2": pad}
+    devices = {"/dev/input/event1": keys, "/dev/input/event2": pad}
 
     def open_device(path: str) -> Device:
-        if path not in there:
+        if path not in devices:
             raise PermissionError(path)
-        return there[path]
+        return devices[path]
 
     evdev = types.ModuleType("evdev")
-    evdev.list_devices = lambda: ["/dev/input/event2", *reversed(there), "/dev/input/event0"]  # type: ignore[attr-defined]
+    evdev.list_devices = lambda: ["/dev/input/event2", *reversed(devices), "/dev/input/event0"]  # type: ignore[attr-defined]
     evdev.InputDevice = open_device  # type: ignore[attr-defined]
     evdev.ecodes = types.SimpleNamespace(ecodes=CODES)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "evdev", evdev)
@@ -236,7 +239,7 @@ def test_the_first_joystick_is_found_and_others_are_let_go(
     assert not pad.closed
     assert js.evdev_search("/dev/input/event0", "")() is None
     assert js.evdev_search("/dev/input/event1", "")() is None
-    del there["/dev/input/event2"]
+    del devices["/dev/input/event2"]
     assert search() is None
     with pytest.raises(ParameterError):
         js.evdev_search("", "enable=nothing")
@@ -259,7 +262,7 @@ def test_the_keyboard_comes_first_beside_a_joystick(hand: Hand) -> None:
     assert both.finished
 
 
-def test_a_flood_of_events_does_not_hold_the_cycle(hand: Hand) -> None:
+def test_many_events_do_not_delay_the_cycle(hand: Hand) -> None:
     for value in range(10_000):
         hand.pad.axis(js.ABS_Y, value)
     hand.joystick.poll(0.1)

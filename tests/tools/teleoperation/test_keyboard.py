@@ -1,4 +1,4 @@
-"""Keys become twists while they are held, and only then."""
+"""Keys command twists only while they are held."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ LIMITS = Limits(1.5, 2.0, True)
 
 
 class Keys:
-    """What is typed, and when."""
+    """Keys at given times."""
 
     def __init__(self, limits: Limits = LIMITS, share: float = 1.0) -> None:
         self.waiting: list[str] = []
         self.keyboard = Keyboard(limits, self.read, share)
 
     def read(self) -> list[str]:
-        found, self.waiting = self.waiting, []
-        return found
+        result, self.waiting = self.waiting, []
+        return result
 
     def type(self, text: str, now: float) -> list[str]:
         self.waiting += keys_of(text)
@@ -89,7 +89,7 @@ def test_a_held_key_drives_without_a_gap_and_stops_soon_after(keys: Keys, first:
     assert keys.at(last + 1.0) is None
 
 
-def test_another_key_takes_over_at_once(keys: Keys) -> None:
+def test_another_key_replaces_the_motion_immediately(keys: Keys) -> None:
     keys.type("ii", 0.0)
     keys.type("l", 0.1)
     assert keys.at(0.1) == (0, 0, -2)
@@ -105,7 +105,7 @@ def test_space_stops_and_keeps_the_robot(keys: Keys) -> None:
     assert keys.at(61.0) == (1.5, 0, 0)
 
 
-def test_nothing_is_asked_before_the_first_key(keys: Keys) -> None:
+def test_nothing_is_commanded_before_the_first_key(keys: Keys) -> None:
     assert keys.at(0.0) is None
 
 
@@ -133,8 +133,8 @@ def test_sideways_only_where_the_robot_can() -> None:
 
 
 def test_services_have_keys(keys: Keys) -> None:
-    asked = keys.type("xXrhf", 0.0)
-    assert asked == [
+    requests = keys.type("xXrhf", 0.0)
+    assert requests == [
         "safety_stop",
         "release_safety_stop",
         "reset_odometry",
@@ -146,27 +146,27 @@ def test_services_have_keys(keys: Keys) -> None:
 def test_parameter_sets_in_turn() -> None:
     typed = list("ppp")
     keyboard = Keyboard(LIMITS, lambda: [typed.pop()] if typed else [], 1.0, ["floor", "rail"])
-    asked = [request for _ in range(3) for request in keyboard.poll(0.0)]
-    assert [request.service for request in asked] == ["set_drive_parameters"] * 3
-    assert [request.arguments["set"] for request in asked] == ["floor", "rail", ""]
+    requests = [request for _ in range(3) for request in keyboard.poll(0.0)]
+    assert [request.service for request in requests] == ["set_drive_parameters"] * 3
+    assert [request.arguments["set"] for request in requests] == ["floor", "rail", ""]
     assert keyboard.message == "parameters: the ordinary values"
 
 
-def test_a_safety_stop_ends_the_motion_for_after_its_release(keys: Keys) -> None:
+def test_a_safety_stop_ends_the_motion_also_after_its_release(keys: Keys) -> None:
     keys.type("i", 0.0)
     keys.type("xX", 0.1)
     assert keys.at(0.2) is None
 
 
 @pytest.mark.parametrize("typed", ["q", "\x04", "\x03"])
-def test_keys_that_end_it_stop_the_robot(keys: Keys, typed: str) -> None:
+def test_keys_that_quit_stop_the_robot(keys: Keys, typed: str) -> None:
     keys.type("i", 0.0)
     keys.type(typed, 0.1)
     assert keys.keyboard.finished
     assert keys.at(0.1) == ZERO_TWIST
 
 
-def test_a_terminal_that_is_gone_ends_it() -> None:
+def test_a_closed_terminal_ends_the_teleoperation() -> None:
     typed = [["i"]]
 
     def read() -> list[str]:
@@ -182,7 +182,7 @@ def test_a_terminal_that_is_gone_ends_it() -> None:
     assert keyboard.twist(0.0) == ZERO_TWIST
 
 
-def test_keys_that_mean_nothing_do_nothing(keys: Keys) -> None:
+def test_unknown_keys_have_no_effect(keys: Keys) -> None:
     assert keys.type("\x1b[5~\x1b[200~zäé\x1b\x1b\x00\x1a\x1c", 0.0) == []
     assert keys.at(0.0) is None
     assert not keys.keyboard.finished

@@ -1,4 +1,4 @@
-"""The loop: from keys through the multiplexer to a robot that moves, and always to a stop."""
+"""The loop: keys move the robot through the multiplexer, and the end is always a stop."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ class Drive:
         operate(self.vehicle, keyboard, "teleop_joy", self.shown.append, clock=self.clock)
 
 
-def held(key: str, start: float, end: float) -> dict[float, str]:
+def held_state(key: str, start: float, end: float) -> dict[float, str]:
     presses = [start] + [start + 0.25 + i * 0.04 for i in range(int((end - start - 0.25) / 0.04))]
     return dict.fromkeys(presses, key)
 
 
 def test_a_held_key_moves_the_robot_and_its_end_stops_it() -> None:
-    drive = Drive({**held("i", 0.1, 2.0), 4.0: "q"})
+    drive = Drive({**held_state("i", 0.1, 2.0), 4.0: "q"})
     drive.run()
     state = drive.vehicle.call("state")
     assert state["pose"]["x"] == pytest.approx(1.5 * 2.0, abs=0.8)
@@ -69,7 +69,7 @@ def test_a_held_key_moves_the_robot_and_its_end_stops_it() -> None:
 
 
 def test_quitting_at_full_speed_stops_first() -> None:
-    drive = Drive({**held("i", 0.1, 2.0), 1.9: "q"})
+    drive = Drive({**held_state("i", 0.1, 2.0), 1.9: "q"})
     drive.run()
     assert abs(drive.vehicle.call("state")["in_force"]["vx"]) < 1e-3
 
@@ -80,7 +80,7 @@ def test_an_interrupt_stops_first_too() -> None:
             drive.hook = lambda now: None
             raise KeyboardInterrupt
 
-    drive = Drive(held("i", 0.1, 2.0))
+    drive = Drive(held_state("i", 0.1, 2.0))
     drive.hook = interrupt
     with pytest.raises(KeyboardInterrupt):
         drive.run()
@@ -88,7 +88,7 @@ def test_an_interrupt_stops_first_too() -> None:
     assert drive.vehicle.call("state")["pose"]["x"] > 0.5
 
 
-def test_it_gives_way_to_navigation_and_takes_over_from_it() -> None:
+def test_navigation_drives_when_the_operator_does_not() -> None:
     def navigate(now: float) -> None:
         drive.vehicle.call("twist", source="auto_nav", vx=0.2)
         sources[round(now, 2)] = drive.vehicle.call("state")["source"]
@@ -102,14 +102,14 @@ def test_it_gives_way_to_navigation_and_takes_over_from_it() -> None:
     assert sources[3.0] == "auto_nav"
 
 
-def test_what_is_refused_is_shown() -> None:
+def test_a_refused_request_is_shown() -> None:
     drive = Drive({0.1: "h", 1.0: "q"})
     drive.run()
     assert any("there is no service `home_steering`" in lines[1] for lines in drive.shown)
 
 
 def test_the_safety_stop_holds_the_robot() -> None:
-    drive = Drive({**held("i", 0.1, 4.0), 1.01: "x", 3.9: "q"})
+    drive = Drive({**held_state("i", 0.1, 4.0), 1.01: "x", 3.9: "q"})
     drive.run()
     assert drive.vehicle.call("state")["locks"] == ["safety_stop"]
     assert any("locked: safety_stop" in lines[1] for lines in drive.shown)
@@ -119,9 +119,9 @@ def test_the_safety_stop_holds_the_robot() -> None:
 def test_a_machine_that_is_too_slow_falls_behind_the_clock() -> None:
     drive = Drive({})
     drive.vehicle.cycle()
-    before = drive.vehicle.now
+    speed_before = drive.vehicle.now
     drive.clock.now += 5.0
     drive.vehicle.cycle()
-    assert drive.vehicle.now - before == pytest.approx(0.1)
+    assert drive.vehicle.now - speed_before == pytest.approx(0.1)
     drive.vehicle.cycle()
-    assert drive.vehicle.now - before == pytest.approx(0.12)
+    assert drive.vehicle.now - speed_before == pytest.approx(0.12)

@@ -1,4 +1,4 @@
-"""The terminal is put back as it was, and never holds the control cycle."""
+"""The terminal is restored and never delays the control cycle."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from thorvaldc.tools.teleoperation.terminal import Terminal
 
 
 class Pty(NamedTuple):
-    """``ours`` is the person's end."""
+    """``our_end`` is the end of the person."""
 
-    ours: int
+    our_end: int
     keys: IO[str]
     screen: IO[str]
 
-    def shown(self) -> str:
-        """All that is to be read just now."""
-        found = b""
-        while select.select([self.ours], [], [], 0.05)[0]:
-            found += os.read(self.ours, 65536)
-        return found.decode()
+    def output(self) -> str:
+        """Returns the output that the command has written so far."""
+        output = b""
+        while select.select([self.our_end], [], [], 0.05)[0]:
+            output += os.read(self.our_end, 65536)
+        return output.decode()
 
     @property
     def settings(self) -> list[Any]:
@@ -36,68 +36,70 @@ class Pty(NamedTuple):
 
 @pytest.fixture
 def terminal() -> Iterator[Pty]:
-    ours, theirs = pty.openpty()
-    keys = os.fdopen(theirs, "r", closefd=False)
-    screen = os.fdopen(os.dup(theirs), "w")
-    yield Pty(ours, keys, screen)
-    for close in (keys.close, screen.close, lambda: os.close(theirs)):
+    our_end, terminal_end = pty.openpty()
+    keys = os.fdopen(terminal_end, "r", closefd=False)
+    screen = os.fdopen(os.dup(terminal_end), "w")
+    yield Pty(our_end, keys, screen)
+    for close in (keys.close, screen.close, lambda: os.close(terminal_end)):
         with contextlib.suppress(OSError):
             close()
-    os.close(ours)
+    os.close(our_end)
 
 
 def test_keys_come_one_by_one_and_are_not_shown(terminal: Pty) -> None:
     with Terminal(terminal.keys, terminal.screen) as raw:
-        terminal.shown()
+        terminal.output()
         assert raw.read() == []
-        os.write(terminal.ours, b"i\x1b[A")
+        os.write(terminal.our_end, b"i\x1b[A")
         assert raw.read() == ["i", "up"]
-        os.write(terminal.ours, b"\x1a\x1c\x13q")  # Ctrl-Z, Ctrl-\, Ctrl-S are plain keys
+        os.write(terminal.our_end, b"\x1a\x1c\x13q")  # Ctrl-Z, Ctrl-\, Ctrl-S are plain keys
         assert raw.read()[-1] == "q"
-        assert terminal.shown() == ""
+        assert terminal.output() == ""
 
 
 @pytest.mark.parametrize("fault", [None, KeyboardInterrupt, RuntimeError])
-def test_it_is_put_back_whatever_happened(terminal: Pty, fault: type[BaseException] | None) -> None:
-    before = terminal.settings
+def test_the_settings_are_restored_after_any_exception(
+    terminal: Pty, fault: type[BaseException] | None
+) -> None:
+    settings_before = terminal.settings
     with contextlib.ExitStack() as stack:
         if fault is not None:
             stack.enter_context(pytest.raises(fault))
         with Terminal(terminal.keys, terminal.screen) as raw:
             raw.show(["one", "two"])
-            assert terminal.settings != before
+            assert terminal.settings != settings_before
             if fault is not None:
                 raise fault
-    assert terminal.settings == before
-    shown = terminal.shown()
-    assert shown.startswith("\x1b[?25l")
-    assert shown.endswith("\x1b[?25h\r\n")
+    assert terminal.settings == settings_before
+    output = terminal.output()
+    assert output.startswith("\x1b[?25l")
+    assert output.endswith("\x1b[?25h\r\n")
 
 
 def test_lines_are_shown_over_the_last_and_cut_to_the_width(terminal: Pty) -> None:
     with Terminal(terminal.keys, terminal.screen) as raw:
         raw.show(["a", "b" * 500])
         raw.show(["c", "d"])
-    shown = terminal.shown()
-    assert "b" * 79 in shown
-    assert "b" * 80 not in shown
-    assert "\x1b[1A\r\x1b[2Kc\r\n\r\x1b[2Kd" in shown
+    output = terminal.output()
+    assert "b" * 79 in output
+    assert "b" * 80 not in output
+    assert "\x1b[1A\r\x1b[2Kc\r\n\r\x1b[2Kd" in output
 
 
-def test_a_terminal_that_takes_nothing_does_not_hold_the_robot(terminal: Pty) -> None:
-    """As behind a connection that stalls: nobody reads the other end."""
+def test_a_stalled_terminal_does_not_delay_the_cycle(terminal: Pty) -> None:
+    """As on a stalled connection, nobody reads the other end."""
     with Terminal(terminal.keys, terminal.screen) as raw:
         for _ in range(1000):
             raw.show(["x" * 70, "y" * 70])
-        assert len(terminal.shown()) < 100_000  # somebody reads again
+        assert len(terminal.output()) < 100_000  # somebody reads again
         raw.show(["z"])
-    assert "z" in terminal.shown()
+    assert "z" in terminal.output()
 
 
 def test_a_terminal_that_hangs_up(terminal: Pty) -> None:
     with Terminal(terminal.keys, terminal.screen) as raw:
-        os.close(os.dup(terminal.ours))
-        os.dup2(os.open(os.devnull, os.O_RDONLY), terminal.ours)
+        os.close(os.dup(terminal.our_end))
+        os.dup2(os.open(os.devnull, os.O_RDONLY), terminal.our_end)
         with pytest.raises(EOFError):
             raw.read()
         with pytest.raises(EOFError):

@@ -1,4 +1,4 @@
-"""Whatever happens, a command ends with its status and at most a few lines; see cli/main.py."""
+"""A command ends with its status and at most a few lines, whatever happens; see cli/exits.py."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-# The command with `targets` doing something else.
+# The command `targets` with another body.
 SCRIPT = """
 import sys, os, time
 import thorvaldc.cli.commands.targets as command
@@ -45,7 +45,7 @@ def test_ctrl_c_is_one_line_and_130() -> None:
     assert (process.returncode, err) == (130, "interrupted\n")
 
 
-def test_ctrl_c_that_a_package_takes_for_a_fault_of_its_own() -> None:
+def test_ctrl_c_that_a_package_converts_to_another_exception() -> None:
     process = start(
         "print('started', flush=True)\n"
         "try: time.sleep(30)\n"
@@ -91,7 +91,7 @@ def test_an_operating_system_error_is_3_and_one_line() -> None:
     assert err == "error: /nowhere/at/all: No such file or directory\n"
 
 
-def test_a_fault_of_ours_says_so_without_a_traceback() -> None:
+def test_an_internal_error_is_reported_without_a_traceback() -> None:
     status, out, err = finish("raise KeyError('wheel')")
     assert (status, out) == (70, "")
     assert err.startswith("internal error: KeyError: 'wheel'\n")
@@ -100,7 +100,7 @@ def test_a_fault_of_ours_says_so_without_a_traceback() -> None:
     assert len(err.splitlines()) == 3
 
 
-def test_the_traceback_can_be_had() -> None:
+def test_a_variable_shows_the_traceback() -> None:
     environment = {**os.environ, "THORVALDC_TRACEBACK": "1"}
     status, _, err = finish("raise KeyError('wheel')", env=environment)
     assert status == 70
@@ -108,7 +108,7 @@ def test_the_traceback_can_be_had() -> None:
     assert "in targets" in err
 
 
-def test_a_recursion_without_end_is_a_fault_of_ours() -> None:
+def test_an_endless_recursion_is_an_internal_error() -> None:
     status, _, err = finish("def f(): f()\nf()")
     assert status == 70
     assert len(err.splitlines()) == 3
