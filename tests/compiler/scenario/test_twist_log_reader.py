@@ -152,10 +152,10 @@ def test_what_no_velocities_are_to_be_had_of_is_told(tmp_path: Path) -> None:
         ("{log: bag, robot: cart}", "script-log", "2 topics with velocities", "it has /a, /b"),
         ("{log: bag, topic: /c}", "script-log", "does not exist", "it has /a, /b"),
         ("{log: wild, robot: cart}", "script-log", "is no number or above 1e+09", ""),
-        ("{log: drive.csv, topic: /a}", "script-log", "no bag", ""),
+        ("{log: drive.csv, topic: /a}", "script-log", "not a ROS bag", ""),
         ("{log: holes.csv}", "script-log", "no velocity at 1 s", ""),
         ("{log: folder, robot: cart}", "script-log", "no file cart.csv", ""),
-        ("{log: cut.mcap}", "record-unreadable", "cannot be read as a bag", "mcap recover"),
+        ("{log: cut.mcap}", "record-unreadable", "cannot be read as a ROS bag", "mcap recover"),
         ("{log: drive.csv, robot: car}", "scenario-robot-unknown", "no robot `car`", "`cart`"),
     ):
         found = fault(tmp_path, script)

@@ -1,0 +1,119 @@
+"""Staging folders, folder locks and the exchange of two folders in one system call."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from thorvaldc.diagnostics.interrupts import uninterrupted
+
+STAGE_PREFIX = ".thorvaldc-"
+
+
+@contextlib.contextmanager
+def staging_folder(target: Path) -> Iterator[Path]:
+    """Creates a folder on the file system of ``target``, and deletes it at the end.
+
+    It is beside the target, or in it if that is not possible.  It is locked while in use: an
+    unlocked staging folder was left by a killed process and is deleted here.
+    """
+    parents = [target.parent]
+    if target.exists():
+        parents = [target] if _is_fixed(target) else [target.parent, target]
+    handle = None
+    try:
+        for i, parent in enumerate(parents):
+            stage = parent / f"{STAGE_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
+            try:
+                with locked(parent):
+                    _delete_abandoned(parent)
+                    stage.mkdir()
+                    handle = _lock(stage, wait=False)
+                break
+            except OSError:
+                if i + 1 == len(parents):
+                    raise
+        yield stage
+    finally:
+        with uninterrupted():
+            shutil.rmtree(stage, ignore_errors=True)
+            if handle is not None:
+                os.close(handle)
+
+
+def _is_fixed(target: Path) -> bool:
+    """Whether the folder must keep its inode: a mount point, or a parent of the current folder.
+
+    After an exchange, a shell in the folder would be in the deleted old one.
+    """
+    try:
+        current = Path.cwd()
+    except OSError:
+        return os.path.ismount(target)
+    return os.path.ismount(target) or current == target or target in current.parents
+
+
+def _delete_abandoned(parent: Path) -> None:
+    with contextlib.suppress(OSError):
+        for stage in sorted(parent.glob(f"{STAGE_PREFIX}*")):
+            handle = _lock(stage, wait=False)
+            if handle is not None:
+                shutil.rmtree(stage, ignore_errors=True)
+                os.close(handle)
+
+
+# -- locks --------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Waits until no other build uses the folder; does nothing on systems without ``flock``."""
+    handle = _lock(folder, wait=True)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _lock(folder: Path, *, wait: bool) -> int | None:
+    """Locks a folder until the returned handle is closed; ``None`` if that is not possible."""
+    try:
+        import fcntl  # not on Windows
+
+        handle = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
+
+
+# -- exchange -----------------------------------------------------------------------------
+
+
+def is_exchangeable(target: Path, stage: Path) -> bool:
+    """Whether the two folders are beside each other and the target need not keep its inode."""
+    return stage.parent == target.parent and not _is_fixed(target)
+
+
+def exchange(first: Path, second: Path) -> bool:
+    """Exchanges two folders in one system call; returns ``False`` if the system cannot."""
+    import ctypes  # loaded only when a build is replaced
+
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+        paths = os.fsencode(first), os.fsencode(second)
+        if sys.platform == "darwin":
+            return bool(library.renamex_np(*paths, 2) == 0)  # RENAME_SWAP
+        at_cwd, rename_exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
+        return bool(library.renameat2(at_cwd, paths[0], at_cwd, paths[1], rename_exchange) == 0)
+    except (OSError, AttributeError, TypeError):
+        return False
