@@ -29,13 +29,13 @@ FindAttachment = Callable[[str | None], Attachment | None]
 class Placement:
     """Position of the root links of a file: parent and pose (xyz, rpy) of its entry.
 
-    ``span`` is the span of the entry, ``pose_node`` the first of parent, xyz and rpy in it.
+    ``span`` is the span of the entry, ``placement_node`` the first of parent, xyz and rpy in it.
     """
 
     span: Span
     parent: Node | None
     pose: Pose
-    pose_node: Node | None
+    placement_node: Node | None
 
 
 class ExtrasJoiner:
@@ -164,12 +164,12 @@ class ExtrasJoiner:
     def mount(self, entry: Placement, roots: Sequence[Link]) -> list[Joint]:
         """Returns fixed joints that mount the root links of a file as its entry requests."""
         if not roots:
-            if entry.pose_node is not None:
+            if entry.placement_node is not None:
                 self.report.add(
                     "extra-placement-unused",
                     "the joints of the xacro file connect all its links to the robot: "
                     "parent, xyz and rpy have no effect",
-                    entry.pose_node.where,
+                    entry.placement_node.where,
                     hint="remove them, or pass them as args if the file has such arguments",
                 )
             return []

@@ -108,7 +108,7 @@ class _Entry:
     packages: dict[str, str]
     parent: Node | None
     pose: Pose
-    pose_node: Node | None  # the first of parent, xyz and rpy in the entry
+    placement_node: Node | None  # the first of parent, xyz and rpy in the entry
 
     @property
     def span(self) -> Span:
@@ -116,7 +116,7 @@ class _Entry:
         return file_node.span if file_node is not None else self.node.span
 
     def placement(self) -> Placement:
-        return Placement(self.span, self.parent, self.pose, self.pose_node)
+        return Placement(self.span, self.parent, self.pose, self.placement_node)
 
     @staticmethod
     def read(node: Node, base_dir: Path, paths: DisplayPaths, report: Report) -> _Entry | None:
@@ -131,7 +131,7 @@ class _Entry:
         if not exists:
             report.add(
                 "extra-missing",
-                f"xacro file `{paths.name(str(file))}` does not exist",
+                f"the xacro file `{paths.name(str(file))}` does not exist",
                 file_node.span,
                 hint="the path is relative to the robot file",
             )
@@ -201,7 +201,7 @@ def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
 
 # Kind of failure of ``xacro_worker`` -> code, message, hint.
 _FAILURES = {
-    "xml": ("extra-xml", "xacro file is not well-formed XML: {text}", None),
+    "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
     "root": ("extra-xml", "the root element of a xacro file must be <robot>, not {text}", None),
     "limit": (
         "extra-limit",

@@ -39,11 +39,11 @@ def show(value: Any, bare: bool = False) -> str:
         return "true" if value else "false"
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))
-    if isinstance(value, int | float):
+    if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
         return value if bare else f"the text `{value[:40]}`"
-    if isinstance(value, list | tuple):
+    if isinstance(value, (list, tuple)):
         if bare:
             return "[" + ", ".join(show(item, bare=True) for item in value) + "]"
         return f"a list of {len(value)}"
@@ -51,7 +51,7 @@ def show(value: Any, bare: bool = False) -> str:
 
 
 def _require_number(value: Any, offset: int, name: str) -> Number:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ExpressionError(f"`{name}` requires a number, got {show(value)}", offset)
     return value
 
@@ -145,7 +145,7 @@ def attribute(operand: Evaluate, name: str, offset: int) -> Evaluate:
 def element(operand: Evaluate, index: Evaluate, offset: int) -> Evaluate:
     def read(scope: Scope) -> Any:
         value, position = operand(scope), index(scope)
-        if not isinstance(value, list | tuple):
+        if not isinstance(value, (list, tuple)):
             raise ExpressionError(f"{show(value)} has no elements", offset)
         if isinstance(position, float) and position.is_integer():
             position = int(position)
@@ -251,7 +251,7 @@ def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
         joined: Any = None
         if isinstance(left, str) and isinstance(right, str):
             joined = left + right
-        elif isinstance(left, list | tuple) and isinstance(right, list | tuple):
+        elif isinstance(left, (list, tuple)) and isinstance(right, (list, tuple)):
             joined = [*left, *right]
         if joined is not None:
             if len(joined) > MAX_ELEMENTS:
@@ -301,10 +301,10 @@ def call(name: str, arguments: list[Evaluate], offset: int) -> Evaluate:
     def run(scope: Scope) -> Any:
         values = [argument(scope) for argument in arguments]
         if name == "len":
-            if not isinstance(values[0], list | tuple | str):
+            if not isinstance(values[0], (list, tuple, str)):
                 raise ExpressionError(f"`len` requires a list, got {show(values[0])}", offset)
             return len(values[0])
-        if name in ("min", "max") and len(values) == 1 and isinstance(values[0], list | tuple):
+        if name in ("min", "max") and len(values) == 1 and isinstance(values[0], (list, tuple)):
             values = list(values[0])
             if not values:
                 raise ExpressionError(f"`{name}` of an empty list", offset)
