@@ -19,7 +19,7 @@ from bench.robots import example
 from thorvaldc.can.open_interface import open_interfaces
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driver import BaseDriver, DriverState
 from thorvaldc.runtime.runner import BaseRunner, Timing
@@ -104,13 +104,13 @@ def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]
     starting, driving = Timing(), runner.timing
     while left > 0.0:
         runner.timing = starting
-        runner.run(clock.now + 30.0, stop=lambda: runner.ready or runner.state is State.FAULT)
-        if runner.state is State.FAULT and len(faults) < MOST_FAULTS:
-            faults.append(base.supervisor.reason)
+        runner.run(clock.now + 30.0, stop=lambda: runner.ready or runner.state is BaseState.FAULT)
+        if runner.state is BaseState.FAULT and len(faults) < MOST_FAULTS:
+            faults.append(base.state_machine.reason)
             runner.reset()
             continue
         if not runner.ready:
-            raise SystemExit(f"the robot is {runner.state.value}: {base.supervisor.reason}")
+            raise SystemExit(f"the robot is {runner.state.value}: {base.state_machine.reason}")
         runner.timing, begun = driving, clock.now
         runner.run(begun + left, watch=watch, stop=lambda: not runner.ready)
         left -= clock.now - begun

@@ -22,7 +22,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST
@@ -124,7 +124,7 @@ def test_what_cannot_be_written_is_noticed() -> None:
     complete = rig.base.cycles
     sends = rig.interface.send
     rig.interface.send = lambda frame, timeout=0.0: False  # type: ignore[method-assign]
-    took = rig.until(lambda: rig.state is State.FAULT, 0.5)
+    took = rig.until(lambda: rig.state is BaseState.FAULT, 0.5)
     assert took <= 0.1
     assert "frames cannot be sent" in rig.reason
     assert rig.base.cycles <= complete + 1
@@ -170,7 +170,7 @@ def test_another_script_in_a_controller_is_noticed() -> None:
     drive = rig.simulated.devices["rr_controller"]
     assert isinstance(drive, RoboteqController)
     drive.version = (0, 9, 0)
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "rr_controller" in rig.reason
     assert "0.9.0" in rig.reason
     rig.twist = FORWARD
@@ -185,12 +185,12 @@ def test_the_safety_stop_does_more_than_to_command_zero() -> None:
         rig.drive()
         rig.runner.safety_stop()
         rig.run(2.0)  # and motion is still commanded
-        assert rig.state is State.ESTOP
+        assert rig.state is BaseState.ESTOP
         assert rig.speed() == 0.0
         assert all(c.is_off for connection in rig.base.connections for c in connection.controllers)
         rig.runner.safety_stop(False)
         rig.run(1.0)
-        assert rig.state is State.ESTOP, "a release alone starts nothing"
+        assert rig.state is BaseState.ESTOP, "a release alone starts nothing"
         assert rig.speed() == 0.0
 
 
@@ -254,7 +254,7 @@ def test_nothing_jumps_when_the_driver_goes_on_after_a_fault() -> None:
     rig.drive()
     device = rig.simulated.devices["fl_controller"]
     device.power_off()
-    rig.until(lambda: rig.state is State.FAULT, 2.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 2.0)
     device.power_on()
     rig.until(lambda: rig.speed() == 0.0, 3.0)
     with pytest.raises(RequestRefused, match="command zero first"):

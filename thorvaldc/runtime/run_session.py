@@ -23,7 +23,7 @@ from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.robot import Robot
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.driver import BaseDriver
@@ -144,25 +144,25 @@ class RunSession:
             self.ready_time = now
         if self.stop_requested:
             return True
-        if runner.state in (State.FAULT, State.ESTOP):
+        if runner.state in (BaseState.FAULT, BaseState.ESTOP):
             # An operator at the control channel can reset a fault; a run without an operator,
             # with a lost bus or with a robot that never became ready ends.
             unattended = self.twist is not None or self.duration < math.inf
             bus_lost = any(c.receiver.lost for c in runner.base.connections)
-            return unattended or bus_lost or not runner.base.supervisor.was_ready
+            return unattended or bus_lost or not runner.base.state_machine.was_ready
         return now - self.ready_time >= self.duration - 1e-9
 
     def _verdict(self) -> Diagnostic | None:
-        supervisor = self.runner.base.supervisor
-        if supervisor.state not in (State.FAULT, State.ESTOP):
+        state_machine = self.runner.base.state_machine
+        if state_machine.state not in (BaseState.FAULT, BaseState.ESTOP):
             return None
         code, hint = "bus-stopped", None
-        if supervisor.mismatch:
+        if state_machine.mismatch:
             code = "bus-mismatch"
             hint = "is it this robot's file? `thorvaldc can plan` shows the differences"
-        elif not supervisor.was_ready:
+        elif not state_machine.was_ready:
             code = "bus-start"
-        return Diagnostic(CODES[code], supervisor.reason, self.robot.span, hint)
+        return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)
 
     def status_line(self) -> str:
         """Returns state, twist, pose, battery and timing in one line."""
@@ -188,13 +188,13 @@ class RunSession:
     def summary(self) -> dict[str, Any]:
         """Returns the run as plain values, in SI; the pose is relative to the start."""
         runner = self.runner
-        supervisor, timing = runner.base.supervisor, runner.timing
+        state_machine, timing = runner.base.state_machine, runner.timing
         pose = runner.driver.state.pose
         return {
             "robot": self.robot.name,
             "state": runner.state.value,
-            "reason": supervisor.reason,
-            "was_ready": supervisor.was_ready,
+            "reason": state_machine.reason,
+            "was_ready": state_machine.was_ready,
             "seconds": self.elapsed,
             "pose": {"x": pose.x, "y": pose.y, "yaw": pose.yaw},
             "timing": {

@@ -22,7 +22,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.robot import Robot
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState, IoBoardDriver
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
@@ -50,7 +50,7 @@ class StateChange(NamedTuple):
     """A change of the base's state: time (s), new state, and the reason of FAULT or ESTOP."""
 
     time: float
-    state: State
+    state: BaseState
     reason: str
 
 
@@ -106,18 +106,18 @@ class BaseRunner:
         self._keep_starts = keep_starts
         self._deadline: float | None = None
         self._was_ready = False
-        base.supervisor.changed = self._note_change
+        base.state_machine.changed = self._note_change
 
     # -- the loop ----------------------------------------------------------------------------------
 
     @property
-    def state(self) -> State:
-        return self.base.supervisor.state
+    def state(self) -> BaseState:
+        return self.base.state_machine.state
 
     @property
     def ready(self) -> bool:
         """``True`` where the robot follows commands."""
-        return self.state.drives and not self.base.supervisor.ending
+        return self.state.drives and not self.base.state_machine.ending
 
     def cycle(self, now: float) -> DriverState:
         """Runs one control cycle: services, command, measurement, driver, frames, state."""
@@ -128,7 +128,7 @@ class BaseRunner:
         self.base.arm(commanded)
         state = self.driver.tick(now)
         stale = state.mode is not DriveMode.DRIVING
-        self.base.supervisor.note_motion(now, not self.base.standing, stale)
+        self.base.state_machine.note_motion(now, not self.base.standing, stale)
         if self.ready and not self._was_ready:
             # Motions of the joints during homing moved the odometry, but not the robot.
             self._was_ready = True
@@ -178,16 +178,16 @@ class BaseRunner:
         Quick stop, torque off, NMT pre-operational.  Takes until the robot stands, at most
         ``Times.stop``.
         """
-        supervisor = self.base.supervisor
-        supervisor.end()
+        state_machine = self.base.state_machine
+        state_machine.end()
         self.feed = None
         try:
-            limit = self.clock.now + supervisor.times.stop
+            limit = self.clock.now + state_machine.times.stop
             self._deadline = None
             # At least two cycles: the first sends the commands, the second reads the reports.
             earliest = self.clock.now + 2.5 * self.period
-            self.run(limit, stop=lambda: supervisor.ended and self.clock.now > earliest)
-            if supervisor.may_send:
+            self.run(limit, stop=lambda: state_machine.ended and self.clock.now > earliest)
+            if state_machine.may_send:
                 for connection in self.base.connections:
                     connection.outbox.clear()
                     connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -197,7 +197,7 @@ class BaseRunner:
         finally:
             self.base.close()
 
-    def _note_change(self, now: float, state: State, reason: str) -> None:
+    def _note_change(self, now: float, state: BaseState, reason: str) -> None:
         self.changes.append(StateChange(now, state, reason))
 
     # -- services ----------------------------------------------------------------------------------
@@ -226,7 +226,7 @@ class BaseRunner:
 
         To drive again, ``reset`` is necessary.  A stop in software is not a safety function.
         """
-        self.base.supervisor.safety_stop(engaged)
+        self.base.state_machine.safety_stop(engaged)
 
     def reset(self) -> None:
         """Leaves FAULT or ESTOP.
@@ -235,11 +235,11 @@ class BaseRunner:
         """
         now = self.clock.now
         commanded = self.driver.commanded_twist(now) != ZERO_TWIST
-        _raise_if(self.base.supervisor.reset(now, commanded))
+        _raise_if(self.base.state_machine.reset(now, commanded))
 
     def home_steering(self) -> None:
         """Homes every steering again.  The steerings turn."""
-        _raise_if(self.base.supervisor.home(self.clock.now))
+        _raise_if(self.base.state_machine.home(self.clock.now))
 
     def set_home_count_current_position_zero(self, node: str = "") -> None:
         """Makes the present steering angle 0 from the next homing on, of one node or of all.
@@ -378,7 +378,7 @@ class BaseRunner:
         raise RequestRefused(f"there is no bus `{bus}`")
 
     def _require_standing(self) -> None:
-        if self.state is State.ACTIVE or not self.base.standing:
+        if self.state is BaseState.ACTIVE or not self.base.standing:
             raise RequestRefused("the robot drives; stop it first")
 
 

@@ -18,7 +18,7 @@ from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import ObjectValue
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
@@ -142,7 +142,7 @@ class Reaction(NamedTuple):
     ``rest``: time (s) until all wheels stood; ``None``: they still turned.
     """
 
-    state: State | None
+    state: BaseState | None
     after: float | None
     rest: float | None
 
@@ -161,7 +161,7 @@ def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
     if phase == "stopping":
         rig.twist = ZERO_TWIST
         rig.run(0.1)
-    expected = {"idle": State.READY, "driving": State.ACTIVE, "stopping": State.ACTIVE}
+    expected = {"idle": BaseState.READY, "driving": BaseState.ACTIVE, "stopping": BaseState.ACTIVE}
     assert rig.state is expected[phase], f"{rig.state} {rig.reason}"
     injected_at = rig.now
     FaultInjector(rig.simulated, BusFaults(())).strike(fault)
@@ -170,7 +170,7 @@ def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
         if phase == "driving":
             _steer(rig)
         rig.run(rig.base.period)
-        if state is None and rig.state in (State.FAULT, State.ESTOP):
+        if state is None and rig.state in (BaseState.FAULT, BaseState.ESTOP):
             state, after = rig.state, rig.now - injected_at
         if rig.speed() > 0.0:
             rest = None

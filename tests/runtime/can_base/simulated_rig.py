@@ -7,7 +7,7 @@ from collections.abc import Callable
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import BaseHandle
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.runner import BaseRunner
@@ -59,12 +59,12 @@ class Rig:
         return self.interface.now
 
     @property
-    def state(self) -> State:
+    def state(self) -> BaseState:
         return self.runner.state
 
     @property
     def reason(self) -> str:
-        return self.base.supervisor.reason
+        return self.base.state_machine.reason
 
     def run(self, seconds: float) -> None:
         self.runner.run(self.now + seconds)
@@ -77,7 +77,7 @@ class Rig:
         return self.now - start
 
     def ready(self) -> None:
-        self.until(lambda: self.state is State.READY)
+        self.until(lambda: self.state is BaseState.READY)
         self.run(0.1)
 
     def drive(self, twist: Twist = FORWARD, seconds: float = 2.0) -> None:
@@ -86,7 +86,7 @@ class Rig:
             self.ready()
         self.twist = twist
         self.run(seconds)
-        assert self.state is State.ACTIVE, f"{self.state} {self.reason}"
+        assert self.state is BaseState.ACTIVE, f"{self.state} {self.reason}"
 
     def speed(self) -> float:
         """Returns the true speed (m/s) of the fastest wheel, from its simulated motor."""

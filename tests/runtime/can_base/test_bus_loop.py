@@ -17,7 +17,7 @@ from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.motor_controller import Intent
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
@@ -136,9 +136,9 @@ def test_an_incomplete_cycle_has_neither_sync_nor_heartbeat() -> None:
     assert MASTER_HEARTBEAT not in sent
     assert rig.base.cycles == complete
     assert rig.base.incomplete == 2
-    assert rig.state is State.ACTIVE
+    assert rig.state is BaseState.ACTIVE
     rig.run(3 * PERIOD)
-    assert rig.state is State.FAULT
+    assert rig.state is BaseState.FAULT
     assert "frames cannot be sent" in rig.reason
 
 
@@ -172,7 +172,7 @@ def test_commands_that_are_not_finite_stop_the_robot() -> None:
     rig.base.read(rig.now)
     earlier = len(rig.frames)
     rig.base.write(bad, rig.now)
-    assert rig.state is State.FAULT
+    assert rig.state is BaseState.FAULT
     assert "finite" in rig.reason
     rig.simulated.run(0.01)
     speeds = [
@@ -192,10 +192,10 @@ def test_after_a_stale_command_the_robot_ramps_to_rest_and_holds_its_steering() 
     assert angles is not None
     steering_angles = list(angles.angles)
     rig.twist = None
-    took = rig.until(lambda: rig.state is State.STOPPING)
+    took = rig.until(lambda: rig.state is BaseState.STOPPING)
     assert 0.48 < took < 0.56
     speeds = [rig.speed()]
-    while rig.state is State.STOPPING:
+    while rig.state is BaseState.STOPPING:
         rig.run(PERIOD)
         speeds.append(rig.speed())
         joints = rig.runner.driver.state.joints
@@ -205,23 +205,23 @@ def test_after_a_stale_command_the_robot_ramps_to_rest_and_holds_its_steering() 
     largest = max(a - b for a, b in itertools.pairwise(speeds))
     limit = rig.robot.driver.max_linear_acceleration
     assert largest < 2.0 * limit * PERIOD  # ramped, not dropped
-    assert rig.state is State.READY
+    assert rig.state is BaseState.READY
 
 
 def test_a_command_from_before_the_start_does_not_move_it() -> None:
     """A joystick that is deflected during the start: the robot stands until it was centred."""
     rig = Rig(four_wheels())
     rig.twist = FORWARD
-    rig.until(lambda: rig.state is State.READY)
+    rig.until(lambda: rig.state is BaseState.READY)
     rig.run(1.0)
-    assert rig.state is State.READY
+    assert rig.state is BaseState.READY
     assert rig.speed() == 0.0
     assert "before the base was ready" in rig.base.hold_reason
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.twist = FORWARD
     rig.run(1.0)
-    assert rig.state is State.ACTIVE
+    assert rig.state is BaseState.ACTIVE
 
 
 # -- health ------------------------------------------------------------------
@@ -246,10 +246,10 @@ def test_one_missed_report_is_tolerated_two_are_a_fault(make: Make) -> None:
     rig.drive()
     lose(rig, 0x181, 1)
     rig.run(0.5)
-    assert rig.state is State.ACTIVE
+    assert rig.state is BaseState.ACTIVE
     at = rig.now
     lose(rig, 0x181, 3)
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     assert rig.now - at < 0.085
     assert "no tpdo1 for" in rig.reason
 
@@ -260,7 +260,7 @@ def test_a_missing_heartbeat_is_a_fault(make: Make) -> None:
     rig.drive()
     at = rig.now
     device(rig).heartbeat_stopped = True
-    rig.until(lambda: rig.state is State.FAULT, 2.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 2.0)
     assert 0.18 < rig.now - at < 0.34
     assert "fl_controller: no heartbeat" in rig.reason
 
@@ -271,14 +271,14 @@ def test_a_device_error_of_one_wheel_stops_all(make: Make) -> None:
     rig.drive()
     device(rig).emergency(0x3210)
     at = rig.now
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     assert rig.now - at < 0.045
     assert "emergency 0x3210" in rig.reason
     rig.until(lambda: rig.speed() == 0.0, 2.0)
     rig.run(0.5)
-    intents = {rig.base.supervisor.intent}
+    intents = {rig.base.state_machine.intent}
     assert intents == {Intent.QUICK_STOP}
-    for controller in rig.base.supervisor.controllers:
+    for controller in rig.base.state_machine.controllers:
         assert controller.is_off
 
 
@@ -288,9 +288,11 @@ def test_a_node_that_restarts_is_a_fault_and_unhomed(make: Make) -> None:
     rig.drive()
     device(rig).power_off()
     rig.simulated.timeline.after(10_000_000, device(rig).power_on)
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     rig.run(1.0)
-    controller = next(c for c in rig.base.supervisor.controllers if c.node.name == "fl_controller")
+    controller = next(
+        c for c in rig.base.state_machine.controllers if c.node.name == "fl_controller"
+    )
     assert not controller.homed
     rig.twist = ZERO_TWIST
     rig.run(0.1)
@@ -298,7 +300,7 @@ def test_a_node_that_restarts_is_a_fault_and_unhomed(make: Make) -> None:
     rig.runner.reset()
     rig.ready()
     names = [change.state for change in rig.runner.changes]
-    assert names == [State.PREOP, State.CONFIG, State.HOMING, State.READY]
+    assert names == [BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING, BaseState.READY]
     rig.drive()
 
 
@@ -312,24 +314,24 @@ def test_a_driver_that_was_late_itself_does_not_judge_silence() -> None:
     rig.run(PERIOD)  # the receiving thread has not run yet
     rig.base.connections[0].receiver.drain = drain  # type: ignore[method-assign]
     rig.run(0.5)
-    assert rig.state is State.ACTIVE
+    assert rig.state is BaseState.ACTIVE
     device(rig).power_off()
     rig.simulated.run(0.08)
-    rig.until(lambda: rig.state is State.FAULT, 0.1)
+    rig.until(lambda: rig.state is BaseState.FAULT, 0.1)
 
 
 def test_a_node_that_leaves_operational_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     device(rig).enter(NmtState.PRE_OPERATIONAL)
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
 
 
 def test_a_bus_off_interface_is_a_fault() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     rig.interface.controller.go_bus_off()  # type: ignore[attr-defined]
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     assert "bus-off" in rig.reason
     rig.simulated.run(2.0)
     assert rig.speed() == 0.0
@@ -355,7 +357,7 @@ def test_another_master_is_detected_before_anything_is_sent(frame: CanFrame) -> 
         rig.simulated.timeline.after(100_000_000, send_again)
 
     send_again()
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     assert "another master" in rig.reason
     rig.run(0.5)
     assert rig.interface.controller.sent == 0  # type: ignore[attr-defined]
@@ -365,7 +367,7 @@ def test_another_master_while_it_drives_stops_it() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     rig.simulated.interface(name="other").send(CanFrame(SYNC))
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     rig.until(lambda: rig.speed() == 0.0, 2.0)
 
 
@@ -379,8 +381,8 @@ def test_no_wheel_turns_before_all_steerings_are_homed(make: Make) -> None:
     while rig.state.starts:
         rig.run(PERIOD)
         assert rig.speed() == 0.0
-    assert rig.state is State.READY
-    assert all(c.homed for c in rig.base.supervisor.controllers)
+    assert rig.state is BaseState.READY
+    assert all(c.homed for c in rig.base.state_machine.controllers)
 
 
 def test_a_home_switch_that_does_not_work_is_a_fault() -> None:
@@ -388,7 +390,7 @@ def test_a_home_switch_that_does_not_work_is_a_fault() -> None:
     broken = device(rig)
     assert isinstance(broken, RoboteqController)
     broken.home_switch_works = False
-    rig.until(lambda: rig.state is State.FAULT, 40.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 40.0)
     assert "fl_controller" in rig.reason
     assert rig.speed() == 0.0
 
@@ -399,12 +401,12 @@ def test_home_steering_homes_again() -> None:
     with pytest.raises(RequestRefused, match="not ready"):
         rig.runner.home_steering()
     rig.twist = ZERO_TWIST
-    rig.until(lambda: rig.state is State.READY)
+    rig.until(lambda: rig.state is BaseState.READY)
     drive = device(rig)
     assert isinstance(drive, RoboteqController)
     drive.homed = False
     rig.runner.home_steering()
-    assert rig.state is State.HOMING
+    assert rig.state is BaseState.HOMING
     rig.ready()
     assert drive.homed
 
@@ -435,9 +437,9 @@ def test_another_script_is_refused(change: dict[str, object], reason: str) -> No
     rig = Rig(four_wheels())
     for name, value in change.items():
         setattr(device(rig), name, value)
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert reason in rig.reason
-    assert rig.base.supervisor.mismatch
+    assert rig.base.state_machine.mismatch
     rig.run(1.0)
     assert writes(rig) == []
 
@@ -449,7 +451,7 @@ def test_another_encoder_is_refused() -> None:
     assert isinstance(drive, RoboteqController)
     settings = drive.channels[0].settings
     drive.channels[0].settings = replace(settings, encoder_pulses=4096)
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "configured for 4096 pulses, but the robot file has 1024" in rig.reason
 
 
@@ -460,7 +462,7 @@ def test_another_product_is_refused_before_any_write() -> None:
     drive.description = replace(drive.description, product=403)
     drive.power_off()
     drive.power_on()
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "fl_controller: product_code (0x1018:2) is 403, but the robot file has 402" in rig.reason
     rig.run(1.0)
     assert writes(rig) == []
@@ -471,16 +473,16 @@ def test_a_parameter_that_was_never_flashed_is_refused_before_any_write() -> Non
     rig.run(0.2)
     drive = device(rig)
     drive.objects[0x1016, 1].value = 0  # it would not stop when the master has ended
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "heartbeat_consumer_time" in rig.reason
-    assert rig.base.supervisor.mismatch
+    assert rig.base.state_machine.mismatch
     rig.run(1.0)
     assert writes(rig) == []
 
 
 def test_no_controller_responds() -> None:
     rig = Rig(four_wheels(), power=False)
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "no controller responds" in rig.reason
     assert rig.now < 6.0
 
@@ -488,7 +490,7 @@ def test_no_controller_responds() -> None:
 def test_one_controller_is_missing() -> None:
     rig = Rig(four_wheels())
     device(rig).power_off()
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "no heartbeat of fl_controller" in rig.reason
 
 
@@ -500,22 +502,22 @@ def test_the_safety_stop_and_the_three_conditions_to_leave_it(make: Make) -> Non
     rig = Rig(make())
     rig.drive()
     rig.runner.safety_stop()
-    rig.until(lambda: rig.state is State.ESTOP, 0.05)
+    rig.until(lambda: rig.state is BaseState.ESTOP, 0.05)
     rig.until(lambda: rig.speed() == 0.0, 2.0)
     rig.run(0.3)
-    assert all(c.is_off for c in rig.base.supervisor.controllers)
+    assert all(c.is_off for c in rig.base.state_machine.controllers)
     with pytest.raises(RequestRefused, match="release it first"):
         rig.runner.reset()
     rig.runner.safety_stop(False)
     rig.run(1.0)
-    assert rig.state is State.ESTOP  # the release alone does not start the robot
+    assert rig.state is BaseState.ESTOP  # the release alone does not start the robot
     with pytest.raises(RequestRefused, match="command zero first"):
         rig.runner.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.05)
     rig.runner.reset()
     rig.twist = FORWARD  # too early: without a pause the base does not follow
-    rig.until(lambda: rig.state is State.READY)
+    rig.until(lambda: rig.state is BaseState.READY)
     rig.run(1.0)
     assert rig.speed() == 0.0
     rig.twist = ZERO_TWIST
@@ -536,7 +538,7 @@ def test_a_power_stage_without_power_is_an_emergency_stop() -> None:
     drive = device(rig)
     assert isinstance(drive, RoboteqController)
     drive.power_stage_error = True
-    rig.until(lambda: rig.state is State.ESTOP, 1.0)
+    rig.until(lambda: rig.state is BaseState.ESTOP, 1.0)
     assert "power stage is off" in rig.reason
     rig.until(lambda: rig.speed() == 0.0, 2.0)
     drive.power_stage_error = False
@@ -550,11 +552,11 @@ def test_a_cause_that_remains_leads_to_the_fault_again() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     device(rig).heartbeat_stopped = True
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.runner.reset()
-    rig.until(lambda: rig.state is State.FAULT)
+    rig.until(lambda: rig.state is BaseState.FAULT)
     assert "fl_controller" in rig.reason
     assert rig.speed() == 0.0
 
@@ -576,9 +578,9 @@ def test_the_shutdown_is_a_quick_stop_then_pre_operational(make: Make) -> None:
 
 def test_a_safety_stop_during_homing_ends_it() -> None:
     rig = Rig(cia402_robot())
-    rig.until(lambda: rig.state is State.HOMING)
+    rig.until(lambda: rig.state is BaseState.HOMING)
     rig.run(1.0)
     rig.runner.safety_stop()
-    rig.until(lambda: rig.state is State.ESTOP, 0.1)
+    rig.until(lambda: rig.state is BaseState.ESTOP, 0.1)
     rig.run(1.0)
-    assert all(c.is_off for c in rig.base.supervisor.controllers)
+    assert all(c.is_off for c in rig.base.state_machine.controllers)

@@ -15,7 +15,7 @@ from thorvaldc.can.cia402 import DriveState
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Node
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -61,7 +61,13 @@ def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robo
     rig = Rig(make())
     rig.ready()
     names = [change.state for change in rig.runner.changes]
-    assert names == [State.INIT, State.PREOP, State.CONFIG, State.HOMING, State.READY]
+    assert names == [
+        BaseState.INIT,
+        BaseState.PREOP,
+        BaseState.CONFIG,
+        BaseState.HOMING,
+        BaseState.READY,
+    ]
     assert rig.speed() == 0.0
     start = rig.now
     rig.drive(Twist(0.4, 0.0, 0.0), 4.0)
@@ -72,7 +78,7 @@ def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robo
     assert 1.2 < pose.x < 1.7
     assert abs(pose.y) < 0.01
     rig.twist = ZERO_TWIST
-    assert rig.until(lambda: rig.state is State.READY) < 2.0
+    assert rig.until(lambda: rig.state is BaseState.READY) < 2.0
     assert rig.base.incomplete == 0
     assert rig.runner.timing.overruns == 0
     rig.runner.shutdown()

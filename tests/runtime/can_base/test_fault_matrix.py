@@ -17,7 +17,7 @@ from tests.runtime.can_base.fault_matrix import (
     react,
     row,
 )
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 
 
 @pytest.mark.parametrize("drives", ROBOTS)
@@ -28,9 +28,9 @@ def test_reaction(case: Case, drives: str) -> None:
     for phase, reaction in reactions.items():
         limit = case.reaction[phase]
         if limit is None:
-            assert reaction.state in (None, State.FAULT), phase
+            assert reaction.state in (None, BaseState.FAULT), phase
         else:
-            assert reaction.state is State.FAULT, phase
+            assert reaction.state is BaseState.FAULT, phase
             assert reaction.after is not None
             assert reaction.after <= limit, phase
         if reaction.state is not None or phase != "driving":

@@ -11,7 +11,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.runtime.can_base.test_can_base import EXAMPLES, drives, four_wheels
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.manoeuvre import Segment, twist_at
@@ -66,6 +66,6 @@ def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> 
     for vx, vy, wz in ((top, 0, 0), (-top, 0, 0), (0, top, 0), (0, 0, turn), (0, -top, -turn)):
         rig.twist = Twist(vx, vy, wz)
         rig.run(2.0)
-        assert rig.state is State.ACTIVE, rig.reason
+        assert rig.state is BaseState.ACTIVE, rig.reason
     rig.twist = None  # the longest ramp: from full speed to rest
-    rig.until(lambda: rig.state is State.READY, 5.0)
+    rig.until(lambda: rig.state is BaseState.READY, 5.0)

@@ -65,7 +65,7 @@ def test_a_robot_drives_by_a_motor_controller_of_another_package(
     offer(monkeypatch, controller.PLUGINS.group, Entry("acme_servo", Mine))
     monkeypatch.setattr(SIMULATED_DEVICES, "builtin", dict(SIMULATED_DEVICES.builtin))
     rig = Rig(renamed(four_wheels(), "fl_controller", "acme_servo"))
-    kinds = [type(c) for c in rig.base.supervisor.controllers]
+    kinds = [type(c) for c in rig.base.state_machine.controllers]
     assert kinds.count(Mine) == 1
     rig.drive()
 

@@ -12,7 +12,7 @@ from tests.runtime.can_base.test_can_base import drives, four_wheels
 from tests.simulation.bus.robots import compiled
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.foreign_frame_relay import QUEUE_LIMIT, Relay
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Twist
@@ -29,7 +29,7 @@ def test_the_present_angle_becomes_zero_at_the_next_homing() -> None:
     rig = Rig(four_wheels())
     rig.drive(Twist(0.3, 0.0, 0.3), 3.0)
     rig.twist = ZERO_TWIST
-    rig.until(lambda: rig.state is State.READY)
+    rig.until(lambda: rig.state is BaseState.READY)
     drive = rig.simulated.devices["fl_controller"]
     assert isinstance(drive, RoboteqController)
     angle = drive.channels[1].position
@@ -165,7 +165,7 @@ def test_the_battery_driver_decodes_all_three_frames() -> None:
     battery.power_off()
     rig.run(1.5)
     assert "battery: no reports" in rig.runner.warnings()
-    assert rig.state is State.READY  # a battery drives nothing
+    assert rig.state is BaseState.READY  # a battery drives nothing
 
 
 # -- foreign devices --------------------------------------------------------------------
@@ -277,6 +277,6 @@ def test_a_robot_with_two_buses_drives_and_stops_as_one() -> None:
     for name, wire in rig.simulated.wires.items():
         assert wire.frames > 500, name
     rig.simulated.devices["fr_controller"].power_off()
-    rig.until(lambda: rig.state is State.FAULT, 1.0)
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     rig.until(lambda: rig.speed() == 0.0, 2.0)
     rig.runner.shutdown()

@@ -9,7 +9,7 @@ import pytest
 
 from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
-from thorvaldc.runtime.can_base.base_state_machine import State
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.control.service_table import ServiceError
 from thorvaldc.tools.teleoperation.bus_vehicle import BusVehicle
@@ -64,7 +64,7 @@ def test_without_a_source_the_robot_comes_to_rest(driven: DrivenRobot) -> None:
     driven.speeds.clear()
     driven.rig.run(2.0)
     assert driven.rig.speed() == 0.0
-    assert driven.rig.state is State.READY
+    assert driven.rig.state is BaseState.READY
 
 
 def test_the_safety_stop_switches_the_drives_off(driven: DrivenRobot) -> None:
@@ -72,7 +72,7 @@ def test_the_safety_stop_switches_the_drives_off(driven: DrivenRobot) -> None:
     driven.rig.run(2.0)
     driven.call("safety_stop")
     driven.rig.run(1.0)
-    assert driven.rig.state is State.ESTOP
+    assert driven.rig.state is BaseState.ESTOP
     assert driven.rig.speed() == 0.0
     state = driven.call("state")
     assert state["fault"] == "the safety stop is engaged"
@@ -87,7 +87,7 @@ def test_the_safety_stop_switches_the_drives_off(driven: DrivenRobot) -> None:
     driven.speeds.clear()
     driven.rig.run(1.0)
     driven.call("reset_faults")
-    driven.rig.until(lambda: driven.rig.state is State.READY)
+    driven.rig.until(lambda: driven.rig.state is BaseState.READY)
 
 
 def test_services_of_the_original_software(driven: DrivenRobot) -> None:
@@ -96,8 +96,8 @@ def test_services_of_the_original_software(driven: DrivenRobot) -> None:
     driven.call("reset_odometry")
     driven.call("set_home_count_current_position_zero")
     driven.call("home_steering")
-    assert driven.rig.state is State.HOMING
-    driven.rig.until(lambda: driven.rig.state is State.READY)
+    assert driven.rig.state is BaseState.HOMING
+    driven.rig.until(lambda: driven.rig.state is BaseState.READY)
     assert driven.call("state")["outputs"]["io"]["beacon_red"] is True
     assert driven.call("from_devices") == []
 

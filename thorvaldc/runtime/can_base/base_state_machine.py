@@ -29,49 +29,15 @@ made again.
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
+from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
-
-
-class State(enum.Enum):
-    """State of the base.
-
-    - ``INIT``: listens to the bus;
-    - ``PREOP``: brings all nodes to the NMT state pre-operational;
-    - ``CONFIG``: compares the nodes with the robot file and starts them;
-    - ``HOMING``: powers the motors, homes the steerings and turns them straight ahead;
-    - ``READY``: stands and waits for a commanded twist;
-    - ``ACTIVE``: drives;
-    - ``STOPPING``: ramps to rest, because the command is too old;
-    - ``FAULT``, ``ESTOP``: quick stop of all motors, until ``reset``.
-    """
-
-    INIT = "init"
-    PREOP = "preop"
-    CONFIG = "config"
-    HOMING = "homing"
-    READY = "ready"
-    ACTIVE = "active"
-    STOPPING = "stopping"
-    FAULT = "fault"
-    ESTOP = "estop"
-
-    @property
-    def drives(self) -> bool:
-        """``True`` in the states in which the wheels follow commands."""
-        return self in (State.READY, State.ACTIVE, State.STOPPING)
-
-    @property
-    def starts(self) -> bool:
-        """``True`` in the states of the start-up."""
-        return self in (State.INIT, State.PREOP, State.CONFIG, State.HOMING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +58,7 @@ class Times:
     repeat: float = 0.5
 
 
-class Supervisor:
+class BaseStateMachine:
     """The state machine of a base.
 
     ``reason``: why the state is FAULT or ESTOP.  ``was_ready``: READY was reached once.
@@ -103,7 +69,7 @@ class Supervisor:
     def __init__(self, connections: Sequence[BusConnection], times: Times | None = None) -> None:
         self.connections = connections
         self.times = times or Times()
-        self.state = State.INIT
+        self.state = BaseState.INIT
         self.since = -math.inf
         """Time (s) at which the state was entered."""
         self.reason = ""
@@ -111,7 +77,7 @@ class Supervisor:
         self.ending = False
         self.was_ready = False
         self.mismatch = False
-        self.changed: Callable[[float, State, str], None] | None = None
+        self.changed: Callable[[float, BaseState, str], None] | None = None
         self._nmt_sent_at = -math.inf
         self._repeat_at = -math.inf
         self._may_send = False
@@ -141,7 +107,7 @@ class Supervisor:
 
         Returns the reason for a refusal; empty: the base starts again.
         """
-        if self.state not in (State.FAULT, State.ESTOP):
+        if self.state not in (BaseState.FAULT, BaseState.ESTOP):
             return "there is nothing to reset"
         if self.stop_engaged:
             return "the safety stop is engaged; release it first"
@@ -162,16 +128,16 @@ class Supervisor:
             if connection.interface.state is ErrorState.BUS_OFF:
                 connection.interface.restart()
         self._reported_problem = ""
-        self._enter(State.PREOP, now)
+        self._enter(BaseState.PREOP, now)
         return ""
 
     def home(self, now: float) -> str:
         """Homes the steerings again.  Returns the reason for a refusal, or an empty text."""
-        if self.state is not State.READY:
+        if self.state is not BaseState.READY:
             return f"the base is {self.state.value}, not ready"
         for controller in self.controllers:
             controller.discard_home(now)
-        self._enter(State.HOMING, now)
+        self._enter(BaseState.HOMING, now)
         return ""
 
     def end(self) -> None:
@@ -188,13 +154,13 @@ class Supervisor:
     def update(self, now: float) -> Intent:
         """Runs the state machine once; call it after all received frames are decoded."""
         if self.since == -math.inf:
-            self._enter(State.INIT, now)
+            self._enter(BaseState.INIT, now)
         self._check_problems(now)
         step = {
-            State.INIT: self._step_init,
-            State.PREOP: self._step_preop,
-            State.CONFIG: self._step_config,
-            State.HOMING: self._step_homing,
+            BaseState.INIT: self._step_init,
+            BaseState.PREOP: self._step_preop,
+            BaseState.CONFIG: self._step_config,
+            BaseState.HOMING: self._step_homing,
         }.get(self.state)
         if step is not None and not self.ending:
             step(now)
@@ -207,20 +173,20 @@ class Supervisor:
         """
         if not self.state.drives:
             return
-        state = State.READY
+        state = BaseState.READY
         if moves:
-            state = State.STOPPING if stale or self.ending else State.ACTIVE
+            state = BaseState.STOPPING if stale or self.ending else BaseState.ACTIVE
         if state is not self.state:
             self._enter(state, now)
 
     @property
     def intent(self) -> Intent:
         """What is requested of the controllers in this cycle."""
-        if self.ending or self.state in (State.FAULT, State.ESTOP):
+        if self.ending or self.state in (BaseState.FAULT, BaseState.ESTOP):
             return Intent.QUICK_STOP
         if self.state.drives or self._enabling_since is not None:
             return Intent.FOLLOW
-        return Intent.HOME if self.state is State.HOMING else Intent.OFF
+        return Intent.HOME if self.state is BaseState.HOMING else Intent.OFF
 
     @property
     def may_send(self) -> bool:
@@ -239,22 +205,22 @@ class Supervisor:
 
     # -- inside ------------------------------------------------------------------------------------
 
-    def _enter(self, state: State, now: float, reason: str = "") -> None:
+    def _enter(self, state: BaseState, now: float, reason: str = "") -> None:
         self.state, self.since, self.reason = state, now, reason
         self._enabling_since, self._homed_now = None, False
-        if state in (State.INIT, State.PREOP):
+        if state in (BaseState.INIT, BaseState.PREOP):
             self._operational = self._verified = self.mismatch = False
             for connection in self.connections:
                 connection.watchdog.stop()
-        if state is State.PREOP:
+        if state is BaseState.PREOP:
             self._may_send = True
             for controller in self.controllers:
                 controller.allow_reset()
             self._nmt_sent_at, self._repeat_at = now, -math.inf
-        elif state is State.CONFIG:
+        elif state is BaseState.CONFIG:
             for connection in self.connections:
                 connection.start_readback()
-        elif state is State.READY:
+        elif state is BaseState.READY:
             self.was_ready = True
         if self.changed is not None:
             self.changed(now, state, reason)
@@ -262,29 +228,31 @@ class Supervisor:
     def _check_problems(self, now: float) -> None:
         """Enters ESTOP or FAULT where something requires it, in every state."""
         if self.stop_engaged:
-            if self.state is not State.ESTOP:
-                self._enter(State.ESTOP, now, "the safety stop is engaged")
+            if self.state is not BaseState.ESTOP:
+                self._enter(BaseState.ESTOP, now, "the safety stop is engaged")
             return
-        if self.state in (State.FAULT, State.ESTOP):
+        if self.state in (BaseState.FAULT, BaseState.ESTOP):
             return
         problem, self._reported_problem = self._reported_problem, ""
         for connection in self.connections:
             problem = problem or connection.foreign_master or connection.receiver.lost
         if problem:
-            self._enter(State.FAULT, now, problem)
+            self._enter(BaseState.FAULT, now, problem)
             return
-        if self.ending or not (self.state.drives or self.state is State.HOMING):
+        if self.ending or not (self.state.drives or self.state is BaseState.HOMING):
             return
         for controller in self.controllers:
             if controller.power_loss:
-                self._enter(State.ESTOP, now, f"{controller.node.name}: {controller.power_loss}")
+                self._enter(
+                    BaseState.ESTOP, now, f"{controller.node.name}: {controller.power_loss}"
+                )
                 return
         for connection in self.connections:
             problem = connection.problem(now)
             if not problem and self.state.drives:
                 problem = _not_following(connection.controllers)
             if problem:
-                self._enter(State.FAULT, now, problem)
+                self._enter(BaseState.FAULT, now, problem)
                 return
 
     def _longer_than(self, limit: float, now: float) -> bool:
@@ -293,7 +261,7 @@ class Supervisor:
 
     def _step_init(self, now: float) -> None:
         if self._longer_than(self.times.listen, now):
-            self._enter(State.PREOP, now)
+            self._enter(BaseState.PREOP, now)
 
     def _step_preop(self, now: float) -> None:
         """Sends NMT commands until every controller is pre-operational."""
@@ -316,7 +284,7 @@ class Supervisor:
             for connection, controller in missing:
                 connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, [controller])
         if not missing and not restarting:
-            self._enter(State.CONFIG, now)
+            self._enter(BaseState.CONFIG, now)
         elif self._longer_than(self.times.gather, now):
             names = ", ".join(c.node.name for _, c in missing)
             silent = all(connection.watchdog.is_silent(c) for connection, c in missing)
@@ -326,7 +294,7 @@ class Supervisor:
                 reason = f"no heartbeat of {names}; is it connected, is its node id right?"
             else:
                 reason = f"not pre-operational in time: {names}"
-            self._enter(State.FAULT, now, reason)
+            self._enter(BaseState.FAULT, now, reason)
 
     def _step_config(self, now: float) -> None:
         """Compares objects, starts the nodes, compares identities, waits for all reports."""
@@ -338,7 +306,7 @@ class Supervisor:
         if not all(readback.finished for _, readback in readbacks):
             if self._longer_than(self.times.configure, now):
                 reason = "the objects of the controllers could not be read in time"
-                self._enter(State.FAULT, now, reason)
+                self._enter(BaseState.FAULT, now, reason)
             return
         if not self._operational:
             self._operational = True
@@ -366,14 +334,14 @@ class Supervisor:
             for connection in self.connections:
                 connection.watchdog.start(now)
             self._verified = True
-            self._enter(State.HOMING, now)
+            self._enter(BaseState.HOMING, now)
         elif self._longer_than(self.times.configure, now):
             reason = f"no complete reports in time from {', '.join(incomplete)}"
-            self._enter(State.FAULT, now, reason)
+            self._enter(BaseState.FAULT, now, reason)
 
     def _enter_mismatch(self, now: float, reason: str) -> None:
         self.mismatch = True
-        self._enter(State.FAULT, now, reason)
+        self._enter(BaseState.FAULT, now, reason)
 
     def _step_homing(self, now: float) -> None:
         """Homes the steerings, then enables all motors; waits until all wheels are in position."""
@@ -382,7 +350,7 @@ class Supervisor:
             self._homed_now = True
             if self._longer_than(self.times.home, now):
                 reason = f"the steering did not find its home position: {', '.join(unhomed)}"
-                self._enter(State.FAULT, now, reason)
+                self._enter(BaseState.FAULT, now, reason)
             return
         if self._enabling_since is None:
             self._enabling_since = now
@@ -392,13 +360,13 @@ class Supervisor:
                     controller.straighten()
         enabled = all(c.follows and c.standing for c in self.controllers)
         if enabled and all(c.in_position for c in self.controllers):
-            self._enter(State.READY, now)
+            self._enter(BaseState.READY, now)
         elif enabled and not self._longer_than(self.times.home, now):
             self._enabling_since = now
         elif now - self._enabling_since > self.times.enable:
             names = ", ".join(c.node.name for c in self.controllers if not c.follows)
             reason = f"motors not enabled in time: {names}" if names else "the wheels do not stop"
-            self._enter(State.FAULT, now, reason)
+            self._enter(BaseState.FAULT, now, reason)
 
 
 def _not_following(controllers: Sequence[MotorController]) -> str:

@@ -30,7 +30,8 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.require_bus import require_bus
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
-from thorvaldc.runtime.can_base.base_state_machine import State, Supervisor, Times
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseStateMachine, Times
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.motor_controller import Intent
 from thorvaldc.runtime.can_base.node_watchdog import REPORT_TIMEOUT
@@ -42,9 +43,8 @@ SEND_TIME = 0.25
 class CanBase(BaseHandle):
     """Measures and commands the joints over CAN.
 
-    ``read`` decodes what was received; ``write`` sends the frames of a cycle.  ``supervisor`` is
-    the state machine: it decides whether the base drives.  A stop in software is not a safety
-    function.
+    ``read`` decodes the received frames; ``write`` sends the frames of a cycle.  ``state_machine``
+    decides whether the base drives.  A stop in software is not a safety function.
     """
 
     def __init__(
@@ -78,33 +78,33 @@ class CanBase(BaseHandle):
             for connection in self.connections:
                 connection.receiver.stop()
             raise
-        self.supervisor = Supervisor(self.connections, times)
+        self.state_machine = BaseStateMachine(self.connections, times)
         self.armed = False
         """``True`` once no motion was commanded while the base was ready."""
         self.cycles = 0
         """Number of cycles that were sent completely."""
         self.incomplete = 0
         """Number of other cycles."""
-        self._axes = [axis for c in self.supervisor.controllers for axis in c.axes]
+        self._axes = [axis for c in self.state_machine.controllers for axis in c.axes]
         self._wheels = len(robot.wheels)
         self._turning = False
         self._send_timeout = SEND_TIME * self.period
 
     @property
     def hold_reason(self) -> str:
-        supervisor = self.supervisor
-        if supervisor.state in (State.FAULT, State.ESTOP):
-            return f"{supervisor.state.value}: {supervisor.reason}"
-        if supervisor.ending:
+        state_machine = self.state_machine
+        if state_machine.state in (BaseState.FAULT, BaseState.ESTOP):
+            return f"{state_machine.state.value}: {state_machine.reason}"
+        if state_machine.ending:
             return "the driver is shutting down"
-        if not supervisor.state.drives:
-            return str(supervisor.state.value)
+        if not state_machine.state.drives:
+            return str(state_machine.state.value)
         return "" if self.armed else "a motion was commanded before the base was ready"
 
     @property
     def standing(self) -> bool:
         """``True`` where no wheel turns and none is commanded to turn."""
-        return not self._turning and all(c.standing for c in self.supervisor.controllers)
+        return not self._turning and all(c.standing for c in self.state_machine.controllers)
 
     def read(self, now: float) -> JointStates:
         """Returns the measured joints; NaN where the newest report is too old.
@@ -113,8 +113,8 @@ class CanBase(BaseHandle):
         """
         for connection in self.connections:
             connection.receive(now)
-        self.supervisor.update(now)
-        if not self.supervisor.state.drives:
+        self.state_machine.update(now)
+        if not self.state_machine.state.drives:
             self.armed = False
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
@@ -135,20 +135,20 @@ class CanBase(BaseHandle):
 
         So a joystick that is deflected while the base starts does not move the robot.
         """
-        if self.supervisor.state.drives and not commanded:
+        if self.state_machine.state.drives and not commanded:
             self.armed = True
 
     def write(self, commands: JointCommands, now: float) -> None:
-        supervisor = self.supervisor
-        follows = supervisor.state.drives and not supervisor.ending
+        state_machine = self.state_machine
+        follows = state_machine.state.drives and not state_machine.ending
         if follows and not self._set_targets(commands):
-            supervisor.fail("a command is not a finite number")
-            supervisor.update(now)
-        intent = supervisor.intent
+            state_machine.fail("a command is not a finite number")
+            state_machine.update(now)
+        intent = state_machine.intent
         self._turning = intent is Intent.FOLLOW and any(
             axis.target for axis in self._axes if not axis.steering
         )
-        if not supervisor.may_send:
+        if not state_machine.may_send:
             return
         complete = True
         for connection in self.connections:
@@ -156,7 +156,7 @@ class CanBase(BaseHandle):
         if complete:
             self.cycles += 1
             for connection in self.connections:
-                connection.send_heartbeat(now, supervisor.operational)
+                connection.send_heartbeat(now, state_machine.operational)
         else:
             self.incomplete += 1
 
@@ -181,13 +181,15 @@ class CanBase(BaseHandle):
 
     def _send_cycle(self, connection: BusConnection, intent: Intent, now: float) -> bool:
         """Sends the frames of a cycle on one bus; returns whether all were sent."""
-        supervisor = self.supervisor
+        state_machine = self.state_machine
         complete = True
-        if supervisor.operational:
+        if state_machine.operational:
             try:
-                commands = connection.cyclic_frames(intent, now) if supervisor.may_command else []
+                commands = (
+                    connection.cyclic_frames(intent, now) if state_machine.may_command else []
+                )
             except ValueError as error:
-                supervisor.fail(str(error))
+                state_machine.fail(str(error))
                 return False
             for frame in commands:
                 if not connection.send(frame, self._send_timeout):
@@ -195,8 +197,8 @@ class CanBase(BaseHandle):
                     break
             # Without SYNC the drives do not apply half of the commands.
             complete = complete and connection.send_sync(self._send_timeout)
-        driving = supervisor.state.drives
-        for frame in connection.occasional_frames(intent, now, supervisor.may_command, driving):
+        driving = state_machine.state.drives
+        for frame in connection.occasional_frames(intent, now, state_machine.may_command, driving):
             complete = connection.send(frame, self._send_timeout) and complete
         connection.send_relayed()
         connection.failures_in_a_row = 0 if complete else connection.failures_in_a_row + 1

@@ -141,7 +141,7 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
     ``supervisor`` is the state of the base; ``fault`` the reason of FAULT or ESTOP.
     """
     state = driver_state(runner.driver, multiplexer, now)
-    reason = runner.base.supervisor.reason
+    reason = runner.base.state_machine.reason
     state["supervisor"] = runner.state.value
     state["fault"] = reason or state["fault"]
     state["batteries"] = {
