@@ -22,7 +22,11 @@ from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseGeometry, WheelGeometry
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimate, TwistEstimator
+from thorvaldc.runtime.calculators.twist_estimator import (
+    EstimatorOptions,
+    TwistEstimate,
+    TwistEstimator,
+)
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.vectorised.calculator_batch import Array, CalculatorBatch
@@ -125,7 +129,7 @@ def test_estimates_are_those_of_the_estimator(
     twists, covariances = np.empty((3, N)), np.empty((6, N))
     tests = np.empty((len(wheels), N))
     for faulty in (0, 2):
-        estimator = TwistEstimator(geometry, None, Estimation(faulty=faulty, polish=polish))
+        estimator = TwistEstimator(geometry, None, EstimatorOptions(faulty=faulty, polish=polish))
         calculator.estimator = estimator
         batch = CalculatorBatch(calculator)
         run = batch.estimate if faulty else batch.weighted

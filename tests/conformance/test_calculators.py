@@ -398,7 +398,7 @@ def test_covariance_is_one(name: str, data: st.DataObject) -> None:
     assert a * d - b * b > 0.0
     if estimate.rank < 3:
         # Whatever is not determined is as uncertain as the top speed.
-        top = calculator.geometry.fastest
+        top = calculator.geometry.max_wheel_speed
         k = calculator.geometry.length
         assert 0.1 * top * top <= a + d + f * k * k <= 3.001 * top * top + extra(calculator)
 
@@ -407,7 +407,7 @@ def extra(calculator: BaseCalculator) -> float:
     """What the spread of wz adds to that of vx and vy, from the wheels' centre to base_link."""
     x, y = calculator.geometry.centre
     geometry = calculator.geometry
-    return float((x * x + y * y) * (geometry.fastest / geometry.length) ** 2)
+    return float((x * x + y * y) * (geometry.max_wheel_speed / geometry.length) ** 2)
 
 
 @SETTINGS

@@ -93,17 +93,17 @@ def test_without_joints_the_covariance_grows_until_there_are(how: str, lost: int
     for _ in range(lost):
         now += 0.02
         if how == "missing":
-            odometry.miss(now)
+            odometry.mark_missing(now)
         elif how == "stale":
             odometry.update(last, now)
         elif how == "nan":
             with pytest.raises(NotFiniteError, match="speed of wheel w1"):
                 odometry.update(replace(last, time=now, speeds=[0.0, math.nan, 0.0, 0.0]), now)
-            odometry.miss(now)
+            odometry.mark_missing(now)
         else:
             with pytest.raises(ValueError, match="3 wheels for 4"):
                 odometry.update(replace(last, time=now, speeds=[0.0] * 3), now)
-            odometry.miss(now)
+            odometry.mark_missing(now)
         assert odometry.pose == pose
         assert odometry.estimate is estimate
         sizes.append(size(odometry.covariance))

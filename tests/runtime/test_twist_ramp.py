@@ -43,11 +43,11 @@ def test_the_way_from_rest_and_to_rest_keeps_the_centre_of_rotation() -> None:
 def test_it_waits_for_the_wheels() -> None:
     ramp = Ramp(SETTINGS, 2.0, 0.2)
     steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
-    ramp.draw_back(Twist(0.2, 0.0, 0.0))
+    ramp.limit_lead(Twist(0.2, 0.0, 0.0))
     ahead = math.hypot(ramp.twist.vx - 0.2, 2.0 * ramp.twist.wz)
     assert ahead == pytest.approx(LEAD)
     steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
-    ramp.draw_back(Twist(0.2, 0.0, 0.0), aligned=False)
+    ramp.limit_lead(Twist(0.2, 0.0, 0.0), aligned=False)
     size = math.hypot(ramp.twist.vx, 2.0 * ramp.twist.wz)
     assert size == pytest.approx(0.2 * ramp.twist.vx / size + LEAD)
     assert ramp.twist.wz / ramp.twist.vx == pytest.approx(0.4)

@@ -1,4 +1,4 @@
-"""The base as joints: what a driver sees of a robot, simulated or real."""
+"""The interface between the base driver and the joints of a simulated or real robot."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class JointStates:
-    """Measured joints, one entry per wheel in the order of ``Robot.wheels``.
+    """Measured joint states, one entry per wheel in the order of ``Robot.wheels``.
 
-    ``speeds`` (rad/s) and ``positions`` (rad, not wrapped; ``None``: the base
-    does not count turns) are those of the wheels' spin joints, ``angles`` (rad)
-    and ``angle_rates`` (rad/s) those of their steering joints.  Entries of
-    joints that have no encoder (a wheel without motor, a wheel that is not
-    steered) are 0 and are not looked at.  ``time`` (s) is when they were measured.
-    ``yaw_rate`` (rad/s) is that of a gyro in ``base_link``, where there is one.
-    Angles are the joints' positions with the robot's calibration applied: the
-    encoder's reading plus ``Actuator.encoder_offset``.
+    ``time`` (s): of the measurement.  Spin joints: ``speeds`` (rad/s) and ``positions`` (rad,
+    not wrapped; ``None``: not measured).  Steering joints: ``angles`` (rad) and ``angle_rates``
+    (rad/s).  Entries of joints without encoder (a wheel without motor, a wheel without steering)
+    are 0 and unused.  ``yaw_rate`` (rad/s): of a gyro in ``base_link``, if the robot has one.
+    Angles are calibrated: the encoder's reading plus ``Actuator.encoder_offset``.
     """
 
     time: float
@@ -31,39 +28,39 @@ class JointStates:
 
 @dataclass(slots=True)
 class JointCommands:
-    """Asked of the joints, one entry per wheel: spin speed (rad/s), steering angle (rad)."""
+    """Joint commands, one entry per wheel: spin speed (rad/s), steering angle (rad)."""
 
     speeds: Sequence[float]
     angles: Sequence[float]
 
 
 class BaseHandle(abc.ABC):
-    """The joints of one robot.  A driver cannot tell a simulated base from a real one.
+    """The joints of one robot, with the same interface for simulated and real robots.
 
-    ``now`` is a monotonic time in s that the driver gives; a simulated base
-    moves on to it.
+    ``now`` is a monotonic time in s from the driver; a simulated base advances to it.
     """
 
     @property
     def hold_reason(self) -> str:
-        """Why the base follows no commands now (it finds its home, a fault); empty: it does."""
+        """Reason why the base follows no commands now (homing, a fault); empty: it follows them."""
         return ""
 
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
-        """The joints as they are at ``now``; NaN for what is not known."""
+        """Returns the joint states at ``now``; NaN for unknown values."""
 
     @abc.abstractmethod
     def write(self, commands: JointCommands, now: float) -> None:
-        """Ask these of the joints from ``now`` on."""
+        """Sets the commands of the joints from ``now`` on."""
 
     def expect_single_commands(self) -> None:
-        """From now on ``write`` is called whenever one joint's command changes.
+        """Announces that ``write`` is called on every change of a single joint's command.
 
-        It tells nothing of the rates of set points then: its times are nobody's cycle.
+        The times of these calls are irregular.  The base cannot derive rates of set points from
+        them.
         """
         return
 
     def close(self) -> None:
-        """Let go of what the base holds.  The last commands are no longer followed."""
+        """Releases the resources of the base.  It no longer follows the last commands."""
         return

@@ -1,4 +1,8 @@
-"""The base driver: one loop that drives any base, simulated or real."""
+"""The base driver: a control loop for any base, simulated or real.
+
+One tick: read the joints, integrate the odometry, limit and ramp the commanded twist, compute
+joint commands, write them.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +19,19 @@ from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import Ramp
 
-BEYOND = 1e9
-"""Twist (m/s, rad/s) that nobody can have meant."""
-_SLACK = 1e-9
+MAX_TWIST = 1e9
+"""Twists (m/s, rad/s) from this size on are rejected as errors."""
+_TIME_TOLERANCE = 1e-9
+"""Rounding error (s) of times that a time-out tolerates."""
 
 
 class DriveMode(enum.Enum):
-    """What the driver is doing.
+    """Mode of the driver.
 
-    ``IDLE``: no motion asked for.  ``DRIVING``: following a command.
-    ``TIMED_OUT``: the last command is too old; ramping to or standing at zero.
-    ``FAULT``: the joint states cannot be used; ramping to zero.
-    ``HELD``: the base follows nobody now, and sees to its standing still itself.
+    ``IDLE``: no commanded motion.  ``DRIVING``: the robot follows a command.
+    ``TIMED_OUT``: the last command is too old; the robot ramps to zero or stands.
+    ``FAULT``: the joint states are unusable; the robot ramps to zero.
+    ``HELD``: the base follows no commands and stops the robot itself.
     """
 
     IDLE = "idle"
@@ -38,14 +43,14 @@ class DriveMode(enum.Enum):
 
 @dataclass(slots=True)
 class DriverState:
-    """What a tick left: times in s, twists of ``base_link``, its pose where it started.
+    """Result of a tick; ``time`` in s, twists of ``base_link``, poses in the odometry frame.
 
-    ``asked`` is the twist of the command in force, ``infeasible`` the part of it
-    that the wheels' arrangement does not allow, ``ramped`` the rest within the
-    limits and ramps, ``command`` what was made of that.  ``odometry`` is the
-    mean twist since the tick before; ``pose`` its integral and
-    ``pose_covariance`` that of a small motion in ``base_link``.  ``fault`` says what
-    is wrong, if anything is, and ``held`` why the base follows nobody.
+    ``commanded_twist``: of the command in force.  ``infeasible``: the part of it that the fixed
+    wheels do not allow.  ``ramped``: the feasible part within the limits and the ramp.
+    ``command``: the joint commands for it.  ``odometry``: the mean twist since the previous tick.
+    ``pose``: its integral, with ``pose_covariance`` of a small motion in ``base_link``.
+    ``fault``: reason of the mode ``FAULT``.  ``hold_reason``: reason of the mode ``HELD``.  Both
+    are empty otherwise.
     """
 
     time: float
@@ -63,10 +68,10 @@ class DriverState:
 
 
 class BaseDriver:
-    """Drives a robot's base: watchdog, limits, ramps, calculator, odometry.
+    """Control loop of a robot's base: watchdog, limits, ramp, calculator, odometry.
 
-    ``tick(now)`` is called at ``rate`` Hz with a monotonic time.  All that the
-    driver does depends on those times alone, so that a simulation repeats.
+    The caller calls ``tick(now)`` at ``rate`` Hz with a monotonic time.  The driver reads no other
+    clock, so a simulation is repeatable.
     """
 
     def __init__(
@@ -77,10 +82,9 @@ class BaseDriver:
         settings: DriverSettings | None = None,
         parameters: str | None = None,
     ) -> None:
-        """``parameters`` names the set to start with, in place of the ordinary values.
+        """``parameters`` names the initial parameter set; ``None``: the ordinary values.
 
-        Raises ``DiagnosticError`` where the robot's calculator cannot drive it and
-        where it has no such set.
+        Raises ``DiagnosticError`` for an unknown set and for an unsuitable calculator.
         """
         self.robot = robot
         self.base = base
@@ -91,12 +95,12 @@ class BaseDriver:
             self.parameters.radii, self.parameters.noise
         )
         self._staged: tuple[Parameters, BaseCalculator] | None = None
-        self._asked = ZERO_TWIST
-        self._asked_at = -math.inf
+        self._commanded_twist = ZERO_TWIST
+        self._command_time = -math.inf
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
-        self._stops = False
-        self.odometry = Odometry(self.calculator, self._fastest)
+        self._stopping = False
+        self.odometry = Odometry(self.calculator, self._top_speeds)
         self.state = DriverState(
             -math.inf,
             DriveMode.IDLE,
@@ -111,21 +115,21 @@ class BaseDriver:
         )
 
     def command(self, twist: Twist, now: float) -> bool:
-        """Follow ``twist`` from ``now`` on, for at most the command timeout.
+        """Follows ``twist`` from ``now`` on, for at most the command timeout.
 
-        A twist or a time that is not finite, or beyond all bounds, is refused
-        (``False``): the twist before stays in force until it times out.
+        Returns ``False`` for a twist or a time that is not finite or too large; the previous
+        twist then stays in force until it times out.
         """
-        if not (sum(map(abs, twist)) < BEYOND and math.isfinite(now)):
+        if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
             return False
-        self._asked = twist
-        self._asked_at = now
+        self._commanded_twist = twist
+        self._command_time = now
         return True
 
     def commanded_twist(self, now: float) -> Twist:
-        """The twist of the command in force at ``now``; zero where it is too old."""
-        old = now - self._asked_at > self.settings.command_timeout + _SLACK
-        return ZERO_TWIST if old else self._asked
+        """Returns the twist of the command in force at ``now``; zero if it is too old."""
+        timed_out = now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE
+        return ZERO_TWIST if timed_out else self._commanded_twist
 
     @property
     def settings(self) -> DriverSettings:
@@ -133,15 +137,15 @@ class BaseDriver:
         return self.parameters.settings
 
     @property
-    def _fastest(self) -> tuple[float, float]:
+    def _top_speeds(self) -> tuple[float, float]:
         return self.settings.max_linear_velocity, self.settings.max_angular_velocity
 
     def use(self, parameters: str | None) -> None:
-        """Switch to a parameter set of the robot's file, to the ordinary values for ``None``.
+        """Switches to a parameter set of the robot file; ``None``: to the ordinary values.
 
-        In force from the end of the next tick's odometry on: the way until then is
-        that of the radii before, and the pose stays.  Raises ``DiagnosticError`` where
-        there is no such set; then nothing changes.
+        The change takes effect after the odometry of the next tick: the motion up to that time is
+        measured with the previous radii, and the pose stays.  Raises ``DiagnosticError`` for
+        an unknown set, and then changes nothing.
         """
         self._stage(Parameters.from_robot(self.robot, parameters))
 
@@ -152,42 +156,42 @@ class BaseDriver:
         noise: Mapping[str, float] | None = None,
         **limits: float,
     ) -> None:
-        """Change some parameters: radii (m) by wheel, noise by name, limits such as
+        """Changes parameters: radii (m) by wheel, noise by name, limits such as
         ``max_linear_velocity`` (SI).
 
-        All or none, from the end of the next tick's odometry on, as with ``use``.
-        Raises ``ParameterError`` where a name is not known or a value cannot be.
+        Applies all changes in one step, at the same time as ``use``; parameters that are not named
+        keep their values.  Raises ``ParameterError`` for an unknown name or an invalid value,
+        and then changes nothing.
         """
         current = self._staged[0] if self._staged is not None else self.parameters
         self._stage(current.changed(self.robot, radii, noise, limits))
 
     def _stage(self, parameters: Parameters) -> None:
-        made = self.calculator.with_parameters(parameters.radii, parameters.noise)
-        self._staged = (parameters, made)
+        calculator = self.calculator.with_parameters(parameters.radii, parameters.noise)
+        self._staged = (parameters, calculator)
 
-    def _change_over(self) -> None:
+    def _apply_staged_parameters(self) -> None:
         if self._staged is not None:
-            self.parameters, made = self._staged
+            self.parameters, calculator = self._staged
             self._staged = None
-            made.resume(self.calculator)
-            self.calculator = self.odometry.calculator = made
-            self.odometry.fastest = self._fastest
+            calculator.resume(self.calculator)
+            self.calculator = self.odometry.calculator = calculator
+            self.odometry.top_speeds = self._top_speeds
             self._ramp.settings = self.settings
 
     def reset_pose(self, pose: Pose2 = ORIGIN) -> None:
-        """Set the odometry pose; its covariance starts again at zero."""
+        """Sets the odometry pose, with a covariance of zero."""
         self.odometry.reset(pose)
         self.state.pose = self.odometry.pose
         self.state.pose_covariance = self.odometry.covariance
 
     def tick(self, now: float, joints: JointStates | None = None) -> DriverState:
-        """Read the joints, estimate, ramp, command.  A time that does not advance does nothing.
+        """Runs one cycle and returns its result; does nothing if ``now`` has not advanced.
 
-        ``joints`` are those that the base was read for at this time, where it was already.
+        ``joints``: joint states at ``now``, if the caller has already read them.
 
-        Without usable joints, and after more than ``LONGEST_INTERVAL`` without, the
-        way is unknown: the pose stays and its covariance grows by what the robot can
-        have driven.
+        Without usable joint states, and after more than ``LONGEST_INTERVAL`` without them, the
+        motion is unknown: the pose stays and its covariance grows by the largest possible motion.
         """
         state = self.state
         first = not math.isfinite(state.time)
@@ -198,35 +202,35 @@ class BaseDriver:
             joints = self.base.read(now)
         odometry = self.odometry
         fault = ""
-        starts = odometry.joints is None
+        first_joints = odometry.joints is None
         try:
             odometry.update(joints, now)
-        except ValueError as bad:
-            fault = str(bad)
-            odometry.miss(now)
-        self._change_over()
-        held = self.base.hold_reason
-        mode, asked = self._mode(now, fault, held)
+        except ValueError as error:
+            fault = str(error)
+            odometry.mark_missing(now)
+        self._apply_staged_parameters()
+        hold_reason = self.base.hold_reason
+        mode, commanded_twist = self._mode(now, fault, hold_reason)
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
-        if held:
-            # It stands, or stops by itself: afterwards the ramp starts from rest.
+        if hold_reason:
+            # The base stops the robot; afterwards the ramp starts from rest.
             self._ramp.restart(ZERO_TWIST)
         if fault:
-            # What the wheels do is unknown: ramp down by the commands alone.
+            # The motion of the wheels is unknown: ramp down without feedback.
             command = self.calculator.command(self._ramped(ZERO_TWIST, period), None, period)
         else:
-            if starts or held:
+            if first_joints or hold_reason:
                 self.calculator.reset(joints)
-            allowed = self.calculator.feasible(asked)
-            infeasible = Twist(asked.vx - allowed.vx, asked.vy - allowed.vy, asked.wz - allowed.wz)
-            ramped = self._ramped(self._limited(allowed), period)
+            feasible = self.calculator.feasible(commanded_twist)
+            infeasible = Twist(*(c - f for c, f in zip(commanded_twist, feasible, strict=True)))
+            ramped = self._ramped(self._limited(feasible), period)
             command = self.calculator.command(ramped, joints, period)
         self.base.write(command.joints, now)
         self.state = DriverState(
             now,
             mode,
-            asked,
+            commanded_twist,
             self._ramp.twist,
             infeasible,
             command,
@@ -235,27 +239,28 @@ class BaseDriver:
             odometry.pose,
             odometry.covariance,
             fault,
-            held,
+            hold_reason,
         )
         return self.state
 
     # -- parts of a tick ----------------------------------------------------------
 
-    def _mode(self, now: float, fault: str, held: str) -> tuple[DriveMode, Twist]:
-        if held:
+    def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist]:
+        """Returns the mode of this tick and the commanded twist that it follows."""
+        if hold_reason:
             return DriveMode.HELD, ZERO_TWIST
         if fault:
             return DriveMode.FAULT, ZERO_TWIST
-        if now - self._asked_at > self.settings.command_timeout + _SLACK:
-            if self._asked_at == -math.inf:
+        if now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE:
+            if self._command_time == -math.inf:
                 return DriveMode.IDLE, ZERO_TWIST
             return DriveMode.TIMED_OUT, ZERO_TWIST
-        if self._asked == ZERO_TWIST and self._ramp.twist == ZERO_TWIST:
+        if self._commanded_twist == ZERO_TWIST and self._ramp.twist == ZERO_TWIST:
             return DriveMode.IDLE, ZERO_TWIST
-        return DriveMode.DRIVING, self._asked
+        return DriveMode.DRIVING, self._commanded_twist
 
     def _limited(self, twist: Twist) -> Twist:
-        """The twist scaled as a whole to the robot's limits."""
+        """Scales the whole twist to the robot's limits of speed."""
         settings = self.settings
         scale, speed = 1.0, twist.speed
         if speed > settings.max_linear_velocity:
@@ -265,11 +270,11 @@ class BaseDriver:
         return twist.scaled(scale) if scale < 1.0 else twist
 
     def _ramped(self, goal: Twist, dt: float) -> Twist:
-        """One step of the ramp towards ``goal``; to rest first, where a wheel must turn around."""
+        """Moves the ramp one step towards ``goal``, or towards rest if a wheel must turn around."""
         last, ramp = self.state.command, self._ramp
         if last is not None:
-            if last.must_stop != self._stops:
-                self._stops = last.must_stop
+            if last.must_stop != self._stopping:
+                self._stopping = last.must_stop
                 ramp.restart(last.twist)
-            ramp.draw_back(last.twist, last.aligned)
-        return ramp.step(ZERO_TWIST if self._stops else goal, dt)
+            ramp.limit_lead(last.twist, last.aligned)
+        return ramp.step(ZERO_TWIST if self._stopping else goal, dt)

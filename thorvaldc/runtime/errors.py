@@ -1,16 +1,11 @@
-"""Errors of the runtime that concern single values."""
+"""Exceptions of the runtime for invalid values."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
-
 
 class NotFiniteError(ValueError):
-    """A twist or a joint state holds a NaN or an infinity; nothing was changed."""
+    """A twist or a joint state contains a NaN or an infinity; nothing changed."""
 
 
 class ParameterError(ValueError):
-    """A parameter cannot have that value; nothing was changed."""
+    """The name or the value of a parameter is invalid; nothing changed."""

@@ -1,9 +1,17 @@
-"""Planar motion: twists, poses and their exact integration on SE(2).
+"""Planar motion on SE(2): twists, poses, their exact integration and covariances.
 
-A twist is given in ``base_link``; a pose is that of ``base_link`` in the
-odometry frame.  Covariances are in the order x, y, yaw (or vx, vy, wz); a
-pose's is that of a small motion in ``base_link`` (a right perturbation), so
-that it does not depend on where the robot is.
+A twist is a velocity of ``base_link`` in its own frame.  A pose is that of ``base_link`` in the
+odometry frame.  Covariances have the order x, y, yaw (or vx, vy, wz).  The covariance of a pose
+is that of a small motion in ``base_link`` (a right perturbation), so it does not depend on
+the position of the robot.
+
+Exponential map: a robot that moves with a constant twist for dt turns by a = wz dt.  In the frame
+of its start, its velocity is R(wz t) v, whose integral over 0 <= t <= dt is
+
+    [ sin a / a       -(1 - cos a) / a ]
+    [ (1 - cos a) / a   sin a / a      ]  v dt
+
+Taylor series replace the quotients near a = 0.
 """
 
 from __future__ import annotations
@@ -18,7 +26,7 @@ ZERO_COV: Cov3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Twist(NamedTuple):
-    """Velocity of ``base_link`` in itself: m/s forward, m/s to the left, rad/s."""
+    """Velocity of ``base_link`` in its own frame: m/s forward, m/s to the left, rad/s."""
 
     vx: float
     vy: float
@@ -38,14 +46,14 @@ class Twist(NamedTuple):
 
 
 class Pose2(NamedTuple):
-    """Position in m and yaw in rad; yaw is not wrapped, so that turns can be counted."""
+    """Position in m and yaw in rad; yaw is not wrapped, so it counts full turns."""
 
     x: float
     y: float
     yaw: float
 
     def moved(self, step: Pose2) -> Pose2:
-        """This pose followed by ``step``, which is given in this pose's frame."""
+        """Returns this pose moved by ``step``, which is given in the frame of this pose."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(
             self.x + c * step.x - s * step.y,
@@ -54,7 +62,7 @@ class Pose2(NamedTuple):
         )
 
     def relative_to(self, origin: Pose2) -> Pose2:
-        """This pose as seen from ``origin``."""
+        """Returns this pose in the frame of ``origin``."""
         c, s = math.cos(origin.yaw), math.sin(origin.yaw)
         dx, dy = self.x - origin.x, self.y - origin.y
         return Pose2(c * dx + s * dy, c * dy - s * dx, self.yaw - origin.yaw)
@@ -78,19 +86,19 @@ def _versin_over(a: float) -> float:
 
 
 def exp(twist: Twist, dt: float) -> Pose2:
-    """The motion of a constant twist over ``dt`` s: the exponential map of SE(2)."""
+    """Returns the motion of a constant twist over ``dt`` s: the exponential map of SE(2)."""
     dx, dy, a = twist.vx * dt, twist.vy * dt, twist.wz * dt
     s, v = _sin_over(a), _versin_over(a)
     return Pose2(s * dx - v * dy, v * dx + s * dy, a)
 
 
 def chord_over_arc(angle: float) -> float:
-    """How much shorter than its arc the chord of an arc of ``angle`` rad is."""
+    """Returns the length of the chord over the length of the arc, for an arc of ``angle`` rad."""
     return _sin_over(angle / 2.0)
 
 
 def _planar(c: float, s: float, a: float, b: float, p: Cov3) -> Cov3:
-    """M P M^T with M = [[c, s, a], [-s, c, b], [0, 0, 1]], exactly symmetric."""
+    """Returns M P M' with M = [[c, s, a], [-s, c, b], [0, 0, 1]], exactly symmetric."""
     (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
     r13, r23 = c * p13 + s * p23, c * p23 - s * p13
     r11 = c * c * p11 + 2.0 * c * s * p12 + s * s * p22
@@ -112,16 +120,17 @@ def propagate(
     dt: float,
     correlation: float = 0.0,
 ) -> Cov3:
-    """Pose covariance after ``dt`` s of a twist known up to ``twist_covariance``.
+    """Returns the pose covariance after ``dt`` s with a twist of covariance Q.
 
-    P <- Ad P Ad^T + J Q J^T dt^2, with Ad the adjoint of the inverse motion
-    and J the right Jacobian of SE(2) (Sola et al., "A micro Lie theory for
-    state estimation in robotics", 2018, equations 161 and 163).
+    P <- Ad P Ad' + J Q J' dt^2, with Ad the adjoint of the inverse motion and J the right Jacobian
+    of SE(2) (Sola et al., "A micro Lie theory for state estimation in robotics", 2018,
+    equations 161 and 163).
 
-    With ``correlation`` 0 the errors of two steps have nothing in common.  Errors that
-    fade with a time constant of ``correlation`` s add up: over times long beside it
-    as if Q were (1 + r) / (1 - r) of itself, with r = exp(-dt / correlation)
-    what is left of one a step later.  Over shorter times this says too much.
+    With ``correlation`` 0 the errors of two steps are independent.  Otherwise their correlation
+    decreases with a time constant of ``correlation`` s, by r = exp(-dt / correlation) per step.
+    The variance of a sum of n such errors, for a time n dt much longer than the time constant, is
+    n Q (1 + 2 r + 2 r^2 + ...) = n Q (1 + r) / (1 - r) = n Q / tanh(dt / (2 correlation)).
+    For shorter times this overestimates the variance.
     """
     dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
     if abs(angle) < 1e-3:
@@ -136,7 +145,7 @@ def propagate(
 
 
 class Turn(NamedTuple):
-    """Functions of the angle a that a step turns by, which are numbers or arrays of them."""
+    """Functions of the angle a of a step; numbers, or arrays for many robots."""
 
     c: Any  # cos a
     s: Any  # sin a
@@ -147,13 +156,14 @@ class Turn(NamedTuple):
 
 
 def propagated(covariance: Cov3, noise: Cov3, dx: Any, dy: Any, turn: Turn, d2: Any) -> Cov3:
-    """The arithmetic of ``propagate``, which arrays in place of numbers go through as well.
+    """Computes ``propagate`` for numbers or for arrays.
 
-    ``dx``, ``dy`` (m) are velocity times time, ``noise`` times ``d2`` (s^2) what is added.
+    ``dx``, ``dy`` (m): velocity times time.  ``noise``: Q, multiplied by ``d2`` (s^2).
     """
     c, s, sa, va, p, q = turn
-    x, y = sa * dx - va * dy, va * dx + sa * dy  # the step, as by `exp`
-    # A small turn before the step moves its end, at t, by w x t: seen from there R^T (w x t).
+    x, y = sa * dx - va * dy, va * dx + sa * dy  # the step t, as in `exp`
+    # Ad: a small rotation w before the step moves the end of the step by w x t, which is
+    # R' (w x t) in the frame at the end.
     moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
     added = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, noise)
     (m11, m12, m13), (_, m22, m23), (_, _, m33) = moved

@@ -1,4 +1,4 @@
-"""Twists as text, for the command line and for services."""
+"""Parser of twists in text form, for the command line and for services."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from thorvaldc.runtime.se2 import Twist
 
 
 def parse_twist(text: str) -> Twist:
-    """``vx,vy,wz`` in m/s, m/s and rad/s.  Raises ``DiagnosticError`` (``twist-invalid``)."""
+    """Parses ``vx,vy,wz`` (m/s, m/s, rad/s).  Raises ``DiagnosticError`` (``twist-invalid``)."""
     parts = text.split(",")
     try:
         numbers = [float(part) for part in parts]

@@ -45,6 +45,49 @@ def test_turn_on_the_spot_points_wheels_across_their_arms() -> None:
         assert velocity == pytest.approx((-y, x), abs=1e-12)
 
 
+def test_every_steered_wheel_gets_the_velocity_of_its_position() -> None:
+    rng = random.Random(4)
+    for count in (2, 4, 9, 20):
+        wheels = [
+            replace(
+                wheel(
+                    f"w{i}",
+                    rng.uniform(-2.0, 2.0),
+                    rng.uniform(-2.0, 2.0),
+                    "swivel" if i and rng.random() < 0.3 else "steered",
+                    heading=rng.choice([0.0, 0.3, math.pi]),
+                    sign=rng.choice([1.0, -1.0]),
+                    radius=rng.choice([0.1, 0.2]),
+                    limits=(None, None),
+                ),
+                max_speed=1e3,
+            )
+            for i in range(count)
+        ]
+        calculator = general(*wheels)
+        for _ in range(10):
+            twist = Twist(*(rng.uniform(-1.0, 1.0) for _ in range(3)))
+            joints = calculator.command(twist).joints
+            for w, speed, angle in zip(wheels, joints.speeds, joints.angles, strict=True):
+                direction, v = w.heading + w.sign * angle, w.radius * speed
+                velocity = (v * math.cos(direction), v * math.sin(direction))
+                position_velocity = (twist.vx - twist.wz * w.y, twist.vy + twist.wz * w.x)
+                expected = position_velocity if w.steered else (0.0, 0.0)
+                assert velocity == pytest.approx(expected, abs=1e-12)
+
+
+def test_fixed_wheels_roll_along_and_a_turned_one_rolls_backwards() -> None:
+    calculator = general(
+        wheel("l", 0.2, 0.4, "fixed"),
+        wheel("r", 0.2, -0.4, "fixed", heading=math.pi),
+        wheel("f", 1.0, 0.0, "steered"),
+    )
+    twist = Twist(0.6, -0.2 * 0.3, 0.3)
+    command = calculator.command(twist)
+    assert command.joints.speeds[:2] == pytest.approx(((0.6 - 0.12) / 0.2, -(0.6 + 0.12) / 0.2))
+    assert calculator.estimator.least_squares(followed(command)) == pytest.approx(twist)
+
+
 def test_one_fixed_axle_takes_the_turn_and_decides_the_swing() -> None:
     made = general(*four("steered", "steered", "fixed", "fixed"))
     command = made.command(Twist(0.5, 0.0, 0.3))

@@ -8,108 +8,108 @@ import random
 import pytest
 
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.calculators.steering_branch import Steering
+from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
 
 LIMIT = 3.078027759
 
 
 def steering(
     limits: tuple[float | None, float | None] = (-math.pi, math.pi), hysteresis: float = 0.02
-) -> Steering:
-    return Steering(wheel("w", 0.0, 0.0, "steered", limits=limits), (0,), 1.5, hysteresis)
+) -> SteeringJoint:
+    return SteeringJoint(wheel("w", 0.0, 0.0, "steered", limits=limits), (0,), 1.5, hysteresis)
 
 
-def turned(made: Steering, angle: float) -> Steering:
-    made.reset(angle)
-    return made
+def turned(joint: SteeringJoint, angle: float) -> SteeringJoint:
+    joint.reset(angle)
+    return joint
 
 
 def test_takes_the_nearer_of_two_opposite_angles() -> None:
-    made = turned(steering(), 0.2)
-    made.choose(-1.0, 0.0, 0.0, 0.2, 0.0)
-    assert made.target == pytest.approx(0.0)
-    assert made.direction == -1.0
-    made.choose(0.0, 1.0, 0.0, 0.2, 0.0)
-    assert made.target == pytest.approx(math.pi / 2)
-    assert made.direction == 1.0
+    joint = turned(steering(), 0.2)
+    joint.choose(-1.0, 0.0, 0.0, 0.2, 0.0)
+    assert joint.target == pytest.approx(0.0)
+    assert joint.direction == -1.0
+    joint.choose(0.0, 1.0, 0.0, 0.2, 0.0)
+    assert joint.target == pytest.approx(math.pi / 2)
+    assert joint.direction == 1.0
 
 
 def test_goes_the_long_way_where_the_cable_ends() -> None:
     """From 150 deg, a direction of -160 deg (200) is 50 deg away but past the limit."""
     angle = math.radians(150)
-    made = turned(steering((-LIMIT, LIMIT)), angle)
-    made.choose(math.cos(math.radians(200)), math.sin(math.radians(200)), 0.0, angle, 0.0)
-    assert made.target == pytest.approx(math.radians(20))
-    assert made.direction == -1.0
+    joint = turned(steering((-LIMIT, LIMIT)), angle)
+    joint.choose(math.cos(math.radians(200)), math.sin(math.radians(200)), 0.0, angle, 0.0)
+    assert joint.target == pytest.approx(math.radians(20))
+    assert joint.direction == -1.0
 
 
 def test_half_a_turn_past_the_limit_by_rounding_stays() -> None:
     """A target at +-pi, rounded either way, in a joint limited to +-3.14159."""
-    made = turned(steering((-3.14159, 3.14159)), 3.14159)
+    joint = turned(steering((-3.14159, 3.14159)), 3.14159)
     for k in range(50):
         noise = (-1) ** k * 1e-12
-        made.choose(-1.0, noise, 0.0, 3.14159, 1.0)
-        assert made.target == pytest.approx(3.14159, abs=1e-5)
-        assert made.target <= 3.14159
-        assert made.direction == 1.0
+        joint.choose(-1.0, noise, 0.0, 3.14159, 1.0)
+        assert joint.target == pytest.approx(3.14159, abs=1e-5)
+        assert joint.target <= 3.14159
+        assert joint.direction == 1.0
 
 
 def test_hysteresis_keeps_the_branch_between_equals() -> None:
-    made = turned(steering(), 0.0)
-    made.choose(0.0, 1.0, 0.0, 0.0, 0.0)
-    first = made.direction
+    joint = turned(steering(), 0.0)
+    joint.choose(0.0, 1.0, 0.0, 0.0, 0.0)
+    first = joint.direction
     for k in range(20):
         tilt = math.pi / 2 + (-1) ** k * 0.01
-        made.choose(math.cos(tilt), math.sin(tilt), 0.0, 0.0, 0.0)
-        assert made.direction == first
+        joint.choose(math.cos(tilt), math.sin(tilt), 0.0, 0.0, 0.0)
+        assert joint.direction == first
 
 
 def test_a_fast_wheel_does_not_reverse_for_a_few_degrees() -> None:
     """Turning 100 deg takes 0.44 s; stopping and reversing from 1.5 m/s takes 2 s."""
-    made = turned(steering(), 0.0)
-    made.choose(1.0, 0.0, 0.0, 0.0, 1.5)
+    joint = turned(steering(), 0.0)
+    joint.choose(1.0, 0.0, 0.0, 0.0, 1.5)
     theta = math.radians(100)
-    made.choose(1.5 * math.cos(theta), 1.5 * math.sin(theta), 0.0, 0.0, 1.5)
-    assert made.direction == 1.0
-    made.choose(1.5 * math.cos(theta), 1.5 * math.sin(theta), 0.0, 0.0, 0.0)
-    assert made.direction == -1.0
+    joint.choose(1.5 * math.cos(theta), 1.5 * math.sin(theta), 0.0, 0.0, 1.5)
+    assert joint.direction == 1.0
+    joint.choose(1.5 * math.cos(theta), 1.5 * math.sin(theta), 0.0, 0.0, 0.0)
+    assert joint.direction == -1.0
 
 
 def test_narrow_limits_may_reach_nothing() -> None:
-    made = turned(steering((-0.7, 0.7)), 0.1)
-    made.choose(0.0, 1.0, 0.0, 0.1, 0.0)
-    assert made.unreachable
-    assert made.target == 0.1
-    made.choose(-1.0, 0.2, 0.0, 0.1, 0.0)
-    assert not made.unreachable
-    assert made.target == pytest.approx(math.atan2(0.2, -1.0) - math.pi)
+    joint = turned(steering((-0.7, 0.7)), 0.1)
+    joint.choose(0.0, 1.0, 0.0, 0.1, 0.0)
+    assert joint.unreachable
+    assert joint.target == 0.1
+    joint.choose(-1.0, 0.2, 0.0, 0.1, 0.0)
+    assert not joint.unreachable
+    assert joint.target == pytest.approx(math.atan2(0.2, -1.0) - math.pi)
 
 
 def test_slow_is_held_and_resumes_later() -> None:
-    made = turned(steering(), 0.3)
-    made.choose(0.0, 0.0015, 0.0, 0.3, 0.0)
-    assert made.held
-    assert made.target == 0.3
-    made.choose(0.0, 0.0025, 0.0, 0.3, 0.0)
-    assert not made.held
-    made.choose(0.0, 0.0015, 0.0, 0.3, 0.0)
-    assert not made.held
-    made.choose(0.0, 0.0009, 0.0, 0.3, 0.0)
-    assert made.held
+    joint = turned(steering(), 0.3)
+    joint.choose(0.0, 0.0015, 0.0, 0.3, 0.0)
+    assert joint.holding
+    assert joint.target == 0.3
+    joint.choose(0.0, 0.0025, 0.0, 0.3, 0.0)
+    assert not joint.holding
+    joint.choose(0.0, 0.0015, 0.0, 0.3, 0.0)
+    assert not joint.holding
+    joint.choose(0.0, 0.0009, 0.0, 0.3, 0.0)
+    assert joint.holding
 
 
 def test_a_trailing_contact_points_past_the_velocity() -> None:
-    made = Steering(wheel("w", 1.0, 0.0, "steered", trail=-0.1), (0,), 1.5, 0.02)
+    joint = SteeringJoint(wheel("w", 1.0, 0.0, "steered", trail=-0.1), (0,), 1.5, 0.02)
     wz = 0.5
-    made.choose(1.0, wz * 1.0, wz, 0.0, 0.0)
-    _, side = made.wheel.rows(made.target)
+    joint.choose(1.0, wz * 1.0, wz, 0.0, 0.0)
+    _, side = joint.wheel.rows(joint.target)
     assert side[0] * 1.0 + side[2] * wz == pytest.approx(0.0, abs=1e-12)
 
 
 def test_expected_travel_is_the_mean_over_all_directions() -> None:
     """Against a count over directions, for wide, narrow and lopsided limits."""
     for limits in ((-LIMIT, LIMIT), (-math.pi, math.pi), (-1.0, 5.0), (-math.pi / 2, math.pi / 2)):
-        made = steering(limits)
+        joint = steering(limits)
         low, high = limits
         for share in (0.0, 0.1, 0.5, 0.9, 1.0):
             at = low + share * (high - low)
@@ -119,44 +119,44 @@ def test_expected_travel_is_the_mean_over_all_directions() -> None:
                 theta = math.pi * (k + 0.5) / n
                 reach = [theta + math.pi * m for m in range(-4, 5)]
                 total += min((abs(c - at) for c in reach if low <= c <= high), default=math.pi / 2)
-            assert made.expected_travel(at) == pytest.approx(total / n, abs=0.02)
+            assert joint.expected_travel(at) == pytest.approx(total / n, abs=0.02)
 
 
 def test_avoids_the_ends_of_the_range() -> None:
     """From 80 deg, 168 deg is nearer than -12 deg, but next to the limit."""
-    made = turned(steering(), math.radians(80))
+    joint = turned(steering(), math.radians(80))
     theta = math.radians(168)
-    made.choose(math.cos(theta), math.sin(theta), 0.0, math.radians(80), 0.0)
-    assert math.degrees(made.target) == pytest.approx(-12.0)
+    joint.choose(math.cos(theta), math.sin(theta), 0.0, math.radians(80), 0.0)
+    assert math.degrees(joint.target) == pytest.approx(-12.0)
 
 
 def test_travel_is_near_the_optimum() -> None:
     """Independent directions, +-180 deg: dynamic programming reaches 48.04 deg in the mean."""
     random.seed(7)
-    made = turned(steering(hysteresis=0.0), 0.0)
+    joint = turned(steering(hysteresis=0.0), 0.0)
     travel, n = 0.0, 40000
     angle = 0.0
     for _ in range(n):
         theta = random.uniform(-math.pi, math.pi)
-        made.choose(math.cos(theta), math.sin(theta), 0.0, angle, 0.0)
-        travel += abs(made.target - angle)
-        angle = made.target
+        joint.choose(math.cos(theta), math.sin(theta), 0.0, angle, 0.0)
+        travel += abs(joint.target - angle)
+        angle = joint.target
     assert math.degrees(travel / n) <= 48.04 * 1.01
 
 
 @pytest.mark.parametrize(("start", "goal"), [(0.0, 2.0), (2.5, -1.0), (0.0, 0.01), (1.0, 1.0001)])
 def test_the_way_keeps_rate_and_change_and_does_not_overshoot(start: float, goal: float) -> None:
-    made = turned(steering(), start)
-    made.target = goal
+    joint = turned(steering(), start)
+    joint.target = goal
     dt, before, rate = 0.02, start, 0.0
     ticks = 0
-    while made.angle != goal or made.rate != 0.0:
-        made.advance(dt, 1.0)
-        now = (made.angle - before) / dt
+    while joint.angle != goal or joint.rate != 0.0:
+        joint.advance(dt, 1.0)
+        now = (joint.angle - before) / dt
         assert abs(now) <= 4.0 + 1e-9
         assert abs(now - rate) <= 20.0 * dt + 1e-6
-        assert min(start, goal) - 1e-9 <= made.angle <= max(start, goal) + 1e-9
-        before, rate = made.angle, now
+        assert min(start, goal) - 1e-9 <= joint.angle <= max(start, goal) + 1e-9
+        before, rate = joint.angle, now
         ticks += 1
         assert ticks < 200
     # The shortest time is way / rate + rate / change.

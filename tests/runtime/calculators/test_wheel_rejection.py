@@ -12,7 +12,7 @@ from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise, WheelGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
-from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimator
+from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
 from thorvaldc.runtime.se2 import Cov3, Twist
 
 FOUR = [
@@ -54,7 +54,8 @@ def spoilt(states: JointStates, i: int, wrong: str) -> JointStates:
 
 
 def estimator(wheels: list[WheelGeometry], **options: float) -> TwistEstimator:
-    return TwistEstimator(BaseGeometry.from_wheels(wheels), None, Estimation(**options))  # type: ignore[arg-type]
+    chosen = EstimatorOptions(**options)  # type: ignore[arg-type]
+    return TwistEstimator(BaseGeometry.from_wheels(wheels), None, chosen)
 
 
 def sigmas(covariance: Cov3) -> list[float]:
@@ -201,7 +202,9 @@ def test_polish_goes_to_the_maximum_of_the_likelihood() -> None:
     """With directions as bad as 4 deg the first step is not quite there; then it stays."""
     noise = Noise(speed_ratio=0.002, angle=math.radians(4.0))
     geometry = BaseGeometry.from_wheels(FOUR)
-    steps = [TwistEstimator(geometry, noise, Estimation(faulty=0, polish=n)) for n in range(6)]
+    steps = [
+        TwistEstimator(geometry, noise, EstimatorOptions(faulty=0, polish=n)) for n in range(6)
+    ]
     states = joints(FOUR, MOTIONS[1], noise, 3)
     twists = [s.estimate(states).twist for s in steps]
     moved = [max(abs(p - q) for p, q in zip(a, b, strict=True)) for a, b in pairwise(twists)]
@@ -242,7 +245,7 @@ def test_a_passive_wheel_that_holds_its_direction_tells_of_side_slip() -> None:
 )
 def test_options_out_of_range_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=f"{next(iter(options))} is"):
-        Estimation(**options)  # type: ignore[arg-type]
+        EstimatorOptions(**options)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("options", [{"faulty_wheels": 3}, {"polish": 11}])
@@ -250,7 +253,7 @@ def test_options_of_general_are_checked(options: dict[str, int]) -> None:
     with pytest.raises(ValueError, match=f"{next(iter(options))} is"):
         GeneralOptions(**options)  # type: ignore[arg-type]
     assert General(BaseGeometry.from_wheels(FOUR), GeneralOptions(polish=2)).estimator.options == (
-        Estimation(polish=2)
+        EstimatorOptions(polish=2)
     )
 
 

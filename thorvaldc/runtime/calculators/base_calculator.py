@@ -1,4 +1,4 @@
-"""A base calculator: what every one of them offers."""
+"""The interface of base calculators."""
 
 from __future__ import annotations
 
@@ -16,26 +16,24 @@ from thorvaldc.runtime.calculators.twist_fit import Noise
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 
-_TOO_FAST = 1e18
-"""Square of a twist beyond all bounds, m^2/s^2."""
+_MAX_TWIST_SQUARED = 1e18
+"""Square of a commanded twist (m^2/s^2) above which it counts as not finite."""
 
 
 @dataclass(slots=True)
 class BaseCommand:
-    """What the joints shall do for a twist.
+    """Joint commands for a twist, and how far they realise it.
 
-    ``joints``: per wheel.  ``target``: the twist aimed at, the nearest to the
-    one asked for that fixed wheels allow and wheels are fast enough for.
-    ``twist``: what the joints do now, while wheels still turn to their
-    angles.  ``infeasible``: the part that was asked for and that the fixed
-    wheels do not allow.  ``scale``: by how much the speed limits slowed it
-    down (1: not).  ``unreachable``: indices of wheels whose steering limits
-    leave no angle for the twist; they stand.  ``required_rates`` (rad/s, per
-    wheel): how fast its steering would have to turn to be at its angle at the end
-    of the tick; beyond its limit the wheel is late.  0 without a time step.
-    ``must_stop``: a wheel that rolls has to turn around, which it does once the robot stands;
-    until then all hold their angles, and whoever drives ramps down to rest.
-    ``aligned``: no wheel has further to turn than one may that rolls.
+    ``joints``: commands per wheel.  ``target``: the feasible twist nearest to the commanded one,
+    scaled to the speed limits of the wheels.  ``twist``: the twist of these joint commands, which
+    differs from ``target`` while wheels steer or accelerate.  ``infeasible``: the part of the
+    commanded twist that the fixed wheels do not allow.  ``scale``: factor of the speed limits
+    (1: no limit reached).  ``unreachable``: indices of wheels that stand because no angle within
+    their steering limits fits the twist.  ``required_rates`` (rad/s, per wheel): the steering rate
+    that would reach the target angle within the tick; a wheel with a lower limit is late.  0
+    without a time step.  ``must_stop``: a rolling wheel has to turn around.  All wheels hold their
+    angles, and the driver has to ramp the twist down to zero; then the wheel turns.
+    ``aligned``: every wheel is near enough to its target angle to roll.
     """
 
     joints: JointCommands
@@ -51,35 +49,35 @@ class BaseCommand:
 
 @dataclass(frozen=True, slots=True)
 class NoOptions:
-    """A calculator's options are a frozen dataclass of scalars; here there are none."""
+    """Options of a calculator that has none.  Options are a frozen dataclass of scalars."""
 
 
-Odometry = Callable[[Any, JointStates], TwistEstimate]
+OdometryMethod = Callable[[Any, JointStates], TwistEstimate]
 
 
-def bounded(odometry: Odometry) -> Odometry:
-    """``NotFiniteError`` in place of a result that is not finite, for joints beyond all bounds."""
+def finite_result(odometry: OdometryMethod) -> OdometryMethod:
+    """Decorates an odometry method: it raises ``NotFiniteError`` if the result is not finite."""
 
     @functools.wraps(odometry)
     def checked(self: Any, states: JointStates) -> TwistEstimate:
         try:
-            found = odometry(self, states)
+            estimate = odometry(self, states)
         except (ZeroDivisionError, OverflowError):
             raise NotFiniteError("the joint states are out of all bounds") from None
-        told = sum(found.twist) + sum(map(sum, found.covariance)) + sum(found.chi_squares)
-        if not math.isfinite(told):
+        total = sum(estimate.twist) + sum(map(sum, estimate.covariance)) + sum(estimate.chi_squares)
+        if not math.isfinite(total):
             raise NotFiniteError("the joint states are out of all bounds")
-        return found
+        return estimate
 
     return checked
 
 
 class BaseCalculator(abc.ABC):
-    """Joint commands and odometry of one robot.  Keeps what it last commanded.
+    """Joint commands and odometry of one robot; stores its last command.
 
-    A subclass names itself, gives its options as a frozen dataclass with
-    defaults (its ``__post_init__`` raises ``ValueError`` for values out of
-    range) and says by ``unsuited`` which robots it is not for.
+    A subclass defines its name, its options as a frozen dataclass with defaults (whose
+    ``__post_init__`` raises ``ValueError`` for values out of range), and in
+    ``unsuited_reason`` the robots that it cannot drive.
     """
 
     name: ClassVar[str]
@@ -96,47 +94,47 @@ class BaseCalculator(abc.ABC):
 
     @classmethod
     def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
-        """Why this calculator cannot drive such a robot; ``None`` where it can."""
+        """Returns why this calculator cannot drive such a robot, or ``None`` if it can."""
         return None
 
     @abc.abstractmethod
     def feasible(self, twist: Twist) -> Twist:
-        """The nearest twist that the wheels' arrangement allows, at any speed."""
+        """Returns the nearest twist that the fixed wheels allow, without regard to speed limits."""
 
     @abc.abstractmethod
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
-        """Joint commands for a twist of ``base_link``.
+        """Computes joint commands for a twist of ``base_link``.
 
-        With ``states`` wheel speeds agree with the angles that the wheels have
-        now; with ``dt`` (s since the last command) steering keeps its rates.
-        Without either it is the pure inverse.  Raises ``NotFiniteError`` and
-        changes nothing where a value is not a finite number.
+        With ``states``, the wheel speeds fit the steering angles that the wheels have now.  With
+        ``dt`` (s since the last command), steering and drive motors keep their rates and
+        accelerations.  Without both, the result is the inverse kinematics.  Raises
+        ``NotFiniteError`` for a value that is not a finite number, and then changes nothing.
         """
 
     def odometry(self, states: JointStates) -> TwistEstimate:
-        """The twist that the joints tell.  Raises ``NotFiniteError`` for bad states."""
+        """Estimates the twist from the joint states.  Raises ``NotFiniteError``, ``ValueError``."""
         return self.estimator.estimate(states)
 
     @abc.abstractmethod
     def reset(self, states: JointStates | None = None) -> None:
-        """Forget what was commanded; the joints are where ``states`` says, or at zero."""
+        """Forgets the last command; the joints are at ``states``, or at zero without them."""
 
     def with_parameters(self, radii: Sequence[float], noise: Noise) -> Self:
-        """Such a calculator for other wheel radii (m) and errors, with nothing commanded yet."""
+        """Returns a calculator with other wheel radii (m) and noise, and without a last command."""
         return type(self)(self.geometry.with_radii(radii), self.options, noise)
 
-    def resume(self, before: Self) -> None:
-        """Go on from what ``before``, another for the same wheels, has commanded.
+    def resume(self, previous: Self) -> None:
+        """Takes over the last command of ``previous``, a calculator for the same wheels.
 
-        A subclass that keeps anything between commands takes it over here.
+        A subclass that stores anything between commands takes it over here.
         """
         return
 
     def _check(self, twist: Twist, states: JointStates | None, dt: float | None) -> None:
         vx, vy, wz = twist
-        if not vx * vx + vy * vy + wz * wz < _TOO_FAST:  # so is a NaN
+        if not vx * vx + vy * vy + wz * wz < _MAX_TWIST_SQUARED:  # true for a NaN, too
             raise NotFiniteError(f"the commanded twist is {tuple(twist)}")
         if dt is not None and not 0.0 < dt < math.inf:
             raise ValueError(f"the time step is {dt} s; it must be positive")

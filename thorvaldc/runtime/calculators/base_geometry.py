@@ -1,4 +1,4 @@
-"""What a base calculator needs to know of a robot: plain numbers, computed once."""
+"""Geometry of a robot's wheels as plain numbers, computed once for the base calculators."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from dataclasses import dataclass, replace
 from thorvaldc.model import Robot, Wheel
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-# Fixed wheels whose headings differ by less share an axle, with some scrub;
-# beyond it their axle lines meet in a point about which alone the robot turns.
 _SAME_HEADING = math.radians(10.0)
+"""Fixed wheels whose headings differ by less (rad) form one axle, which scrubs a little.
+Otherwise their axle lines intersect, and the robot can only turn about the intersection."""
 _SAME_LINE = 1e-3
-"""Distance (m) between axle lines that counts as none."""
+"""Axle lines closer than this (m) count as one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelGeometry:
-    """A wheel as numbers, in ``base_link``; see ``thorvaldc.model.Wheel`` for the meanings.
+    """A wheel in ``base_link``; ``thorvaldc.model.Wheel`` defines the geometric fields.
 
-    ``steered`` means turned by a motor; ``swivel`` free to turn, which says
-    nothing about the robot's motion.  ``encoder`` says that its speed is
-    measured.  Limits: ``max_speed`` (rad/s) and ``max_acceleration`` (rad/s^2)
-    of the spin, ``lower``/``upper`` (rad, ``None``: none), ``max_rate`` (rad/s)
-    and ``max_rate_change`` (rad/s^2) of the steering.
+    ``steered``: a motor turns the steering joint.  ``swivel``: the wheel turns freely and measures
+    nothing about the robot's motion.  ``encoder``: its speed is measured.
+    Limits of the spin joint: ``max_speed`` (rad/s), ``max_acceleration`` (rad/s^2).  Limits of the
+    steering joint: ``lower``/``upper`` (rad, ``None``: unlimited), ``max_rate`` (rad/s),
+    ``max_rate_change`` (rad/s^2).
     """
 
     name: str
@@ -48,13 +48,15 @@ class WheelGeometry:
 
     @property
     def fixed(self) -> bool:
+        """The wheel neither steers nor swivels."""
         return not (self.steered or self.swivel)
 
     def rows(self, angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Rolling row L and side-slip row T at a steering angle (0 for a fixed wheel).
+        """Returns the rolling row L and the side-slip row T at a steering angle (0: fixed wheel).
 
-        L xi is the speed at which the contact point moves along the rolling
-        direction, T xi to its left, for the twist xi = (vx, vy, wz).
+        For the twist xi = (vx, vy, wz), L xi is the speed of the contact point along the rolling
+        direction, T xi its speed to the left.  (With a trail or a lateral offset, a turning
+        steering joint adds its own part.)
         """
         direction = self.heading + self.sign * angle
         c, s = math.cos(direction), math.sin(direction)
@@ -66,12 +68,12 @@ class WheelGeometry:
 
 @dataclass(frozen=True, slots=True)
 class BaseGeometry:
-    """A robot's wheels, and the groups of them that must agree.
+    """A robot's wheels, and the groups of wheels that share a joint.
 
-    ``steering_groups`` lists, per steering joint, the wheels on it; most have
-    one.  ``spin_groups`` lists the wheels of spin joints that carry several.
-    ``length`` (m) is the root mean square distance of the wheels that hold
-    the ground from ``centre``: the lever between linear and angular motion.
+    ``steering_groups``: per steering joint, the indices of its wheels (most joints have one).
+    ``spin_groups``: the indices of the wheels of each spin joint that carries several.
+    ``centre``: centroid (m) of the wheels that do not swivel.  ``length`` (m): root mean square
+    distance of these wheels from it; the lever that converts angular to linear speed.
     """
 
     wheels: tuple[WheelGeometry, ...]
@@ -82,7 +84,7 @@ class BaseGeometry:
 
     @staticmethod
     def from_robot(robot: Robot) -> BaseGeometry:
-        """Geometry of a robot with the ordinary radii of its wheels."""
+        """Returns the geometry of a robot with the ordinary radii of its wheels."""
         return BaseGeometry.from_wheels(
             [_wheel_geometry(robot, wheel) for wheel in robot.wheels],
             steering=[wheel.steering_joint for wheel in robot.wheels],
@@ -96,7 +98,10 @@ class BaseGeometry:
         steering: Sequence[str | None] | None = None,
         spin: Sequence[str] | None = None,
     ) -> BaseGeometry:
-        """Geometry of these wheels; ``steering`` and ``spin`` name their joints."""
+        """Returns the geometry of these wheels.
+
+        ``steering`` and ``spin`` are the names of their joints, by default a joint for each wheel.
+        """
         steering = steering or [w.name for w in wheels]
         spin = spin or [w.name for w in wheels]
         steering_groups: dict[str | None, list[int]] = {}
@@ -106,12 +111,12 @@ class BaseGeometry:
                 steering_groups.setdefault(steering[i], []).append(i)
             if wheel.driven:
                 spin_groups.setdefault(spin[i], []).append(i)
-        holding = [w for w in wheels if not w.swivel]
-        n = max(len(holding), 1)
-        xm, ym = sum(w.x for w in holding) / n, sum(w.y for w in holding) / n
-        square = sum((w.x - xm) ** 2 + (w.y - ym) ** 2 for w in holding) / n
-        length = math.sqrt(square)
-        if length < 0.05:  # a single wheel has no lever of its own
+        guiding = [w for w in wheels if not w.swivel]
+        n = max(len(guiding), 1)
+        xm, ym = sum(w.x for w in guiding) / n, sum(w.y for w in guiding) / n
+        mean_square = sum((w.x - xm) ** 2 + (w.y - ym) ** 2 for w in guiding) / n
+        length = math.sqrt(mean_square)
+        if length < 0.05:  # a single wheel: use its distance from base_link
             length = max((math.hypot(w.x, w.y) for w in wheels), default=0.0) or 0.5
         return BaseGeometry(
             tuple(wheels),
@@ -122,7 +127,7 @@ class BaseGeometry:
         )
 
     def with_radii(self, radii: Sequence[float]) -> BaseGeometry:
-        """The same wheels on these radii (m), one for each."""
+        """Returns the same wheels with these radii (m), one per wheel."""
         wheels = zip(self.wheels, radii, strict=True)
         return replace(self, wheels=tuple(replace(w, radius=r) for w, r in wheels))
 
@@ -131,14 +136,14 @@ class BaseGeometry:
         return tuple(w for w in self.wheels if w.driven)
 
     @property
-    def fastest(self) -> float:
-        """Speed (m/s) of the fastest driven wheel at its limit; 1.5 where there is none."""
+    def max_wheel_speed(self) -> float:
+        """Speed limit (m/s) of the fastest driven wheel; 1.5 if no wheel has a limit."""
         speeds = [w.max_speed * w.radius for w in self.wheels if w.driven]
         return max((v for v in speeds if math.isfinite(v)), default=1.5)
 
     @property
     def steering_time(self) -> float:
-        """Time (s) in which every steering joint reaches its rate; 0 where nothing steers."""
+        """Time (s) from rest until every steering joint turns at its full rate; 0 without any."""
         times = [
             w.max_rate / w.max_rate_change
             for w in self.wheels
@@ -162,7 +167,7 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
         radius=wheel.radius,
         driven=spin is not None,
         steered=steering is not None,
-        # A steering joint that no motor turns is free to turn.
+        # A steering joint without a motor turns freely.
         swivel=wheel.swivel_joint is not None or (limits is not None and steering is None),
         encoder=spin is not None,
         max_speed=spin.max_velocity if spin else math.inf,
@@ -175,12 +180,19 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
 
 
 class FixedWheels:
-    """What wheels that do not turn allow of a twist.
+    """The constraint that fixed wheels put on the twist.
 
-    Wheels of like heading act as one axle through their mean contact; where
-    they are not in line they scrub in turns (``skids``).  One axle keeps wz
-    and the velocity along the wheels, and decides the velocity across; two
-    axles leave turning about where their lines meet; more, as a rule, nothing.
+    Fixed wheels of equal heading act as one axle through their mean contact.  An axle has one
+    constraint, its side-slip row: (nx, ny, d) . (vx, vy, wz) = 0, with the normal n of its
+    wheels.  Hence:
+
+    - no axle: every twist is feasible;
+    - one axle: wz and the speed along the wheels are free, the speed across follows;
+    - two axles: the robot can only turn about the intersection of their lines;
+    - more axles whose lines do not all meet in one point: no motion is feasible.
+
+    ``rows``: the constraint of each axle.  ``skids``: indices of wheels on an axle whose wheels are
+    not in line; they scrub whenever the robot turns.
     """
 
     def __init__(self, wheels: Sequence[WheelGeometry]) -> None:
@@ -190,10 +202,10 @@ class FixedWheels:
                 continue
             _, row = wheel.rows(0.0)
             for axle in axles:
-                _, first = axle[0]
-                across = first[0] * row[0] + first[1] * row[1]
-                if abs(across) >= math.cos(_SAME_HEADING):
-                    if across < 0.0:  # mounted the other way round
+                _, first_row = axle[0]
+                alignment = first_row[0] * row[0] + first_row[1] * row[1]
+                if abs(alignment) >= math.cos(_SAME_HEADING):
+                    if alignment < 0.0:  # the wheel is mounted the other way round
                         row = (-row[0], -row[1], -row[2])
                     axle.append((i, row))
                     break
@@ -204,10 +216,10 @@ class FixedWheels:
         for axle in axles:
             n = len(axle)
             tx, ty, tw = (sum(row[k] for _, row in axle) / n for k in range(3))
-            size = math.hypot(tx, ty)
-            mean = (tx / size, ty / size, tw / size)
+            norm = math.hypot(tx, ty)
+            mean = (tx / norm, ty / norm, tw / norm)
             self.rows.append(mean)
-            # One that is out of line makes the whole axle scrub.
+            # One wheel out of line makes all wheels of the axle scrub.
             if any(
                 math.hypot(row[0] - mean[0], row[1] - mean[1]) > 1e-6
                 or abs(row[2] - mean[2]) > _SAME_LINE
@@ -215,30 +227,34 @@ class FixedWheels:
             ):
                 skids += [i for i, _ in axle]
         self.skids: tuple[int, ...] = tuple(skids)
+        # Velocity (m/s) of base_link's origin per rad/s of the only feasible rotation.
         self._pole: tuple[float, float] | None = None
-        self._turns = True
+        self._can_turn = True
         if len(self.rows) >= 2:
             (a0, a1, a2), (b0, b1, b2) = self.rows[0], self.rows[1]
+            # Solves n_a . v = -a2 and n_b . v = -b2.
             det = a0 * b1 - a1 * b0
-            # Velocity of the origin per rad/s: n_a . v = -a2, n_b . v = -b2.
             self._pole = ((-a2 * b1 + a1 * b2) / det, (-a0 * b2 + a2 * b0) / det)
             px, py = self._pole
-            self._turns = all(abs(r[0] * px + r[1] * py + r[2]) <= _SAME_LINE for r in self.rows)
+            self._can_turn = all(abs(r[0] * px + r[1] * py + r[2]) <= _SAME_LINE for r in self.rows)
 
     @property
-    def free(self) -> bool:
-        """Whether there are no such wheels."""
+    def unconstrained(self) -> bool:
+        """There are no fixed wheels."""
         return not self.rows
 
     def feasible(self, twist: Twist) -> Twist:
-        """The nearest twist that these wheels allow; linear in ``twist``."""
+        """Returns the nearest twist that satisfies the constraint; linear in ``twist``.
+
+        With one axle it keeps wz and removes the side slip: v' = v - n (n . v + d wz).
+        """
         if not self.rows:
             return twist
         if self._pole is not None:
-            if not self._turns:
+            if not self._can_turn:
                 return ZERO_TWIST
             px, py = self._pole
             return Twist(px * twist.wz, py * twist.wz, twist.wz)
         nx, ny, d = self.rows[0]
-        across = nx * twist.vx + ny * twist.vy + d * twist.wz
-        return Twist(twist.vx - nx * across, twist.vy - ny * across, twist.wz)
+        slip = nx * twist.vx + ny * twist.vy + d * twist.wz
+        return Twist(twist.vx - nx * slip, twist.vy - ny * slip, twist.wz)

@@ -1,4 +1,11 @@
-"""Two or more driven wheels on one axle, and nothing that steers."""
+"""The calculator for two or more driven wheels on one axle, without steering.
+
+With e along the wheels, n across them, and a the position of a wheel along n:
+
+    rolling speed of the wheel:  e . v - a wz        axle at d along e, no side slip:  n . v = -d wz
+
+The odometry fits the line "speed = along - a wz" to the measured speeds, with weights.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +14,15 @@ from typing import Self
 
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, NoOptions
-from thorvaldc.runtime.calculators.base_calculator import bounded
+from thorvaldc.runtime.calculators.base_calculator import finite_result
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.motor_limits import Motors
+from thorvaldc.runtime.calculators.motor_limits import DriveMotors
 from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import Twist
 
 
 class Differential(BaseCalculator):
-    """Speeds along the axle and turning, in closed form.
-
-    With e along the wheels, n across them and a the place of a wheel along n,
-    it rolls at e . v - a wz; the axle at d along e does not slip: n . v = -d wz.
-    """
+    """Inverse kinematics and odometry in closed form; see the module."""
 
     name = "differential"
     summary = "driven wheels on one axle, steered by the difference of their speeds"
@@ -32,7 +35,7 @@ class Differential(BaseCalculator):
         # The axle's row is (n, d): n . v + d wz = 0.
         nx, ny, self._d = self._fixed.rows[0]
         self._nx, self._ny = nx, ny
-        # (index, +1 or -1 where the wheel is mounted the other way round, place, radius, limit)
+        # (index, sign: -1 if the wheel is mounted the other way round, row L, radius, speed limit)
         self._wheels = tuple(
             (
                 i,
@@ -44,9 +47,9 @@ class Differential(BaseCalculator):
             for i, w in enumerate(geometry.wheels)
             if w.driven and not w.swivel
         )
-        self._motors = Motors(geometry)
+        self._motors = DriveMotors(geometry)
         self._across = tuple((i, s, -s * row[2], r) for i, s, row, r, _ in self._wheels)
-        self._axle_places = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
+        self._axle_positions = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
 
     @classmethod
     def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
@@ -63,9 +66,9 @@ class Differential(BaseCalculator):
             names = ", ".join(geometry.wheels[i].name for i in fixed.skids)
             return f"its fixed wheels ({names}) are not on one axle, so that it turns by skidding"
         nx, ny, _ = fixed.rows[0]
-        places = [nx * w.x + ny * w.y for w in driven]
-        if max(places) - min(places) < 1e-3:
-            return "its driven wheels are in one place along the axle"
+        positions = [nx * w.x + ny * w.y for w in driven]
+        if max(positions) - min(positions) < 1e-3:
+            return "its driven wheels are at the same position along the axle"
         return None
 
     def reset(self, states: JointStates | None = None) -> None:
@@ -74,8 +77,8 @@ class Differential(BaseCalculator):
         else:
             self._motors.reset(states, self.odometry(states).twist)
 
-    def resume(self, before: Self) -> None:
-        self._motors.resume(before._motors)
+    def resume(self, previous: Self) -> None:
+        self._motors.resume(previous._motors)
 
     def feasible(self, twist: Twist) -> Twist:
         return self._fixed.feasible(twist)
@@ -84,8 +87,8 @@ class Differential(BaseCalculator):
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
         self._check(twist, states, dt)
-        allowed = self._fixed.feasible(twist)
-        vx, vy, wz = allowed
+        feasible = self._fixed.feasible(twist)
+        vx, vy, wz = feasible
         n = len(self.geometry.wheels)
         speeds = [0.0] * n
         excess = 1.0
@@ -95,31 +98,36 @@ class Differential(BaseCalculator):
         scale = 1.0 / excess
         if excess > 1.0:
             speeds = [v * scale for v in speeds]
-        target = allowed.scaled(scale) if excess > 1.0 else allowed
-        now, reached = self._motors.reached(target, self._motors.sharing(speeds), dt)
+        target = feasible.scaled(scale) if excess > 1.0 else feasible
+        speeds = self._motors.average_shared(speeds)
+        current, limited_speeds = self._motors.limit_accelerations(target, speeds, dt)
         infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
         zeros = (0.0,) * n
-        joints = JointCommands(reached, zeros)
-        return BaseCommand(joints, target, now, infeasible, scale, (), zeros)
+        joints = JointCommands(limited_speeds, zeros)
+        return BaseCommand(joints, target, current, infeasible, scale, (), zeros)
 
-    @bounded
+    @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
-        if len(self._wheels) > 2:  # one may be wrong
+        if len(self._wheels) > 2:  # redundant: the estimator can reject one
             return super().odometry(states)
         self.estimator.check(states)
         noise = self.noise
         speeds = states.speeds
-        # A first line through the wheels' speeds predicts what weighs them.
-        along, turn = self._line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[:2]
+        # An unweighted line predicts the speeds that the weights depend on.
+        along, turn = self._fit_line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[
+            :2
+        ]
         ratio2, floor2 = noise.speed_ratio**2, noise.speed_floor**2
         weighted = [
             (a, s * r * speeds[i], 1.0 / (ratio2 * (along - a * turn) ** 2 + floor2))
             for i, s, a, r in self._across
         ]
-        along, turn, p11, p13, p33 = self._line(weighted)
+        along, turn, p11, p13, p33 = self._fit_line(weighted)
         angle2, slip2 = noise.angle**2, noise.slip_floor**2
-        p22 = 1.0 / sum(1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_places)
-        # From (e, n) at the axle to base_link: v = e (along) + n (-d wz).
+        p22 = 1.0 / sum(
+            1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_positions
+        )
+        # From (e, n) at the axle to base_link: v = e along - n d wz.
         d, nx, ny = self._d, self._nx, self._ny
         ex, ey = ny, -nx
         vx, vy = ex * along - nx * d * turn, ey * along - ny * d * turn
@@ -140,10 +148,13 @@ class Differential(BaseCalculator):
         return TwistEstimate(Twist(vx, vy, turn), covariance, 3)
 
     @staticmethod
-    def _line(
+    def _fit_line(
         points: list[tuple[float, float, float]],
     ) -> tuple[float, float, float, float, float]:
-        """Fit speed = along - a turn to (a, speed, weight): along, turn and their covariance."""
+        """Fits speed = along - a turn to points (a, speed, weight).
+
+        Returns along, turn, and the upper half of their covariance.
+        """
         s0 = s1 = s2 = t0 = t1 = 0.0
         for a, v, w in points:
             s0 += w

@@ -1,4 +1,19 @@
-"""The calculator for any arrangement of driven, steered, fixed and free wheels."""
+"""The calculator for any arrangement of driven, steered, fixed and swivelling wheels.
+
+Inverse kinematics: the steering axis of a wheel at (x, y) moves with
+
+    u = (vx - wz y, vy + wz x),   speed v = |u|,   direction phi = atan2(u_y, u_x)
+
+Each steered wheel points along or against phi (``steering_branch`` chooses) and rolls at +-v.
+One factor min(v_max / v_i) <= 1 scales the whole twist, so that the centre of rotation stays.
+
+While wheels still turn to their angles, speeds for the commanded twist would make them fight each
+other.  The speeds then follow the twist that scrubs least at the present angles theta,
+
+    xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
+
+with the side-slip rows T of ``WheelGeometry.rows``.
+"""
 
 from __future__ import annotations
 
@@ -11,32 +26,32 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear_algebra import solve3
-from thorvaldc.runtime.calculators.motor_limits import Motors
-from thorvaldc.runtime.calculators.steering_branch import Steering
-from thorvaldc.runtime.calculators.twist_estimator import Estimation, TwistEstimator
+from thorvaldc.runtime.calculators.motor_limits import DriveMotors
+from thorvaldc.runtime.calculators.skid_steering import SkidSteering
+from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
+from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-_FOLLOW = 0.01
-"""Weight of following the command against not scrubbing while wheels turn."""
-_MOVING = 0.05
-"""Speed (m/s) from which a wheel scrubs much if it does not point where it moves."""
-_FURTHEST = math.pi / 4.0
-"""The furthest (rad) that a wheel turns at once while it moves; the robot stops for more."""
-_LEAST = 0.1
-"""Share of the way to a twist that a wheel can go; below, it is at its end."""
+_FOLLOW_WEIGHT = 0.01
+"""lambda for wheels far from their angles: following the command against not scrubbing."""
+_ROLLING = 0.05
+"""Speed (m/s) above which a wheel scrubs noticeably if it points in a wrong direction."""
+_MAX_TURN_ROLLING = math.pi / 4.0
+"""Largest turn (rad) of a rolling wheel in one step; for more, the robot stops first."""
+_MIN_SHARE = 0.1
+"""Share of the way to a twist below which a wheel cannot go on: it is at a steering limit."""
 _STANDING = 1e-6
-"""Square of the speed (m/s) at which a robot counts as standing."""
+"""Square of the speed (m^2/s^2) below which a robot stands."""
 _ALIGNED = math.radians(1.0)
-"""Misalignment up to which wheels count as at their angles: what servos leave costs no speed."""
+"""Misalignment (rad) up to which wheels count as aligned, so that servo errors cost no speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class SteeringOptions:
     """Options of calculators that steer.
 
-    ``hysteresis`` (s): by how much sooner the other branch (the wheel turned
-    by half a turn, rolling backwards) must be there to be taken.
-    ``arrive_together``: wheels that turn to new angles do so in the same time.
+    ``hysteresis`` (s): a wheel changes between rolling forwards and backwards only if that saves
+    more time.  ``arrive_together``: all wheels take the same time to turn to new angles.
     """
 
     hysteresis: float = 0.02
@@ -49,9 +64,9 @@ class SteeringOptions:
 
 @dataclass(frozen=True, slots=True)
 class GeneralOptions(SteeringOptions):
-    """Options of ``general``, besides those of steering.
+    """Options of ``general``, in addition to those of steering.
 
-    ``faulty_wheels``: how many wheels odometry may leave out at once, 0 to 2.
+    ``faulty_wheels``: largest number of wheels that odometry leaves out, 0 to 2.
     ``polish``: further steps of its fit towards maximum likelihood.
     """
 
@@ -59,7 +74,7 @@ class GeneralOptions(SteeringOptions):
     polish: int = 0
 
     def __post_init__(self) -> None:
-        # super() without arguments fails in a dataclass with slots, which is made anew.
+        # slots=True creates a new class, for which super() without arguments fails.
         SteeringOptions.__post_init__(self)
         if self.faulty_wheels not in (0, 1, 2):
             raise ValueError(f"faulty_wheels is {self.faulty_wheels}; it must be 0, 1 or 2")
@@ -68,11 +83,10 @@ class GeneralOptions(SteeringOptions):
 
 
 class General(BaseCalculator):
-    """Each wheel follows the velocity field of the twist at its place.
+    """Each wheel follows the velocity of the twist at its position; see the module.
 
-    The twist is first brought to what fixed wheels allow, then each steering
-    joint takes the best of all its angles, then one factor for all keeps
-    the wheels within their speeds and accelerations, so that the centre of rotation stays.
+    Order of a command: reduce the twist to what fixed wheels allow, choose the steering angles,
+    slow down for late steering joints, move the joints, compute the wheel speeds, limit them.
     """
 
     name = "general"
@@ -86,13 +100,18 @@ class General(BaseCalculator):
         noise: Noise | None = None,
     ) -> None:
         super().__init__(geometry, options, noise)
-        estimation = Estimation(faulty=self.options.faulty_wheels, polish=self.options.polish)
+        estimation = EstimatorOptions(faulty=self.options.faulty_wheels, polish=self.options.polish)
         self.estimator = TwistEstimator(geometry, noise, estimation)
         wheels = geometry.wheels
         self._fixed = FixedWheels(wheels)
-        self._free = self._fixed.free
+        self._unconstrained = self._fixed.unconstrained
+        self._skid = SkidSteering.from_geometry(geometry, self._fixed)
+        self._length2 = geometry.length**2
+        self._motors = DriveMotors(geometry)
+        self._has_shared_motors = bool(geometry.spin_groups)
+        self._zeros = (0.0,) * len(wheels)
         self._steering = tuple(
-            Steering(
+            SteeringJoint(
                 wheels[group[0]],
                 group,
                 min(wheels[i].max_acceleration * wheels[i].radius for i in group),
@@ -100,16 +119,15 @@ class General(BaseCalculator):
             )
             for group in geometry.steering_groups
         )
-        self._skid = self._skid_gain()
-        self._length2 = geometry.length**2
-        # What the loops of a tick need of each wheel, as plain numbers.
+        # Constants of each wheel for the loops of a tick, unpacked to avoid attribute lookups.
         self._joints = tuple(
             (s, s.wheels[0], s.wheel.x, s.wheel.y, s.wheel.radius) for s in self._steering
         )
-        turned = [(i, s, wheels[i]) for s in self._steering for i in s.wheels]
-        self._turned = tuple((i, s) for i, s, _ in turned)
-        # The third: the speed of a wheel for the rolling (m/s) of its joint's first.
-        self._rolling = tuple(
+        steered = [(i, s, wheels[i]) for s in self._steering for i in s.wheels]
+        self._steered = tuple((i, s) for i, s, _ in steered)
+        # (index, joint, rad/s per m/s of rolling of the joint's first wheel, lateral offset over
+        # radius, speed limit in rad/s)
+        self._driven_steered = tuple(
             (
                 i,
                 s,
@@ -117,21 +135,18 @@ class General(BaseCalculator):
                 w.lateral / w.radius,
                 w.max_speed,
             )
-            for i, s, w in turned
+            for i, s, w in steered
             if w.driven
         )
         self._scrubbing = tuple(
             (i, s, w.heading, w.sign, w.x, w.y, w.trail, w.lateral, w.radius, w.driven)
-            for i, s, w in turned
+            for i, s, w in steered
         )
-        self._straight = tuple(
+        self._driven_fixed = tuple(
             (i, *w.rows(0.0)[0], w.radius, w.max_speed)
             for i, w in enumerate(wheels)
             if w.fixed and w.driven
         )
-        self._motors = Motors(geometry)
-        self._shared = bool(geometry.spin_groups)
-        self._standing = (0.0,) * len(wheels)
         self.reset()
 
     @classmethod
@@ -143,26 +158,25 @@ class General(BaseCalculator):
         return None
 
     def reset(self, states: JointStates | None = None) -> None:
-        self._before = ZERO_TWIST
-        self._stops = False
-        self._follows = True
-        for steering in self._steering:
-            steering.reset(states.angles[steering.wheels[0]] if states else 0.0)
-        angles = list(self._standing)
-        for i, steering in self._turned:
-            angles[i] = steering.angle
-        self._angles = (*angles,)
+        self._angles: tuple[float, ...] = self._zeros
+        self._last_target = ZERO_TWIST
+        self._stopping = False
+        self._aligned = True
+        for joint in self._steering:
+            joint.reset(states.angles[joint.wheels[0]] if states else 0.0)
+        self._store_angles()
         if states is None:
             self._motors.reset()
         else:
             self._motors.reset(states, self.estimator.estimate(states).twist)
 
-    def resume(self, before: Self) -> None:
-        for steering, its in zip(self._steering, before._steering, strict=True):
-            steering.resume(its)
-        self._angles = before._angles
-        self._before, self._stops, self._follows = before._before, before._stops, before._follows
-        self._motors.resume(before._motors)
+    def resume(self, previous: Self) -> None:
+        for joint, previous_joint in zip(self._steering, previous._steering, strict=True):
+            joint.resume(previous_joint)
+        self._angles = previous._angles
+        self._last_target = previous._last_target
+        self._stopping, self._aligned = previous._stopping, previous._aligned
+        self._motors.resume(previous._motors)
 
     def feasible(self, twist: Twist) -> Twist:
         return self._fixed.feasible(twist)
@@ -172,228 +186,231 @@ class General(BaseCalculator):
     ) -> BaseCommand:
         self._check(twist, states, dt)
         target, infeasible = twist, ZERO_TWIST
-        if not self._free:
+        if not self._unconstrained:
             target = self._fixed.feasible(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         angles: Sequence[float] = self._angles
-        speeds: Sequence[float] = self._standing
+        speeds: Sequence[float] = self._zeros
         if states is not None:
             angles, speeds = states.angles, states.speeds
-        doing = self._motors.twist
-        must_stop = self._stops and self._size(doing) > _STANDING
-        rates: Sequence[float] = self._standing
+        last_twist = self._motors.twist
+        must_stop = self._stopping and self._square(last_twist) > _STANDING
+        rates: Sequence[float] = self._zeros
         unreachable: tuple[int, ...] = ()
         if not must_stop:
-            unreachable = self._choose(target, angles, speeds)
-            rates, late, self._follows = self._lateness(dt, self._follows)
-            if late > 1.0:
-                target, unreachable, must_stop = self._slower(target, late, angles, speeds, dt)
+            unreachable = self._choose_angles(target, angles, speeds)
+            rates, ticks, self._aligned = self._steering_delay(dt)
+            if ticks > 1.0:
+                target, unreachable, must_stop = self._slow_down(target, ticks, angles, speeds, dt)
             if not must_stop:
-                self._before = target
-        self._stops = must_stop
+                self._last_target = target
+        self._stopping = must_stop
         self._move_steering(dt)
-        commanded = self._angles
-        asked, scale = self._speeds_at_targets(target)
+        target_speeds, scale = self._target_speeds(target)
         if scale < 1.0:
             target = target.scaled(scale)
-        now = target
+        current = target
         if states is None:
-            angles = commanded
+            angles = self._angles
         if dt is not None or states is not None:
-            away = self._away(angles)
+            misalignment = self._misalignment(angles)
             if must_stop:
-                slower = target if self._size(target) < self._size(doing) else ZERO_TWIST
-                now, asked = self._speeds_on_the_way(slower, angles, math.inf)
-            elif away > _ALIGNED:
-                now, asked = self._speeds_on_the_way(target, angles, away)
-        now, reached = self._motors.reached(now, asked, dt)
-        joints = JointCommands(reached, commanded)
+                goal = target if self._square(target) < self._square(last_twist) else ZERO_TWIST
+                current, target_speeds = self._least_scrub(goal, angles, math.inf)
+            elif misalignment > _ALIGNED:
+                current, target_speeds = self._least_scrub(target, angles, misalignment)
+        current, limited_speeds = self._motors.limit_accelerations(current, target_speeds, dt)
         return BaseCommand(
-            joints,
+            JointCommands(limited_speeds, self._angles),
             target,
-            now,
+            current,
             infeasible,
             scale,
             unreachable,
             rates,
             must_stop,
-            self._follows,
+            self._aligned,
         )
 
-    def _size(self, twist: Twist) -> float:
-        """Square of the mean speed of wheels, m^2/s^2."""
+    def _square(self, twist: Twist) -> float:
+        """Returns the square (m^2/s^2) of a twist: of the root mean square speed of the wheels."""
         vx, vy, wz = twist
         return vx * vx + vy * vy + self._length2 * wz * wz
 
     # -- steering -----------------------------------------------------------------
 
-    def _choose(
+    def _choose_angles(
         self, twist: Twist, angles: Sequence[float], speeds: Sequence[float]
     ) -> tuple[int, ...]:
-        """Have every joint choose its angle for ``twist``; the wheels that have none."""
+        """Chooses the target angle of every joint; returns the wheels without a reachable one."""
         vx, vy, wz = twist
         unreachable: tuple[int, ...] = ()
-        for steering, i, x, y, radius in self._joints:
-            steering.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
-            if steering.unreachable:
-                unreachable += steering.wheels
+        for joint, i, x, y, radius in self._joints:
+            joint.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
+            if joint.unreachable:
+                unreachable += joint.wheels
         return unreachable
 
-    def _lateness(self, dt: float | None, followed: bool) -> tuple[Sequence[float], float, bool]:
-        """The rates (rad/s) at which each joint would be at its angle in this tick.
+    def _steering_delay(self, dt: float | None) -> tuple[Sequence[float], float, bool]:
+        """Returns the required rates, the ticks of the latest rolling wheel, and ``aligned``.
 
-        Also the ticks that the slowest of the wheels that move needs for that, infinitely
-        many where it would have to turn further than a wheel may that moves, if all have
-        ``followed``; and whether no wheel, moving or standing, would have to turn that far.
+        Required rates (rad/s, per wheel) would reach the target angles within this tick.  The
+        ticks are infinite if a rolling wheel has to turn further than it may.
         """
         if dt is None:
-            return self._standing, 0.0, True
-        rates = list(self._standing)
-        late, aligned = 0.0, True
+            return self._zeros, 0.0, True
+        rates = list(self._zeros)
+        latest, aligned = 0.0, True
         vx, vy, wz = self._motors.twist
-        for steering, _, x, y, _ in self._joints:
-            gap = steering.target - steering.angle
-            for i in steering.wheels:
+        for joint, _, x, y, _ in self._joints:
+            gap = joint.target - joint.angle
+            for i in joint.wheels:
                 rates[i] = gap / dt
-            if steering.held:
+            if joint.holding:
                 continue
-            far = not -_FURTHEST <= gap <= _FURTHEST
-            if far:
+            too_far = not -_MAX_TURN_ROLLING <= gap <= _MAX_TURN_ROLLING
+            if too_far:
                 aligned = False
             ux, uy = vx - wz * y, vy + wz * x
-            if ux * ux + uy * uy >= _MOVING * _MOVING:
-                ticks = math.inf if far else abs(gap) * steering.seconds_per_rad / dt
-                if ticks > late:
-                    late = ticks
-        return rates, late, aligned
+            if ux * ux + uy * uy >= _ROLLING * _ROLLING:
+                ticks = math.inf if too_far else abs(gap) * joint.seconds_per_rad / dt
+                if ticks > latest:
+                    latest = ticks
+        return rates, latest, aligned
 
-    def _slower(
+    def _slow_down(
         self,
         target: Twist,
-        late: float,
+        ticks: float,
         angles: Sequence[float],
         speeds: Sequence[float],
         dt: float | None,
     ) -> tuple[Twist, tuple[int, ...], bool]:
-        """As far from the last twist to ``target`` as all wheels keep up; no further where one
-        is behind already.  With it whether a wheel is at an end, and must turn around.
+        """Slows the change of the twist so that all rolling wheels keep up.
+
+        Returns the twist, the unreachable wheels, and whether a wheel at a steering limit must
+        turn around.  The twist lies between the last target and ``target``, as far as the wheels
+        follow within a tick; ``ticks`` is what they need for ``target``.
         """
-        before, share = self._before, 1.0
-        smaller = self._size(target) / max(self._size(before), 1e-12)
-        if smaller < 1.0:  # whoever has to wait for wheels slows down all the same
-            before = before.scaled(math.sqrt(smaller))
-        unreachable = self._choose(before, angles, speeds)
-        _, behind, _ = self._lateness(dt, True)
-        if behind >= 1.0:
-            return before, unreachable, False
+        start, share = self._last_target, 1.0
+        ratio = self._square(target) / max(self._square(start), 1e-12)
+        if ratio < 1.0:  # a slower command slows the robot down, even while it waits for wheels
+            start = start.scaled(math.sqrt(ratio))
+        unreachable = self._choose_angles(start, angles, speeds)
+        _, start_ticks, _ = self._steering_delay(dt)
+        if start_ticks >= 1.0:
+            return start, unreachable, False
         slower = target
-        while late > 1.0:
-            # Far on the way alone is nothing that moves gradually would not reach.
-            share *= 0.5 if late == math.inf else (1.0 - behind) / (late - behind)
-            if late == math.inf and share < _LEAST:
-                return before, self._choose(before, angles, speeds), True
+        while ticks > 1.0:
+            # Halve the way if a wheel would turn too far; else interpolate the ticks to 1.
+            share *= 0.5 if ticks == math.inf else (1.0 - start_ticks) / (ticks - start_ticks)
+            if ticks == math.inf and share < _MIN_SHARE:
+                return start, self._choose_angles(start, angles, speeds), True
             slower = Twist(
-                before.vx + share * (target.vx - before.vx),
-                before.vy + share * (target.vy - before.vy),
-                before.wz + share * (target.wz - before.wz),
+                start.vx + share * (target.vx - start.vx),
+                start.vy + share * (target.vy - start.vy),
+                start.wz + share * (target.wz - start.wz),
             )
-            unreachable = self._choose(slower, angles, speeds)
-            if late < math.inf:
+            unreachable = self._choose_angles(slower, angles, speeds)
+            if ticks < math.inf:
                 break
-            _, late, _ = self._lateness(dt, True)
+            _, ticks, _ = self._steering_delay(dt)
         return slower, unreachable, False
 
     def _move_steering(self, dt: float | None) -> None:
-        """Move the joints towards their targets."""
-        angles = list(self._standing)
+        """Moves the joints towards their targets for ``dt`` s (``None``: to their targets)."""
         if dt is None:
-            for i, steering in self._turned:
-                angles[i] = steering.angle = steering.target
-                steering.rate = 0.0
-            self._angles = (*angles,)
-            return
-        slowest = 0.0
-        for steering in self._steering:
-            time = abs(steering.target - steering.angle) * steering.seconds_per_rad
-            if time > slowest:
-                slowest = time
-        # A wheel that follows within a tick or two need not wait for the others.
-        together = slowest > 2.0 * dt and self.options.arrive_together
-        for steering in self._steering:
-            steering.advance(dt, steering.time_to_target() / slowest if together else 1.0)
-        for i, steering in self._turned:
-            angles[i] = steering.angle
+            for joint in self._steering:
+                joint.jump()
+        else:
+            slowest = 0.0
+            for joint in self._steering:
+                time = abs(joint.target - joint.angle) * joint.seconds_per_rad
+                if time > slowest:
+                    slowest = time
+            # A wheel that arrives within two ticks does not wait for the others.
+            together = slowest > 2.0 * dt and self.options.arrive_together
+            for joint in self._steering:
+                joint.advance(dt, joint.time_to_target() / slowest if together else 1.0)
+        self._store_angles()
+
+    def _store_angles(self) -> None:
+        angles = list(self._zeros)
+        for i, joint in self._steered:
+            angles[i] = joint.angle
         self._angles = (*angles,)
 
-    def _away(self, angles: Sequence[float]) -> float:
-        """How far (rad) the worst wheel is from the direction that the motion asks of it."""
-        worst = 0.0
-        for steering, i, _, _, _ in self._joints:
-            if steering.held:
-                if steering.unreachable:
+    def _misalignment(self, angles: Sequence[float]) -> float:
+        """Returns the largest angle (rad) between a wheel and its target; inf if unreachable."""
+        largest = 0.0
+        for joint, i, _, _, _ in self._joints:
+            if joint.holding:
+                if joint.unreachable:
                     return math.inf
             else:
-                away = abs(angles[i] - steering.target)
-                if away > worst:
-                    worst = away
-        return worst
+                difference = abs(angles[i] - joint.target)
+                if difference > largest:
+                    largest = difference
+        return largest
 
     # -- speeds -------------------------------------------------------------------
 
-    def _speeds_at_targets(self, target: Twist) -> tuple[list[float], float]:
-        """The speeds of wheels at their angles, and what slowed them all to their limits."""
-        speeds = list(self._standing)
+    def _target_speeds(self, target: Twist) -> tuple[list[float], float]:
+        """Returns the speeds (rad/s) of wheels at their target angles, and the common scale."""
+        speeds = list(self._zeros)
         scale = 1.0
         wz = target.wz
-        for i, steering, gain, lateral, top in self._rolling:
-            v = steering.rolling * gain
-            if lateral and not steering.unreachable:
-                # At the centre of rotation a contact beside the axis still rolls.
-                v -= lateral * (wz + steering.wheel.sign * steering.rate)
+        for i, joint, gain, lateral, limit in self._driven_steered:
+            v = joint.rolling * gain
+            if lateral and not joint.unreachable:
+                # A contact beside the axis rolls around it, also at the centre of rotation.
+                v -= lateral * (wz + joint.wheel.sign * joint.rate)
             speeds[i] = v
-            if v > top or v < -top:
-                scale = min(scale, top / abs(v))
-        if self._straight:
-            scale = self._straight_speeds(target, speeds, scale)
+            if v > limit or v < -limit:
+                scale = min(scale, limit / abs(v))
+        if self._driven_fixed:
+            scale = self._set_fixed_speeds(target, speeds, scale)
         if scale < 1.0:
             speeds = [v * scale for v in speeds]
-        return self._motors.sharing(speeds) if self._shared else speeds, scale
+        return self._motors.average_shared(speeds) if self._has_shared_motors else speeds, scale
 
-    def _straight_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
-        """Put in those of the wheels that do not turn."""
-        vx, vy, wz = self._through_skid(twist) if self._skid else twist
-        for i, l1, l2, l3, radius, top in self._straight:
+    def _set_fixed_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
+        """Sets the speeds (rad/s) of the fixed wheels, in place; returns the smaller scale."""
+        vx, vy, wz = self._skid.compensate(twist) if self._skid else twist
+        for i, l1, l2, l3, radius, limit in self._driven_fixed:
             speeds[i] = v = (l1 * vx + l2 * vy + l3 * wz) / radius
-            if v * scale > top or v * scale < -top:
-                scale = top / abs(v)
+            if v * scale > limit or v * scale < -limit:
+                scale = limit / abs(v)
         return scale
 
-    def _speeds_on_the_way(
-        self, target: Twist, angles: Sequence[float], away: float
+    def _least_scrub(
+        self, target: Twist, angles: Sequence[float], misalignment: float
     ) -> tuple[Twist, list[float]]:
-        """The twist that scrubs least at these angles, and the speeds that make it.
+        """Returns the twist that scrubs least at these angles, and its wheel speeds (rad/s).
 
-        argmin of the squared side slips plus a little of the squared distance from
-        ``target`` (the more, the nearer ``away`` is to what counts as aligned), slowed
-        as a whole to the wheels' limits.
+        With G = diag(1, 1, length^2) and d = xi* - target, the minimum is at
+
+            (sum T'T + lambda G) d = -sum T' (T target)
+
+        Solving for the difference d loses no digits near the target.  lambda grows to infinity as
+        the misalignment decreases to ``_ALIGNED``, so that the twist is continuous there.
         """
-        follow = _FOLLOW / (1.0 - (_ALIGNED / away) ** 2)
+        follow = _FOLLOW_WEIGHT / (1.0 - (_ALIGNED / misalignment) ** 2)
         vx, vy, wz = target
         directions = []
-        # Solved for the difference from the target: nothing is lost near it.
         a12 = a13 = a23 = b1 = b2 = b3 = 0.0
         a11 = a22 = follow
         a33 = follow * self._length2
-        for i, steering, heading, sign, x, y, trail, _, _, _ in self._scrubbing:
+        for i, joint, heading, sign, x, y, trail, _, _, _ in self._scrubbing:
             direction = heading + sign * angles[i]
             c, s = math.cos(direction), math.sin(direction)
             directions.append((c, s))
-            if steering.held and not steering.unreachable:
+            if joint.holding and not joint.unreachable:
                 continue
             t3 = c * x + s * y + trail
             slip = c * vy - s * vx + t3 * wz
             if trail:
-                slip += trail * sign * steering.rate
+                slip += trail * sign * joint.rate
             a11 += s * s
             a12 -= s * c
             a13 -= s * t3
@@ -403,6 +420,7 @@ class General(BaseCalculator):
             b1 += s * slip
             b2 -= c * slip
             b3 -= t3 * slip
+        # The target is feasible: it has no side slip on fixed wheels.
         for t1, t2, t3 in self._fixed.rows:
             a11 += t1 * t1
             a12 += t1 * t2
@@ -412,56 +430,18 @@ class General(BaseCalculator):
             a33 += t3 * t3
         dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
         vx, vy, wz = vx + dx, vy + dy, wz + dw
-        speeds = list(self._standing)
-        for (i, steering, _, sign, x, y, _, lateral, radius, driven), (c, s) in zip(
+        speeds = list(self._zeros)
+        for (i, joint, _, sign, x, y, _, lateral, radius, driven), (c, s) in zip(
             self._scrubbing, directions, strict=True
         ):
-            if not driven or steering.unreachable:
+            if not driven or joint.unreachable:
                 continue
-            v = -lateral * (wz + sign * steering.rate) if lateral else 0.0
-            if not steering.held:
+            v = -lateral * (wz + sign * joint.rate) if lateral else 0.0
+            if not joint.holding:
                 v += c * (vx - wz * y) + s * (vy + wz * x)
             speeds[i] = v / radius
-        now = Twist(vx, vy, wz)
-        if self._straight:
-            self._straight_speeds(now, speeds, 1.0)
-        now, speeds = self._motors.slowed(now, speeds)
-        return now, self._motors.sharing(speeds)
-
-    # -- skidding -----------------------------------------------------------------
-
-    def _skid_gain(self) -> tuple[float, float] | None:
-        """Turning gain of a robot that steers by skidding, and the middle across of its motors.
-
-        Under Coulomb friction with like loads the robot turns as the least
-        squares fit of its wheels' surface velocities says; for wheels at
-        (+-a, +-b) that is b^2 / (a^2 + b^2) of what the two sides' speeds
-        say.  The wheels are driven faster by the inverse of it.
-        """
-        if self._steering or not self._fixed.skids or len(self._fixed.rows) != 1:
-            return None
-        fixed = [w for w in self.geometry.wheels if w.fixed]
-        driven = [w for w in fixed if w.driven]
-        n = len(fixed)
-        t1, t2, _ = self._fixed.rows[0]
-        # Along the wheels is (t2, -t1); their places across it drive the turn.
-        across = [t1 * w.x + t2 * w.y for w in driven]
-        middle = sum(across) / len(across)
-        turning = sum((a - middle) ** 2 for a in across)
-        along = [t2 * w.x - t1 * w.y for w in fixed]
-        mean = sum(along) / n
-        resisting = sum((a - mean) ** 2 for a in along)
-        if turning < 1e-6:
-            return None
-        return ((turning + resisting) / turning, middle)
-
-    def _through_skid(self, twist: Twist) -> Twist:
-        """The twist whose rolling speeds make a skidding robot move by ``twist``."""
-        if self._skid is None:
-            return twist
-        gain, middle = self._skid
-        t1, t2, _ = self._fixed.rows[0]
-        more = (gain - 1.0) * twist.wz
-        # Turn more about the middle of the driven wheels: their mean speed stays.
-        along = more * middle
-        return Twist(twist.vx + t2 * along, twist.vy - t1 * along, twist.wz + more)
+        twist = Twist(vx, vy, wz)
+        if self._driven_fixed:
+            self._set_fixed_speeds(twist, speeds, 1.0)
+        twist, speeds = self._motors.limit_speeds(twist, speeds)
+        return twist, self._motors.average_shared(speeds)

@@ -1,4 +1,12 @@
-"""One wheel drives and steers; others on one fixed axle follow (a tricycle)."""
+"""The calculator for tricycles: one driven and steered wheel, and a fixed axle of passive wheels.
+
+The axle with the normal n = (nx, ny) constrains the twist to n . v + d wz = 0.  The velocity u of
+the driven wheel at p = (px, py) is v + wz (-py, px), so n . u = n . v + wz (ny px - nx py), and
+
+    wz = n . u / (ny px - nx py - d),   v = u - wz (-py, px)
+
+which the odometry evaluates at the measured rolling speed and direction.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +15,20 @@ from typing import Self
 
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
-from thorvaldc.runtime.calculators.base_calculator import bounded
+from thorvaldc.runtime.calculators.base_calculator import finite_result
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.general import SteeringOptions
-from thorvaldc.runtime.calculators.motor_limits import Motors
-from thorvaldc.runtime.calculators.steering_branch import Steering
+from thorvaldc.runtime.calculators.motor_limits import DriveMotors
+from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
 from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import Twist
 
 
 class OneWheel(BaseCalculator):
-    """The drive wheel's velocity and the axle's line give the robot's motion, exactly.
+    """The velocity of the driven wheel and the line of the axle determine the twist exactly.
 
-    At any steering angle some motion is free of scrub, so that a wheel that
-    still turns need not wait: it only rolls by what its direction has of the
-    velocity wanted.
+    At any steering angle there is a motion without scrub.  So the robot does not wait while the
+    wheel turns; the wheel rolls at the component of the commanded velocity in its direction.
     """
 
     name = "one_wheel"
@@ -38,13 +45,13 @@ class OneWheel(BaseCalculator):
         self._fixed = FixedWheels(geometry.wheels)
         self._nx, self._ny, self._d = self._fixed.rows[0]
         nx, ny = self._nx, self._ny
-        self._axle_places = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
+        self._axle_positions = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
         self._index, self._wheel = next(
             (i, w) for i, w in enumerate(geometry.wheels) if w.steered and w.driven
         )
-        self._motors = Motors(geometry)
+        self._motors = DriveMotors(geometry)
         w = self._wheel
-        self._steering = Steering(
+        self._steering = SteeringJoint(
             w, (self._index,), w.max_acceleration * w.radius, self.options.hysteresis
         )
 
@@ -58,7 +65,7 @@ class OneWheel(BaseCalculator):
                 "exactly one that is both is needed"
             )
         fixed = FixedWheels(geometry.wheels)
-        if fixed.free:
+        if fixed.unconstrained:
             return "it has no fixed passive wheel, without which nothing holds its heading"
         if len(fixed.rows) > 1 or fixed.skids:
             return "its fixed wheels are not on one axle"
@@ -73,9 +80,9 @@ class OneWheel(BaseCalculator):
         self._steering.reset(states.angles[self._index] if states else 0.0)
         self._motors.reset(states)
 
-    def resume(self, before: Self) -> None:
-        self._steering.resume(before._steering)
-        self._motors.resume(before._motors)
+    def resume(self, previous: Self) -> None:
+        self._steering.resume(previous._steering)
+        self._motors.resume(previous._motors)
 
     def feasible(self, twist: Twist) -> Twist:
         return self._fixed.feasible(twist)
@@ -85,8 +92,8 @@ class OneWheel(BaseCalculator):
     ) -> BaseCommand:
         self._check(twist, states, dt)
         i, wheel, steering = self._index, self._wheel, self._steering
-        allowed = self._fixed.feasible(twist)
-        vx, vy, wz = allowed
+        feasible = self._fixed.feasible(twist)
+        vx, vy, wz = feasible
         angle = states.angles[i] if states else steering.angle
         speed = states.speeds[i] * wheel.radius if states else 0.0
         steering.choose(vx - wz * wheel.y, vy + wz * wheel.x, wz, angle, speed)
@@ -102,27 +109,28 @@ class OneWheel(BaseCalculator):
         angle = states.angles[i] if states else steering.angle
         rolling, _ = wheel.rows(angle)
         v = 0.0
-        if steering.held:
+        if steering.holding:
             v = -wz * wheel.lateral if not steering.unreachable else 0.0
         else:
             v = rolling[0] * vx + rolling[1] * vy + rolling[2] * wz
-        ideal, _ = wheel.rows(steering.target)
-        top = wheel.max_speed * wheel.radius
-        fastest = abs(ideal[0] * vx + ideal[1] * vy + ideal[2] * wz)
-        scale = top / fastest if fastest > top else 1.0
+        # The limit of the speed at the target angle scales the twist.
+        rolling, _ = wheel.rows(steering.target)
+        limit = wheel.max_speed * wheel.radius
+        target_speed = abs(rolling[0] * vx + rolling[1] * vy + rolling[2] * wz)
+        scale = limit / target_speed if target_speed > limit else 1.0
         turning = wheel.sign * steering.rate
-        v = min(max(v * scale - wheel.lateral * turning, -top), top)
+        v = min(max(v * scale - wheel.lateral * turning, -limit), limit)
         speeds[i] = v / wheel.radius
-        _, reached = self._motors.reached(allowed, speeds, dt)
-        v = reached[i] * wheel.radius
-        now = self._motion(angle, v + wheel.lateral * turning, -wheel.trail * turning)
+        _, limited_speeds = self._motors.limit_accelerations(feasible, speeds, dt)
+        v = limited_speeds[i] * wheel.radius
+        current = self._motion(angle, v + wheel.lateral * turning, -wheel.trail * turning)
         infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
-        target = allowed.scaled(scale) if scale < 1.0 else allowed
+        target = feasible.scaled(scale) if scale < 1.0 else feasible
         unreachable = (i,) if steering.unreachable else ()
-        joints = JointCommands(reached, angles)
-        return BaseCommand(joints, target, now, infeasible, scale, unreachable, rates)
+        joints = JointCommands(limited_speeds, angles)
+        return BaseCommand(joints, target, current, infeasible, scale, unreachable, rates)
 
-    @bounded
+    @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
         i, wheel, noise = self._index, self._wheel, self.noise
@@ -131,21 +139,22 @@ class OneWheel(BaseCalculator):
         slips = -wheel.trail * turning
         angle = states.angles[i]
         twist = self._motion(angle, rolls, slips)
-        # The map from (rolling, slip, slip of the axle) is linear: its columns are motions.
+        # The twist is linear in (rolling speed, side slip, slip of the axle), and their errors are
+        # independent.  With the columns J_k of that map, the covariance is sum sigma_k^2 J_k J_k'.
         a2 = rolls * rolls + slips * slips
         angle2, slip2 = noise.angle**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy
-        certainty = sum(
-            1.0 / (angle2 * (along - a * twist.wz) ** 2 + slip2) for a in self._axle_places
+        axle_information = sum(
+            1.0 / (angle2 * (along - a * twist.wz) ** 2 + slip2) for a in self._axle_positions
         )
-        parts = (
+        columns = (
             (self._motion(angle, 1.0, 0.0), noise.speed_ratio**2 * a2 + noise.speed_floor**2),
             (self._motion(angle, 0.0, 1.0), angle2 * a2 + slip2),
-            (self._motion(angle, 0.0, 0.0, 1.0), 1.0 / certainty),
+            (self._motion(angle, 0.0, 0.0, 1.0), 1.0 / axle_information),
         )
 
         def entry(j: int, k: int) -> float:
-            return sum(column[j] * column[k] * variance for column, variance in parts)
+            return sum(column[j] * column[k] * variance for column, variance in columns)
 
         xy, xw, yw = entry(0, 1), entry(0, 2), entry(1, 2)
         covariance = (
@@ -156,16 +165,18 @@ class OneWheel(BaseCalculator):
         return TwistEstimate(twist, covariance, 3)
 
     def _motion(self, angle: float, rolls: float, slips: float, drift: float = 0.0) -> Twist:
-        """The twist for the contact's speeds along and across the wheel, the axle's across."""
+        """Returns the twist for these speeds (m/s) of the contact and the axle.
+
+        ``rolls`` and ``slips``: along and across the driven wheel.  ``drift``: of the axle across.
+        """
         wheel = self._wheel
         direction = wheel.heading + wheel.sign * angle
         c, s = math.cos(direction), math.sin(direction)
-        # The wheel's velocity at its axis, but for what its offsets add: w (lateral, -trail).
         px = wheel.x + c * wheel.trail - s * wheel.lateral
         py = wheel.y + s * wheel.trail + c * wheel.lateral
         ux, uy = c * rolls - s * slips, s * rolls + c * slips
         nx, ny, d = self._nx, self._ny, self._d
-        # Across: n . u = n . v + wz (ny px - nx py), and n . v + d wz = drift.
+        # n . u = n . v + wz (ny px - nx py), and n . v + d wz = drift.
         arm = ny * px - nx * py - d
         wz = (nx * ux + ny * uy - drift) / arm
         return Twist(ux + wz * py, uy - wz * px, wz)

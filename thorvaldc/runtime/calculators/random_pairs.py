@@ -1,4 +1,4 @@
-"""The paper's way of odometry, kept as a baseline to compare with."""
+"""The odometry of the Thorvald II paper, as a baseline for comparisons."""
 
 from __future__ import annotations
 
@@ -8,28 +8,33 @@ from dataclasses import dataclass
 from typing import Self
 
 from thorvaldc.runtime.base_interface import JointStates
-from thorvaldc.runtime.calculators.base_calculator import bounded
+from thorvaldc.runtime.calculators.base_calculator import finite_result
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import ZERO_TWIST, Cov3, Twist
 
 COVARIANCE: Cov3 = ((0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.03))
-"""What the original publishes with every twist, whatever the wheels say."""
+"""Constant covariance that the original software publishes with every twist."""
 _PARALLEL = 1e-9
+"""Sine of the angle between two lines below which they are parallel."""
 _AT_CENTRE = 0.05
-"""Distance (m) from the centre of rotation within which a wheel's speed tells no turning."""
+"""Distance (m) from the centre of rotation below which a wheel's speed is not used."""
+
+
+_AxleLine = tuple[float, float, float, float, float | None]
+"""Contact (x, y) and rolling direction (c, s) of a wheel, and its speed (``None``: no encoder)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomPairsOptions(GeneralOptions):
-    """Options of ``random_pairs``, besides those of ``general``.
+    """Options of ``random_pairs``, in addition to those of ``general``.
 
-    ``seed``: of the pairs.  ``pairs_per_wheel``: how many are drawn a tick.
-    ``special_cases``: pairs whose directions differ by less than ``parallel`` (rad)
-    have no intersection, and a robot most of whose pairs are such does not turn;
-    a wheel at the centre of rotation is not asked how fast.  Without them
-    only lines that are exactly parallel have no intersection.
+    ``seed``: of the random pairs.  ``pairs_per_wheel``: number of pairs per wheel and tick.
+    ``special_cases``: pairs whose directions differ by less than ``parallel`` (rad) count as
+    parallel; if most pairs are parallel, the robot does not turn; the speed of a wheel at the
+    centre of rotation is not used.  Without ``special_cases``, only exactly parallel lines
+    have no intersection.
     """
 
     seed: int = 1
@@ -38,7 +43,7 @@ class RandomPairsOptions(GeneralOptions):
     parallel: float = 0.02
 
     def __post_init__(self) -> None:
-        # super() without arguments fails in a dataclass with slots, which is made anew.
+        # slots=True creates a new class, for which super() without arguments fails.
         GeneralOptions.__post_init__(self)
         if not 1 <= self.pairs_per_wheel <= 1000:
             raise ValueError(f"pairs_per_wheel is {self.pairs_per_wheel}; it must be 1 to 1000")
@@ -50,9 +55,9 @@ class RandomPairs(General):
     """Odometry from the mean intersection of the axle lines of random pairs of wheels.
 
     Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
-    section 3.3.1.  It commands as ``general`` does.  Its covariance is a constant.  Of
-    use as a baseline only: with noise, intersections of almost parallel
-    lines are anywhere, and their mean with them.
+    section 3.3.1.  Its commands are those of ``general``, its covariance is constant.  It serves as
+    a baseline only: with noise, almost parallel lines intersect anywhere, which makes the mean
+    useless.
     """
 
     name = "random_pairs"
@@ -67,8 +72,8 @@ class RandomPairs(General):
     ) -> None:
         self._pairs = options or RandomPairsOptions()
         self._random = random.Random()
-        # (index, wheel) of those whose direction is known
-        self._known = tuple((i, w) for i, w in enumerate(geometry.wheels) if not w.swivel)
+        # (index, wheel) of the wheels whose direction is known
+        self._guiding = tuple((i, w) for i, w in enumerate(geometry.wheels) if not w.swivel)
         super().__init__(geometry, self._pairs, noise)
 
     @classmethod
@@ -81,16 +86,15 @@ class RandomPairs(General):
         super().reset(states)
         self._random.seed(self._pairs.seed)
 
-    def resume(self, before: Self) -> None:
-        super().resume(before)
-        self._random = before._random
+    def resume(self, previous: Self) -> None:
+        super().resume(previous)
+        self._random = previous._random
 
-    @bounded
+    @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
-        # Per wheel: contact, rolling direction, speed (None without encoder).
-        lines: list[tuple[float, float, float, float, float | None]] = []
-        for i, w in self._known:
+        lines: list[_AxleLine] = []
+        for i, w in self._guiding:
             turning = w.sign * states.angle_rates[i]
             direction = w.heading + w.sign * states.angles[i]
             c, s = math.cos(direction), math.sin(direction)
@@ -104,10 +108,8 @@ class RandomPairs(General):
         twist = _translation(lines) if centre is None else self._turning_about(lines, *centre)
         return TwistEstimate(twist, COVARIANCE, 3)
 
-    def _centre_of_rotation(
-        self, lines: list[tuple[float, float, float, float, float | None]]
-    ) -> tuple[float, float] | None:
-        """The mean intersection; ``None`` where the lines are taken for parallel."""
+    def _centre_of_rotation(self, lines: list[_AxleLine]) -> tuple[float, float] | None:
+        """Returns the mean intersection (m) of random pairs; ``None``: the robot does not turn."""
         options = self._pairs
         draw, n = self._random.randrange, len(lines)
         pairs = options.pairs_per_wheel * n
@@ -118,7 +120,7 @@ class RandomPairs(General):
             j = draw(n - 1)
             xi, yi, ci, si, _ = lines[i]
             xj, yj, cj, sj, _ = lines[j if j < i else j + 1]
-            # On both lines: (c, s) . (p - contact) = 0.
+            # A point p lies on the axle line if (c, s) . (p - contact) = 0.
             det = ci * sj - si * cj
             if abs(det) < tolerance:
                 continue
@@ -130,16 +132,14 @@ class RandomPairs(General):
             return None
         return x / count, y / count
 
-    def _turning_about(
-        self, lines: list[tuple[float, float, float, float, float | None]], xc: float, yc: float
-    ) -> Twist:
-        """The mean over the wheels of how fast each turns about the centre."""
-        nearest = _AT_CENTRE if self._pairs.special_cases else 1e-9
+    def _turning_about(self, lines: list[_AxleLine], xc: float, yc: float) -> Twist:
+        """Returns the rotation about the centre with the mean angular velocity of the wheels."""
+        min_distance = _AT_CENTRE if self._pairs.special_cases else 1e-9
         count, total = 0, 0.0
         for x, y, c, s, speed in lines:
             dx, dy = x - xc, y - yc
             distance = math.hypot(dx, dy)
-            if speed is None or distance < nearest:
+            if speed is None or distance < min_distance:
                 continue
             total += math.copysign(speed / distance, speed * (dx * s - dy * c))
             count += 1
@@ -147,8 +147,8 @@ class RandomPairs(General):
         return Twist(wz * yc, -wz * xc, wz)
 
 
-def _translation(lines: list[tuple[float, float, float, float, float | None]]) -> Twist:
-    """The mean velocity of the wheels."""
+def _translation(lines: list[_AxleLine]) -> Twist:
+    """Returns the mean velocity of the wheels as a twist without rotation."""
     moving = [(c * v, s * v) for _, _, c, s, v in lines if v is not None]
     n = len(moving)
     return Twist(sum(u for u, _ in moving) / n, sum(u for _, u in moving) / n, 0.0)

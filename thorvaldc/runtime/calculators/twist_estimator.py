@@ -1,8 +1,20 @@
-"""The robot's twist from its joints, and which wheels not to believe."""
+"""EstimatorOptions of the robot's twist from its joint states, with rejection of faulty wheels.
+
+Steps of an estimate (``twist_fit`` derives the equations):
+
+1. An unweighted least-squares fit predicts the velocity of each wheel's contact.
+2. One Gauss-Newton step with weights from these velocities is within a few percent of the maximum
+   likelihood; ``EstimatorOptions.polish`` adds further steps.
+3. A chi-square test compares each wheel with the others.
+4. If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
+
+Side slip is measured as 0 on every wheel that cannot swivel, and the rolling speed on every
+wheel with an encoder.  A steering joint that turns moves a contact beside or behind its axis, which
+the measurements include.  A gyro (``JointStates.yaw_rate``) adds one row.
+"""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,46 +26,44 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_fit import (
-    BOTH,
-    SIDE,
+    ROLL_AND_SIDE,
+    SIDE_ONLY,
     TEST_ROLL,
     TEST_SIDE,
     USE_ROLL,
     USE_SIDE,
     Fit,
+    Measurement,
     Noise,
-    Reading,
-    Row,
-    Sums,
+    NormalEquations,
+    WheelConstants,
     chi_squares,
-    equal_weights,
-    fit,
+    fit_twist,
     misfit,
+    unweighted_normal_equations,
 )
-from thorvaldc.runtime.calculators.unrolled import Estimate, UnrolledWheel, unrolled
-from thorvaldc.runtime.calculators.wheel_rejection import Rejection, mixture
+from thorvaldc.runtime.calculators.wheel_rejection import HypothesisSearch, mixture
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Twist
 
-__all__ = ["Estimation", "Noise", "TwistEstimate", "TwistEstimator"]
+__all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
-_NAMED = 0.6
-"""Probability from which a wheel is said to be wrong: more than one half by more than rounding."""
+_MIN_PROBABILITY = 0.6
+"""Least probability of a hypothesis to name its wheels: clearly more likely than all others."""
 _UNBOUNDED = "the joint states are out of all bounds"
 RANK_TOLERANCE = 1e-8
-"""Smallest eigenvalue of the scaled information over the mean one that counts."""
+"""Least determinant of the scaled normal matrix at rank 3, over the cube of its mean eigenvalue."""
 
 
 class TwistEstimate(NamedTuple):
-    """A twist, its covariance (of vx, vy, wz, in SI) and what it rests on.
+    """A twist with its covariance (of vx, vy, wz, in SI) and the state of the wheels.
 
-    ``rank`` is how many directions of the twist the joints determine, 0 to 3.
-    Below 3 the rest comes from the prior that the robot stands still within
-    its top speed, and the covariance says so.  ``chi_squares`` has one entry per
-    wheel where the calculator tests them: how badly it agrees with the
-    others, chi-square of two degrees of freedom (one for a passive wheel; 0 for
-    what nothing tests).  ``dropped``: indices of the wheels that are left out, wholly
-    or in part, since they slip, stall or are not where their encoders say.
+    ``rank`` is the number of directions of the twist that the joints determine, 0 to 3.
+    Below 3, a prior determines the others: the robot stands still, with its top speed as the
+    standard deviation.  ``chi_squares`` has one entry per wheel if the calculator tests wheels:
+    the disagreement with the other wheels, chi-square with two degrees of freedom (one for a
+    passive wheel; 0 for a wheel without test).  ``dropped``: indices of the wheels that are left
+    out, wholly or in part, because they slip, stall or have a wrong steering angle.
     """
 
     twist: Twist
@@ -64,12 +74,12 @@ class TwistEstimate(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Estimation:
-    """How a twist is estimated.
+class EstimatorOptions:
+    """Options of the estimator.
 
-    ``gate``: share of ticks at which a healthy robot may lose a wheel.
-    ``faulty``: how many wheels may be wrong at once, 0 (they are only tested) to 2.
-    ``polish``: further Gauss-Newton steps, towards maximum likelihood.
+    ``gate``: share of the ticks in which a healthy robot may lose a wheel.
+    ``faulty``: the largest number of wheels to leave out, 0 (test only) to 2.
+    ``polish``: number of further Gauss-Newton steps, towards maximum likelihood.
     """
 
     gate: float = 0.008
@@ -86,69 +96,64 @@ class Estimation:
 
 
 class TwistEstimator:
-    """Weighted least squares of what wheels say, without those that disagree.
+    """Weighted least-squares estimator of the twist; see the module for its steps.
 
-    A first solution with equal weights predicts each wheel's velocity, and one
-    Gauss-Newton step from there (``fit``) is all but maximum likelihood.  Then
-    each wheel is tested against the others; where one fails, the explanation with the
-    fewest wrong wheels is sought, and of those only what is wrong is left out:
-    a wheel that slips still says its direction.  Where there is no explanation
-    all are kept, and the covariance grows with the misfit.
+    Of a faulty wheel, only the wrong row is left out: a slipping wheel still measures its
+    direction.  If no hypothesis explains the misfit, all wheels are used and the covariance
+    grows with the misfit.
 
-    Side slip is measured as 0 on every wheel that cannot swivel, rolling on those
-    with an encoder.  Steering with the contact beside or behind its axis moves
-    the contact, which is counted.  A gyro (``JointStates.yaw_rate``) is one row more.
-
-    ``rows``: the wheels that hold their direction; ``gates``: the D of each beyond
-    which it is suspected; ``inverse``: of the normal matrix with equal weights (upper
-    half), and its rank, where the wheels' angles do not change it; ``prior``: the
-    information on velocity and yaw rate that stands in below rank 3.
+    ``wheels``: the wheels that do not swivel.  ``gates``: for each, the D beyond which it is
+    suspect.  ``inverse``: upper half of the inverse of the unweighted normal matrix, and its rank,
+    if steering does not change them.  ``prior``: information on velocity and yaw rate for
+    a rank below 3.
     """
 
     def __init__(
         self,
         geometry: BaseGeometry,
         noise: Noise | None = None,
-        options: Estimation | None = None,
+        options: EstimatorOptions | None = None,
     ) -> None:
         self.noise = noise or Noise()
-        self.options = options or Estimation()
+        self.options = options or EstimatorOptions()
         self.squares = self.noise.squares
         self._n = len(geometry.wheels)
-        self._wheels = geometry.wheels
+        self._names = tuple(w.name for w in geometry.wheels)
         self._centre = xm, ym = geometry.centre
         skids = FixedWheels(geometry.wheels).skids
-        rows = []
+        wheels = []
         for i, w in enumerate(geometry.wheels):
             if w.swivel:
                 continue
             c, s = math.cos(w.heading), math.sin(w.heading)
-            kind = BOTH if w.encoder else SIDE
-            if i in skids:  # what scrubs by its place disagrees always
-                kind &= ~(TEST_ROLL | TEST_SIDE)
+            flags = ROLL_AND_SIDE if w.encoder else SIDE_ONLY
+            if i in skids:  # it disagrees with the others in every turn
+                flags &= ~(TEST_ROLL | TEST_SIDE)
             x = w.x - xm + c * w.trail - s * w.lateral
             y = w.y - ym + s * w.trail + c * w.lateral
             radius = w.radius if w.encoder else 0.0
-            rows.append(
-                Row(i, w.heading, w.sign, c, s, x, y, w.trail, w.lateral, radius, kind,
-                     w.steered, i in skids)
+            wheels.append(
+                WheelConstants(i, w.heading, w.sign, c, s, x, y, w.trail, w.lateral, radius, flags,
+                               w.steered, i in skids)
             )  # fmt: skip
-        self.rows = tuple(rows)
-        top = geometry.fastest
+        self.wheels = tuple(wheels)
+        top_speed = geometry.max_wheel_speed
         self.length2 = geometry.length**2
-        # Information on (vx, vy, wz) where the wheels have none: at rest within the top speed.
-        self.prior = (1.0 / top**2, self.length2 / top**2)
-        share = self.options.gate / max(len(rows), 1)
-        both, one = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
-        self.gates = tuple(both if row.kind == BOTH else one for row in rows)
-        self._price = one
-        self._whole = len(rows) == self._n
+        self.prior = (1.0 / top_speed**2, self.length2 / top_speed**2)
+        # The rate of false alarms, shared out over the wheels, as quantiles of chi-square with
+        # 2 and 1 degrees of freedom.
+        share = self.options.gate / max(len(wheels), 1)
+        gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
+        self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
+        self._price = gate1
+        self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
     def check(self, states: JointStates) -> None:
-        """Raise ``NotFiniteError`` or ``ValueError`` where the joints cannot be used."""
+        """Raises ``ValueError`` for a wrong number of wheels, ``NotFiniteError`` for NaN or inf."""
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
+        # One sum is finite if all values are, and faster than a test of each value.
         total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates)
         positions = states.positions
         if positions is None:
@@ -161,94 +166,102 @@ class TwistEstimator:
             total += states.yaw_rate
         if math.isfinite(total):
             return
-        for values, what in (
+        for values, quantity in (
             (states.speeds, "speed"),
             (positions, "position"),
             (states.angles, "steering angle"),
             (states.angle_rates, "steering rate"),
         ):
-            for wheel, value in zip(self._wheels, values, strict=True):
+            for name, value in zip(self._names, values, strict=True):
                 if not math.isfinite(value):
-                    raise NotFiniteError(f"the {what} of wheel {wheel.name} is {value}")
+                    raise NotFiniteError(f"the {quantity} of wheel {name} is {value}")
         if states.yaw_rate is not None and not math.isfinite(states.yaw_rate):
             raise NotFiniteError(f"the yaw rate is {states.yaw_rate}")
         raise NotFiniteError(_UNBOUNDED)
 
     def estimate(self, states: JointStates) -> TwistEstimate:
-        """The twist that agrees best with the joints, with its covariance and rank.
+        """Returns the twist that agrees best with the joints, with its covariance and rank.
 
-        Raises ``NotFiniteError`` where a joint state is not a finite number, or so large
-        that there is no finite result.
+        Raises ``NotFiniteError`` for joint states that are not finite numbers, or so large
+        that the result is not finite.
         """
         self.check(states)
         try:
-            return self._estimated(states)
+            return self._estimate(states)
         except (ZeroDivisionError, OverflowError):
             raise NotFiniteError(_UNBOUNDED) from None
 
-    def _estimated(self, states: JointStates) -> TwistEstimate:
-        if self._unrolled is not None and states.yaw_rate is None:
-            found: TwistEstimate | None = self._unrolled(states.speeds, states.angles)
-            if found is not None:
-                return found
-        return self._estimate_closely(states)
-
-    def _estimate_closely(self, states: JointStates) -> TwistEstimate:
-        """With loops over the wheels, for any robot and whatever its wheels say."""
-        readings, (vx, vy, wz), rank = self._first(states)
-        noise, rate = self.squares, states.yaw_rate
+    def _estimate(self, states: JointStates) -> TwistEstimate:
+        measurements = self._measurements(states)
+        yaw_rate, noise = states.yaw_rate, self.squares
+        (vx, vy, wz), rank = self._unweighted_fit(measurements, yaw_rate)
         prior = (0.0, 0.0) if rank == 3 else self.prior
-        found = fit(readings, vx, vy, wz, noise, prior, rate)
+        fit = fit_twist(measurements, vx, vy, wz, noise, prior, yaw_rate)
         for _ in range(self.options.polish):
-            found = fit(readings, found.vx, found.vy, found.wz, noise, prior, rate)
-        tests = chi_squares(found)
-        for d, gate in zip(tests, self.gates, strict=True):
-            if d > gate and self.options.faulty:
-                return self._without_the_wrong(readings, found, tests, prior, rate, rank)
-        return self._estimate(found, tests, rank)
+            fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
+        tests = chi_squares(fit)
+        if self.options.faulty:
+            for d, gate in zip(tests, self.gates, strict=True):
+                if d > gate:
+                    return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank)
+        return self._result(fit, tests, rank)
 
     def least_squares(self, states: JointStates) -> Twist:
-        """The first solution: least squares of all rows with equal weights."""
+        """Returns the twist of the unweighted least-squares fit.  Raises as ``check``."""
         self.check(states)
-        return self._at_base(*self._first(states)[1])
+        (vx, vy, wz), _ = self._unweighted_fit(self._measurements(states), states.yaw_rate)
+        xm, ym = self._centre
+        return Twist(vx + ym * wz, vy - xm * wz, wz)
 
     def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:
-        """Per wheel, by how much its contact moves over the ground in that twist, along and across.
+        """Returns, per wheel, how fast its contact slides over the ground at this twist.
 
-        In m/s, along its direction and to its left; along is that of the tread, so that
-        a wheel that spins in mud slips backwards.  0 where it has no encoder, and
-        for what swivels.
+        In m/s, along the wheel's direction and to its left.  A wheel that spins in mud slips
+        backwards.  The slip along is 0 for a wheel without encoder; both are 0 for a caster.
         """
         slips = [(0.0, 0.0)] * self._n
         vx, vy, wz = twist
         xm, ym = self._centre
         vx, vy = vx - ym * wz, vy + xm * wz
-        for row, (kind, c, s, x, y, z_l, z_t, _, _) in zip(
-            self.rows, self._readings(states), strict=True
+        for wheel, (flags, c, s, x, y, z_l, z_t, _, _) in zip(
+            self.wheels, self._measurements(states), strict=True
         ):
             ux, uy = vx - wz * y, vy + wz * x
-            along = c * ux + s * uy - z_l if kind & USE_ROLL else 0.0
-            slips[row.wheel] = (along, c * uy - s * ux - z_t)
+            along = c * ux + s * uy - z_l if flags & USE_ROLL else 0.0
+            slips[wheel.number] = (along, c * uy - s * ux - z_t)
         return tuple(slips)
 
-    # -- the first solution ---------------------------------------------------------
+    # -- measurements and unweighted fit ----------------------------------------------
 
-    def _first(self, states: JointStates) -> tuple[list[Reading], tuple[float, float, float], int]:
-        """What the wheels say; the twist by it about the centre, all weighing alike; its rank."""
-        if self.inverse is None or states.yaw_rate is not None:
-            readings = self._readings(states)
-            return readings, *self._solve(equal_weights(readings), states.yaw_rate)
-        # Most robots: however the wheels turn, the normal equations stay.
+    def _measurements(self, states: JointStates) -> list[Measurement]:
         speeds, angles = states.speeds, states.angles
-        cos, sin = math.cos, math.sin
-        b1 = b2 = b3 = 0.0
-        readings = []
-        for i, heading, sign, c, s, x, y, _, _, radius, kind, turns, skids in self.rows:
-            if turns:
+        cosine, sine = math.cos, math.sin
+        measurements: list[Measurement] = []
+        for wheel in self.wheels:
+            i, heading, sign, c, s, x, y, trail, lateral, radius, flags, steered, skids = wheel
+            z_l, z_t = radius * speeds[i], 0.0
+            if steered:
                 direction = heading + sign * angles[i]
-                c, s = cos(direction), sin(direction)
-            z_l = radius * speeds[i]
-            readings.append((kind, c, s, x, y, z_l, 0.0, turns, skids))
+                cos, sin = cosine(direction), sine(direction)
+                if trail or lateral:
+                    # The contact moves about the steering axis: with the angle, and with its rate.
+                    x += (cos - c) * trail - (sin - s) * lateral
+                    y += (sin - s) * trail + (cos - c) * lateral
+                    turning = sign * states.angle_rates[i]
+                    z_l += lateral * turning
+                    z_t = -trail * turning
+                c, s = cos, sin
+            measurements.append((flags, c, s, x, y, z_l, z_t, steered, skids))
+        return measurements
+
+    def _unweighted_fit(
+        self, measurements: list[Measurement], yaw_rate: float | None
+    ) -> tuple[tuple[float, float, float], int]:
+        """Returns the unweighted least-squares twist about the centroid, and the rank."""
+        if self.inverse is None or yaw_rate is not None:
+            return self._solve(unweighted_normal_equations(measurements), yaw_rate)
+        b1 = b2 = b3 = 0.0
+        for _, c, s, x, y, z_l, _, _, _ in measurements:
             zx, zy = c * z_l, s * z_l
             b1 += zx
             b2 += zy
@@ -259,28 +272,16 @@ class TwistEstimator:
             q12 * b1 + q22 * b2 + q23 * b3,
             q13 * b1 + q23 * b2 + q33 * b3,
         )
-        return readings, twist, rank
+        return twist, rank
 
-    def _readings(self, states: JointStates) -> list[Reading]:
-        readings: list[Reading] = []
-        for row in self.rows:
-            i, heading, sign, c, s, x, y, trail, lateral, radius, kind, turns, skids = row
-            z_l, z_t = radius * states.speeds[i], 0.0
-            if turns:
-                direction = heading + sign * states.angles[i]
-                cos, sin = math.cos(direction), math.sin(direction)
-                if trail or lateral:
-                    x += (cos - c) * trail - (sin - s) * lateral
-                    y += (sin - s) * trail + (cos - c) * lateral
-                    turning = sign * states.angle_rates[i]
-                    z_l += lateral * turning
-                    z_t = -trail * turning
-                c, s = cos, sin
-            readings.append((kind, c, s, x, y, z_l, z_t, turns, skids))
-        return readings
+    def _solve(
+        self, equations: NormalEquations, yaw_rate: float | None
+    ) -> tuple[tuple[float, float, float], int]:
+        """Solves the unweighted normal equations; returns the twist and the rank.
 
-    def _solve(self, sums: Sums, yaw_rate: float | None) -> tuple[tuple[float, float, float], int]:
-        a11, a12, a13, a22, a23, a33, b1, b2, b3 = sums
+        Angular velocities are scaled by ``length`` to m/s, so that the eigenvalues compare.
+        """
+        a11, a12, a13, a22, a23, a33, b1, b2, b3 = equations
         k = self.length2
         if yaw_rate is not None:
             a33 += k
@@ -294,7 +295,7 @@ class TwistEstimator:
         rank = 3
         if det <= RANK_TOLERANCE * k * mean * mean * mean:
             rank = self._count_rank(a11, a12, a13, a22, a23, a33)
-            # This pass is in units of one, the prior in those of a top speed.
+            # Regularises the system.  Its rows have weight 1, so that `prior` does not fit here.
             weak = 1e-6 * max(mean, 1.0)
             a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * k
         return solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3), rank
@@ -312,84 +313,81 @@ class TwistEstimator:
     def _constant_inverse(
         self,
     ) -> tuple[tuple[float, float, float, float, float, float], int] | None:
-        """Inverse of the equal-weights normal matrix and its rank, where angles do not change it.
+        """Inverse of the unweighted normal matrix and its rank; ``None`` if steering changes them.
 
-        A wheel with an encoder measures its contact's velocity whole, in whatever direction.
+        With an encoder and no offset from its axis, a steered wheel measures both components of
+        the contact's velocity: L'L + T'T = H'H for any direction.
         """
-        if any(r.turns and (not r.kind & USE_ROLL or r.trail or r.lateral) for r in self.rows):
+        if any(w.steered and (not w.flags & USE_ROLL or w.trail or w.lateral) for w in self.wheels):
             return None
-        still = equal_weights(
-            [(r.kind, r.cos, r.sin, r.x, r.y, 0.0, 0.0, False, False) for r in self.rows]
+        equations = unweighted_normal_equations(
+            [(w.flags, w.cos, w.sin, w.x, w.y, 0.0, 0.0, False, False) for w in self.wheels]
         )
         columns = [
-            self._solve(still._replace(b1=float(i == 0), b2=float(i == 1), b3=float(i == 2)), None)
+            self._solve(
+                equations._replace(b1=float(i == 0), b2=float(i == 1), b3=float(i == 2)), None
+            )
             for i in range(3)
         ]
         (q11, q12, q13), rank = columns[0]
         (_, q22, q23), _ = columns[1]
         return (q11, q12, q13, q22, q23, columns[2][0][2]), rank
 
-    @functools.cached_property
-    def _unrolled(self) -> Estimate | None:
-        """The robot's own code for ticks with nothing unusual; ``None`` where it has no use."""
-        plain = all(row.kind == BOTH and not row.skids for row in self.rows)
-        if not plain or self.options.polish or self.inverse is None or self.inverse[1] < 3:
-            return None
-        gates = self.gates if self.options.faulty else (math.inf,) * len(self.rows)
-        wheels = tuple(
-            UnrolledWheel(
-                r.wheel, r.heading, r.sign, r.cos, r.sin, r.x, r.y, r.radius, r.turns, gate
-            )
-            for r, gate in zip(self.rows, gates, strict=True)
-        )
-        return unrolled(wheels, self._n, self.inverse[0], self._centre, self.squares, TwistEstimate)
+    # -- rejection and result -----------------------------------------------------------
 
-    def _without_the_wrong(
+    def _reject_wheels(
         self,
-        readings: list[Reading],
-        found: Fit,
+        measurements: list[Measurement],
+        fit: Fit,
         tests: list[float],
         prior: tuple[float, float],
-        rate: float | None,
+        yaw_rate: float | None,
         rank: int,
     ) -> TwistEstimate:
-        """The estimate without the wheels that are wrong; of all where nothing explains it."""
+        """Returns the estimate without the faulty wheels, or with all if nothing explains it."""
         steps = 1 + self.options.polish
 
-        def again(some: list[Reading], before: Fit, steps: int = steps) -> Fit:
+        def refit(some: list[Measurement], previous: Fit, steps: int = steps) -> Fit:
             for _ in range(steps):
-                before = fit(some, before.vx, before.vy, before.wz, self.squares, prior, rate)
-            return before
+                previous = fit_twist(
+                    some, previous.vx, previous.vy, previous.wz, self.squares, prior, yaw_rate
+                )
+            return previous
 
-        def fresh(some: list[Reading]) -> Fit:
-            first, _ = self._solve(equal_weights(some), rate)
-            return again(some, fit(some, *first, self.squares, prior, rate))
+        def fit_anew(some: list[Measurement]) -> Fit:
+            first, _ = self._solve(unweighted_normal_equations(some), yaw_rate)
+            return refit(some, fit_twist(some, *first, self.squares, prior, yaw_rate))
 
-        rejection = Rejection(self.gates, self._price, self.options.faulty, fresh, again)
-        explanations = rejection.explanations(readings, found)
-        if not explanations:
-            freedom = sum((r[0] & USE_ROLL > 0) + (r[0] & USE_SIDE > 0) for r in readings)
-            freedom += (rate is not None) - rank
-            growth = max(1.0, misfit(found) / max(freedom, 1))
-            return self._estimate(found, tests, rank, growth)
-        best = explanations[0]
-        mean, probability = mixture(explanations)
+        search = HypothesisSearch(self.gates, self._price, self.options.faulty, fit_anew, refit)
+        hypotheses = search.likely_hypotheses(measurements, fit)
+        if not hypotheses:
+            rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
+            freedom = rows + (yaw_rate is not None) - rank
+            # Reduced chi-square: the noise is as much larger than assumed.
+            growth = max(1.0, misfit(fit) / max(freedom, 1))
+            return self._result(fit, tests, rank, growth)
+        best = hypotheses[0]
+        mean, probability = mixture(hypotheses)
         dropped: tuple[int, ...] = ()
-        if probability > _NAMED:
-            dropped = tuple(sorted(self.rows[k].wheel for k in best.places))
-        return self._estimate(mean, chi_squares(best.found), rank, 1.0, dropped)
+        if probability > _MIN_PROBABILITY:
+            dropped = tuple(sorted(self.wheels[k].number for k in best.rejected))
+        return self._result(mean, chi_squares(best.fit), rank, 1.0, dropped)
 
-    def _estimate(
+    def _result(
         self,
-        found: Fit,
+        fit: Fit,
         tests: Sequence[float],
         rank: int,
         growth: float = 1.0,
         dropped: tuple[int, ...] = (),
     ) -> TwistEstimate:
-        vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = found
+        """Returns the estimate at ``base_link``; ``growth`` multiplies the covariance.
+
+        From the centroid at (xm, ym): xi' = A xi, P' = A P A', A = [1 0 ym; 0 1 -xm; 0 0 1].
+        """
+        vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
         xm, ym = self._centre
-        if xm or ym:  # from the centre back to base_link
+        if xm or ym:
             vx, vy = vx + ym * wz, vy - xm * wz
             p11, p12, p22 = (
                 p11 + 2.0 * ym * p13 + ym * ym * p33,
@@ -402,14 +400,10 @@ class TwistEstimator:
         if growth != 1.0:
             p11, p12, p13 = growth * p11, growth * p12, growth * p13
             p22, p23, p33 = growth * p22, growth * p23, growth * p33
-        if not self._whole:
-            spread = [0.0] * self._n
-            for row, d in zip(self.rows, tests, strict=True):
-                spread[row.wheel] = d
-            tests = spread
+        if not self._all_measure:
+            per_wheel = [0.0] * self._n
+            for wheel, d in zip(self.wheels, tests, strict=True):
+                per_wheel[wheel.number] = d
+            tests = per_wheel
         covariance = ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33))
         return TwistEstimate(Twist(vx, vy, wz), covariance, rank, tuple(tests), dropped)
-
-    def _at_base(self, vx: float, vy: float, wz: float) -> Twist:
-        xm, ym = self._centre
-        return Twist(vx + ym * wz, vy - xm * wz, wz)

@@ -1,6 +1,31 @@
-"""One weighted fit of a twist to what the wheels say, and how well each wheel agrees.
+"""Weighted least-squares fit of a twist to the wheel measurements, and tests of each wheel.
 
-Both run at every tick: plain Python on plain numbers, each operation counts.
+A twist xi = (vx, vy, wz) moves the contact of a wheel at (x, y) with the velocity
+
+    u = H xi,   H = [1  0  -y]
+                    [0  1   x]
+
+A wheel with the rolling direction d = (c, s) and the normal n = (-s, c) measures u twice:
+
+    L xi = z_L,   L = d' H = [ c,  s,  s x - c y]   rolling: the encoder's speed
+    T xi = z_T,   T = n' H = [-s,  c,  c x + s y]   no side slip: 0
+
+with independent errors that grow with the speed a = |u| of the contact:
+
+    sigma_L^2 = (speed_ratio a)^2 + speed_floor^2
+    sigma_T^2 = (angle a)^2 + slip_floor^2
+
+a is *predicted* from a first estimate.  With the measured speed, a stalled encoder would
+report 0 m/s with a very small variance and dominate the fit.
+
+The information of one wheel about u, with w = 1 / sigma^2, and the normal equations are
+
+    W = w_L d d' + w_T n n' = w_T 1 + (w_L - w_T) d d'
+    M = sum H' W H + prior,   b = sum H' W m,   m = z_L d + z_T n
+    xi = M^-1 b,   covariance P = M^-1
+
+Positions are relative to the centroid of the wheels, which keeps M well conditioned.  All of it
+runs in every tick of the driver: plain Python on plain numbers, written out by component.
 """
 
 from __future__ import annotations
@@ -10,40 +35,40 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-# A wheel says its speed along (its encoder) and that it has none across (it holds its direction).
-# What of this is used, and what is tested against the others, is two things: a wheel left
-# out keeps its place, so that its misfit is known; one that skids is used but not tested.
+# Flags of a measurement: which of its rows L (roll) and T (side) the fit uses, and which are tested
+# against the other wheels.  A rejected wheel is not used but still tested, so that its chi-square
+# stays known.  A skidding wheel is used but not tested.
 USE_ROLL, USE_SIDE, TEST_ROLL, TEST_SIDE = 1, 2, 4, 8
-SIDE = USE_SIDE | TEST_SIDE
-BOTH = USE_ROLL | TEST_ROLL | SIDE
+SIDE_ONLY = USE_SIDE | TEST_SIDE
+ROLL_AND_SIDE = USE_ROLL | TEST_ROLL | SIDE_ONLY
 
-Reading = tuple[int, float, float, float, float, float, float, bool, bool]
-"""What a wheel says: the bits above, its direction (cos, sin), the place of its contact from the
-centre (m), speed of the contact along and across (m/s), whether a motor turns it, whether it
-skids."""
+Measurement = tuple[int, float, float, float, float, float, float, bool, bool]
+"""(flags, c, s, x, y, z_L, z_T, steered, skids): rolling direction (c, s), position of the contact
+(m, from the centroid), speed of the contact along and across the wheel (m/s), whether a motor
+steers the wheel, whether it skids in turns."""
 
-Line = tuple[int, float, float, float, float, float, float, float, float]
-"""A reading about a predicted twist: bits, direction, place, the velocity of the contact that it
-measures (x, y), the variances of that along and across."""
+WeightedMeasurement = tuple[int, float, float, float, float, float, float, float, float]
+"""(flags, c, s, x, y, m_x, m_y, sigma_L^2, sigma_T^2): a measurement linearised about a predicted
+twist, with the measured velocity m of the contact (m/s) and its variances (m^2/s^2)."""
 
-Squares = tuple[float, float, float, float, float, float]
+NoiseSquares = tuple[float, float, float, float, float, float]
 
 STILL = 2.5e-13
-"""A quarter of the square of a speed, (1e-6 m/s)^2, below which rounding decides a direction."""
+"""(0.5e-6 m/s)^2: at lower speeds rounding errors decide the direction of motion."""
 UNTESTABLE = 1e-6
-"""Share of a reading's variance that the others must leave of it to test it."""
+"""Least share of a measurement's variance that its residual must keep for a test."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What is taken of the wheels' errors.
+    """Standard deviations of the wheels' measurement errors.
 
-    ``speed_ratio``: of a wheel's speed, relative; ``angle``: of its direction,
-    rad; ``speed_floor`` and ``slip_floor``: m/s along and across the wheel at
-    rest; ``skid_ratio``: of the speed, for wheels that must scrub in turns;
-    ``gyro``: of the yaw rate, rad/s, where one is measured.  ``correlation`` (s): how
-    long an error lasts, as those of ground and tyres do; 0: not from one tick to
-    the next.  It makes no twist less certain, but poses.
+    ``speed_ratio``: of a wheel's speed, relative.  ``angle``: of a wheel's direction, rad.
+    ``speed_floor`` and ``slip_floor``: of the speed along and across a wheel at rest, m/s.
+    ``skid_ratio``: of the speed, relative, for wheels that must skid in turns.
+    ``gyro``: of a measured yaw rate, rad/s.
+    ``correlation`` (s): time constant of the errors, as those of ground and tyres last longer than
+    a tick; 0: independent from tick to tick.  It affects covariances of poses, not of twists.
     """
 
     speed_ratio: float = 0.01
@@ -57,32 +82,40 @@ class Noise:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            least = value >= 0.0 if field.name == "correlation" else value > 0.0
-            if not (least and math.isfinite(value)):
+            in_range = value >= 0.0 if field.name == "correlation" else value > 0.0
+            if not (in_range and math.isfinite(value)):
                 raise ValueError(f"the noise {field.name} is {value:g}; it must be positive")
 
     @property
-    def squares(self) -> Squares:
-        """The squares of all but the last, in their order; of what can be reckoned with."""
+    def squares(self) -> NoiseSquares:
+        """The variances, in the order of the fields and without ``correlation``."""
         return (
-            _square(self.speed_ratio),
-            _square(self.angle),
-            _square(self.speed_floor),
-            _square(self.slip_floor),
-            _square(self.skid_ratio),
-            _square(self.gyro),
+            _bounded_square(self.speed_ratio),
+            _bounded_square(self.angle),
+            _bounded_square(self.speed_floor),
+            _bounded_square(self.slip_floor),
+            _bounded_square(self.skid_ratio),
+            _bounded_square(self.gyro),
         )
 
 
-def _square(noise: float) -> float:
-    """Within bounds: their products and quotients are numbers, too."""
+def _bounded_square(noise: float) -> float:
+    """Returns the square of ``noise`` between 1e-12 and 1e12.
+
+    In these bounds, products and quotients of squares neither overflow nor vanish.
+    """
     return min(max(noise, 1e-12), 1e12) ** 2
 
 
-class Row(NamedTuple):
-    """A wheel that holds its direction; ``cos``, ``sin``, ``x``, ``y``: with its joint at 0."""
+class WheelConstants(NamedTuple):
+    """Constants of a wheel that does not swivel.
 
-    wheel: int
+    ``number``: among the robot's wheels.  ``cos``, ``sin``, ``x``, ``y``: rolling direction and
+    position of the contact (m, from the centroid) with the steering joint at 0.  ``radius`` (m)
+    is 0 without encoder.
+    """
+
+    number: int
     heading: float
     sign: float
     cos: float
@@ -92,13 +125,13 @@ class Row(NamedTuple):
     trail: float
     lateral: float
     radius: float
-    kind: int
-    turns: bool
+    flags: int
+    steered: bool
     skids: bool
 
 
 class Fit(NamedTuple):
-    """A twist about the centre, its covariance's upper half, the lines it rests on."""
+    """A twist about the centroid, the upper half of its covariance P, and the measurements used."""
 
     vx: float
     vy: float
@@ -109,26 +142,27 @@ class Fit(NamedTuple):
     p22: float
     p23: float
     p33: float
-    lines: list[Line]
+    measurements: list[WeightedMeasurement]
 
 
-def fit(
-    readings: Sequence[Reading],
+def fit_twist(
+    measurements: Sequence[Measurement],
     vx: float,
     vy: float,
     wz: float,
-    noise: Squares,
+    noise: NoiseSquares,
     prior: tuple[float, float],
     yaw_rate: float | None,
 ) -> Fit:
-    """One Gauss-Newton step from a predicted twist: weighted least squares of all readings.
+    """Computes one Gauss-Newton step from the predicted twist (vx, vy, wz).
 
-    A wheel measures the speed of its contact, with an error of ``speed_ratio``
-    of it, and where it is steered its direction, with one of ``angle``.  Both
-    are taken about the wheel's *predicted* velocity: a stalled encoder does not
-    pass for a certain one, and an error of the angle does not shorten the speed.
-    ``noise``: the squares of a ``Noise``; ``prior``: information on velocity and yaw
-    rate, at rest.
+    ``noise``: ``Noise.squares``.  ``prior``: information on velocity and yaw rate, about a robot
+    at rest.  ``yaw_rate`` (rad/s): of a gyro.
+
+    A steered wheel measures its direction with an error.  Linearised about the *measured*
+    direction, that error would shorten the speed by its cosine.  So L and T are taken about the
+    *predicted* direction u / a.  With n the normal of the measured direction, the wheel then
+    measures z_T = -a asin(n . u / a): the arc between the two directions.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
@@ -139,9 +173,9 @@ def fit(
         w_t = 1.0 / gyro2
         a33 += w_t
         b3 = w_t * yaw_rate
-    lines: list[Line] = []
-    v_skid = 0.0
-    for kind, c, s, x, y, z_l, z_t, turns, skids in readings:
+    weighted: list[WeightedMeasurement] = []
+    skid_variance = 0.0
+    for flags, c, s, x, y, z_l, z_t, steered, skids in measurements:
         ux, uy = vx - wz * y, vy + wz * x
         if z_t:
             ux, uy = ux + s * z_t, uy - c * z_t
@@ -149,26 +183,26 @@ def fit(
         a2 = ux * ux + uy * uy
         v2 = a2 + z_t * z_t
         v_l, v_t = ratio2 * v2 + floor2, angle2 * v2 + slip2
-        if turns:
-            # About the direction it is predicted to have, where that is near its angle.
+        if steered:
             t2 = across * across
+            # Within 30 deg of the measured direction: further away the wheel is wrong.
             if t2 < 0.25 * a2 - STILL:
                 k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
                 c, s = ux / k, uy / k
-                # The arc from there to its angle: a asin(across / a).
+                # a asin(across / a), to third order.
                 z_t -= across * (1.0 + t2 / (6.0 * a2))
         elif skids:
-            if v_skid == 0.0:
-                v_skid = skid2 * _mean_square_roll(readings, vx, vy, wz) + floor2
-            v_l = v_t = v_skid
+            if skid_variance == 0.0:
+                skid_variance = skid2 * _mean_square_roll(measurements, vx, vy, wz) + floor2
+            v_l = v_t = skid_variance
         mx, my = c * z_l - s * z_t, s * z_l + c * z_t
-        lines.append((kind, c, s, x, y, mx, my, v_l, v_t))
+        weighted.append((flags, c, s, x, y, mx, my, v_l, v_t))
         w_t = 1.0 / v_t
         k = 1.0 / v_l - w_t
-        if kind != BOTH:
-            w_t = w_t if kind & USE_SIDE else 0.0
-            k = 1.0 / v_l - w_t if kind & USE_ROLL else -w_t
-        # Information on the contact's velocity: w_t 1 + (w_l - w_t) d d^T.
+        if flags != ROLL_AND_SIDE:
+            w_t = w_t if flags & USE_SIDE else 0.0
+            k = 1.0 / v_l - w_t if flags & USE_ROLL else -w_t
+        # W = w_t 1 + k d d'; then H' W and H' W H.
         kc = k * c
         w11, w12, w22 = w_t + kc * c, kc * s, w_t + k * s * s
         tx, ty = w12 * x - w11 * y, w22 * x - w12 * y
@@ -200,31 +234,44 @@ def fit(
         p22,
         p23,
         p33,
-        lines,
+        weighted,
     )
 
 
-def _mean_square_roll(readings: Sequence[Reading], vx: float, vy: float, wz: float) -> float:
-    """Friction does not ask how fast a wheel scrubs: all that skid weigh the same."""
+def _mean_square_roll(
+    measurements: Sequence[Measurement], vx: float, vy: float, wz: float
+) -> float:
+    """Returns the mean square rolling speed (m^2/s^2) of the skidding wheels.
+
+    Coulomb friction does not depend on the sliding speed, so all skidding wheels have one variance.
+    """
     rolls = [
-        c * (vx - wz * y) + s * (vy + wz * x) for _, c, s, x, y, _, _, _, skids in readings if skids
+        c * (vx - wz * y) + s * (vy + wz * x)
+        for _, c, s, x, y, _, _, _, skids in measurements
+        if skids
     ]
     return sum(v * v for v in rolls) / len(rolls)
 
 
-def chi_squares(found: Fit) -> list[float]:
-    """D of each line: how badly it agrees with the others.
+def chi_squares(fit: Fit) -> list[float]:
+    """Returns D of each measurement: how badly the wheel disagrees with the other wheels.
 
-    D = r^T S^-1 r with S = R - H P H^T for what the fit rests on and R + H P H^T
-    for what was left out: by how much the misfit of all sinks without the wheel.
-    Chi-square of two degrees of freedom, of one for a wheel that has only a
-    side; 0 for what no other reading tells anything about.
+    The residual r = m - H xi of a wheel that the fit uses has the covariance S = R - H P H'
+    (R: its own covariance; the fit follows the wheel's own error, which makes r smaller).
+    For a wheel that the fit leaves out, S = R + H P H'.  Then
+
+        D = r' S^-1 r
+
+    is chi-square distributed with 2 degrees of freedom, or 1 for a wheel without encoder.  For
+    a wheel in use, D is also the decrease of the misfit of all wheels when this wheel is left out.
+    D is 0 if no other measurement is redundant with this one.
     """
-    vx, vy, wz, p11, p12, p13, p22, p23, p33, lines = found
+    vx, vy, wz, p11, p12, p13, p22, p23, p33, measurements = fit
     result: list[float] = []
-    for line in lines:
-        kind, c, s, x, y, mx, my, v_l, v_t = line
-        if kind == BOTH:
+    for measurement in measurements:
+        flags, c, s, x, y, mx, my, v_l, v_t = measurement
+        if flags == ROLL_AND_SIDE:
+            # R = v_t 1 + (v_l - v_t) d d'
             k = v_l - v_t
             kc = k * c
             s11 = v_t + kc * c - p11 - y * (y * p33 - 2.0 * p13)
@@ -235,26 +282,31 @@ def chi_squares(found: Fit) -> list[float]:
                 rx, ry = mx - vx + wz * y, my - vy - wz * x
                 result.append(((s22 * rx - 2.0 * s12 * ry) * rx + s11 * ry * ry) / det)
                 continue
-        result.append(test(found, line).chi_square)
+        result.append(compare_with_others(fit, measurement).chi_square)
     return result
 
 
-class Test(NamedTuple):
-    """A line against the others: D of all it says, of its speed along and across alone.
+class Comparison(NamedTuple):
+    """Disagreement of one wheel with the others.
 
-    ``spare``: whether the others still determine the twist without it.
+    ``chi_square``: D of the wheel; ``roll`` and ``side``: D of its speed along and across alone.
+    ``redundant``: the other wheels determine the twist without this one.
     """
 
     chi_square: float
     roll: float
     side: float
-    spare: bool
+    redundant: bool
 
 
-def test(found: Fit, line: Line) -> Test:
-    """The parts of a line's D, used or not."""
-    vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = found
-    kind, c, s, x, y, mx, my, v_l, v_t = line
+def compare_with_others(fit: Fit, measurement: WeightedMeasurement) -> Comparison:
+    """Computes D of a measurement and of its two parts, as in ``chi_squares``.
+
+    Works in the wheel's frame (along, across), where R is diagonal.
+    """
+    vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
+    flags, c, s, x, y, mx, my, v_l, v_t = measurement
+    # H P H' in base_link, then its diagonal in the wheel's frame.
     u11 = p11 + y * (y * p33 - 2.0 * p13)
     u12 = p12 + x * p13 - y * (p23 + x * p33)
     u22 = p22 + x * (x * p33 + 2.0 * p23)
@@ -262,42 +314,42 @@ def test(found: Fit, line: Line) -> Test:
     r_l, r_t = c * rx + s * ry, c * ry - s * rx
     h_l = c * c * u11 + 2.0 * c * s * u12 + s * s * u22
     h_t = u11 + u22 - h_l
-    uses_l, uses_t = bool(kind & USE_ROLL), bool(kind & USE_SIDE)
+    uses_l, uses_t = bool(flags & USE_ROLL), bool(flags & USE_SIDE)
     s_l = v_l - h_l if uses_l else v_l + h_l
     s_t = v_t - h_t if uses_t else v_t + h_t
-    spare_l, spare_t = s_l > UNTESTABLE * v_l, s_t > UNTESTABLE * v_t
-    roll = r_l * r_l / s_l if kind & TEST_ROLL and spare_l else 0.0
-    side = r_t * r_t / s_t if kind & TEST_SIDE and spare_t else 0.0
-    if not (kind & TEST_ROLL and kind & TEST_SIDE and uses_l == uses_t):
-        return Test(roll + side, roll, side, spare_l and spare_t)
+    testable_l, testable_t = s_l > UNTESTABLE * v_l, s_t > UNTESTABLE * v_t
+    roll = r_l * r_l / s_l if flags & TEST_ROLL and testable_l else 0.0
+    side = r_t * r_t / s_t if flags & TEST_SIDE and testable_t else 0.0
+    if not (flags & TEST_ROLL and flags & TEST_SIDE and uses_l == uses_t):
+        return Comparison(roll + side, roll, side, testable_l and testable_t)
     s_lt = c * s * (u22 - u11) + (c * c - s * s) * u12
     if uses_l:
         s_lt = -s_lt
     det = s_l * s_t - s_lt * s_lt
     if det > UNTESTABLE * v_l * v_t:
         both = (s_t * r_l * r_l - 2.0 * s_lt * r_l * r_t + s_l * r_t * r_t) / det
-        return Test(both, roll, side, True)
-    # Of two directions the others know one, and the residual lies in it.
-    known = s_l / v_l + s_t / v_t
-    both = (r_l * r_l / v_l + r_t * r_t / v_t) / known if known > UNTESTABLE else 0.0
-    return Test(both, roll, side, False)
+        return Comparison(both, roll, side, True)
+    # S has rank 1: the others determine one direction of u, and r lies in that direction.
+    scale = s_l / v_l + s_t / v_t
+    both = (r_l * r_l / v_l + r_t * r_t / v_t) / scale if scale > UNTESTABLE else 0.0
+    return Comparison(both, roll, side, False)
 
 
-def misfit(found: Fit) -> float:
-    """Sum of the squared residuals of all that is used, in units of their variances."""
-    vx, vy, wz = found[:3]
+def misfit(fit: Fit) -> float:
+    """Returns the sum of the squared residuals of all rows in use, each over its variance."""
+    vx, vy, wz = fit[:3]
     total = 0.0
-    for kind, c, s, x, y, mx, my, v_l, v_t in found.lines:
+    for flags, c, s, x, y, mx, my, v_l, v_t in fit.measurements:
         rx, ry = mx - vx + wz * y, my - vy - wz * x
-        if kind & USE_ROLL:
+        if flags & USE_ROLL:
             total += (c * rx + s * ry) ** 2 / v_l
-        if kind & USE_SIDE:
+        if flags & USE_SIDE:
             total += (c * ry - s * rx) ** 2 / v_t
     return total
 
 
-class Sums(NamedTuple):
-    """Normal equations of a least squares of all readings with equal weights."""
+class NormalEquations(NamedTuple):
+    """Upper half of a symmetric matrix A, and the right-hand side b, of A xi = b."""
 
     a11: float
     a12: float
@@ -310,11 +362,11 @@ class Sums(NamedTuple):
     b3: float
 
 
-def equal_weights(readings: Sequence[Reading]) -> Sums:
-    """The sums of unweighted least squares, rows L and T of what each reading uses."""
+def unweighted_normal_equations(measurements: Sequence[Measurement]) -> NormalEquations:
+    """Sums up L'L, T'T, L'z_L and T'z_T of all rows in use, with equal weights."""
     a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
-    for kind, c, s, x, y, z_l, z_t, _, _ in readings:
-        if kind & USE_ROLL:
+    for flags, c, s, x, y, z_l, z_t, _, _ in measurements:
+        if flags & USE_ROLL:
             l3 = s * x - c * y
             a11 += c * c
             a12 += c * s
@@ -325,7 +377,7 @@ def equal_weights(readings: Sequence[Reading]) -> Sums:
             b1 += c * z_l
             b2 += s * z_l
             b3 += l3 * z_l
-        if kind & USE_SIDE:
+        if flags & USE_SIDE:
             t3 = c * x + s * y
             a11 += s * s
             a12 -= s * c
@@ -336,4 +388,4 @@ def equal_weights(readings: Sequence[Reading]) -> Sums:
             b1 -= s * z_t
             b2 += c * z_t
             b3 += t3 * z_t
-    return Sums(a11, a12, a13, a22, a23, a33, b1, b2, b3)
+    return NormalEquations(a11, a12, a13, a22, a23, a33, b1, b2, b3)

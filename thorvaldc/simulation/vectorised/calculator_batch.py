@@ -1,9 +1,9 @@
-"""The calculators' mathematics over arrays of states, for replay, learning and sweeps.
+"""Base calculators over arrays of states, for replay, learning and sweeps.
 
 Arrays are float64 with a row per component and a column per state: twists (3, n) as
 vx, vy, wz of ``base_link`` (m/s, m/s, rad/s), joints (wheels, n) in the order of the
-robot's wheels.  Results are written into the caller's arrays, piece by piece, each
-small enough for a core's cache: nothing of the size of the input is allocated.
+robot's wheels.  Results are written into the caller's arrays, in pieces that fit into the cache of
+a processor core, so that no array of the size of the input is allocated.
 """
 
 from __future__ import annotations
@@ -18,59 +18,61 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
 from thorvaldc.runtime.errors import NotFiniteError
-from thorvaldc.simulation.vectorised import fit_batch as batch_fit
-from thorvaldc.simulation.vectorised.inverse_batch import Inverse
+from thorvaldc.simulation.vectorised import fit_batch
+from thorvaldc.simulation.vectorised.inverse_batch import InverseBatch
 
 Array = NDArray[np.float64]
-_PIECE = 8192
-BEYOND = 1e9
-"""Joints and twists (SI) that nobody can have meant."""
+_PIECE_SIZE = 8192
+"""States per piece."""
+MAX_VALUE = 1e9
+"""Joint states and twists (SI) from this size on are rejected as errors."""
 
 
 class CalculatorBatch:
-    """A calculator over arrays: equal to the calculator itself, one state at a time, to 1e-12."""
+    """A calculator over arrays; its results equal those of the calculator to 1e-12."""
 
     def __init__(self, calculator: BaseCalculator) -> None:
         self.calculator = calculator
         self.wheels = len(calculator.geometry.wheels)
-        self._inverse: Inverse | None = None
+        self._inverse: InverseBatch | None = None
 
     def inverse(self, twists: Array, speeds: Array, angles: Array) -> None:
-        """Wheel speeds (rad/s) and steering angles (rad) for ``twists``.
+        """Computes wheel speeds (rad/s) and steering angles (rad) for ``twists``.
 
-        Each twist for itself, as the calculator's command after a reset, without joint
-        states: the choice of angles is that of joints at 0.  Raises ``ValueError`` for
-        arrays of other shapes and for wheels with their contact ahead of or behind
-        their axis, ``NotFiniteError`` for twists that are not finite or beyond 1e9; nothing
-        is written then.
+        Each twist is independent: the result is that of the calculator's command after a reset,
+        without joint states, so steering joints choose their angles from 0.  Raises ``ValueError``
+        for arrays of wrong shape and for wheels with their contact ahead of or behind their
+        axis, ``NotFiniteError`` for twists that are not finite or not below 1e9, and
+        then writes nothing.
         """
         n = self._size(twists)
         for array in (speeds, angles):
             _check(array, (self.wheels, n))
         _check_finite(twists, "twists")
         if self._inverse is None:
-            self._inverse = Inverse(self.calculator)
+            self._inverse = InverseBatch(self.calculator)
         for piece in _pieces(n):
             self._inverse.solve(twists[:, piece], speeds[:, piece], angles[:, piece])
 
     def least_squares(
         self, speeds: Array, angles: Array, twists: Array, rates: Array | None = None
     ) -> None:
-        """Twists that agree best with the joints, all weighing alike.
+        """Computes unweighted least-squares twists, as ``TwistEstimator.least_squares``.
 
-        ``speeds`` (rad/s) and ``angles`` (rad) of wheels and ``rates`` (rad/s) of their
-        steering, which only count for a contact beside its axis.  As
-        ``TwistEstimator.least_squares``.  Raises as ``inverse``.
+        ``speeds`` (rad/s) and ``angles`` (rad) of wheels; ``rates`` (rad/s) of their steering
+        joints, which matter only for a contact beside its axis.  Raises as ``inverse``.
         """
         n = self._check_joints(speeds, angles, twists, rates)
         estimator = self.calculator.estimator
         for piece in _pieces(n):
-            some = _piece(speeds, angles, rates, piece)
-            readings = batch_fit.read(estimator, *some)
-            twist, low = batch_fit.first(estimator, readings, None, piece.stop - piece.start)
-            self._put(twist, twists[:, piece])
-            for k in _indices(low):
-                twists[:, piece.start + k] = estimator.least_squares(_state(*some, None, k))
+            joints = _piece(speeds, angles, rates, piece)
+            measurements = fit_batch.measure(estimator, *joints)
+            twist, low_rank = fit_batch.unweighted_fit(
+                estimator, measurements, None, piece.stop - piece.start
+            )
+            self._put_twist(twist, twists[:, piece])
+            for k in _indices(low_rank):
+                twists[:, piece.start + k] = estimator.least_squares(_state(*joints, None, k))
 
     def weighted(
         self,
@@ -82,11 +84,12 @@ class CalculatorBatch:
         rates: Array | None = None,
         yaw_rates: Array | None = None,
     ) -> None:
-        """Weighted least squares, its covariances and how badly each wheel agrees.
+        """Computes weighted least-squares twists with covariances and chi-squares of the wheels.
 
         ``covariances`` (6, n): xx, xy, xw, yy, yw, ww of the twist in SI;
         ``chi_squares`` (wheels, n); ``yaw_rates`` (n): of a gyro, rad/s.  As
-        ``TwistEstimator.estimate`` that leaves no wheel out.  Raises as ``inverse``.
+        ``TwistEstimator.estimate`` with ``faulty`` = 0: no wheel is left out.  Raises as
+        ``inverse``.
         """
         self._estimate(
             speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=False
@@ -102,10 +105,10 @@ class CalculatorBatch:
         rates: Array | None = None,
         yaw_rates: Array | None = None,
     ) -> dict[int, tuple[int, ...]]:
-        """As ``TwistEstimator.estimate``: without the wheels that are wrong.
+        """Computes the estimates of ``TwistEstimator.estimate``, without the faulty wheels.
 
-        Arrays as those of ``weighted``.  Returns the wheels left out, by state.  The few
-        states in which a wheel disagrees are done one by one.  Raises as ``inverse``.
+        Arrays as in ``weighted``.  Returns the wheels that are left out, by state.  The few
+        states in which a wheel disagrees go through the scalar estimator.  Raises as ``inverse``.
         """
         return self._estimate(
             speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=True
@@ -132,50 +135,50 @@ class CalculatorBatch:
             _check(yaw_rates, (n,))
             _check_finite(yaw_rates, "yaw rates")
         estimator = self.calculator.estimator
-        alone = estimator if reject else self._tolerant()
+        scalar_estimator = estimator if reject else self._estimator_without_rejection()
         gates = np.array(estimator.gates)[:, np.newaxis]
         dropped: dict[int, tuple[int, ...]] = {}
-        tests = np.empty((len(estimator.rows), min(n, _PIECE)))
+        tests = np.empty((len(estimator.wheels), min(n, _PIECE_SIZE)))
         for piece in _pieces(n):
-            some = _piece(speeds, angles, rates, piece)
+            joints = _piece(speeds, angles, rates, piece)
             gyro = None if yaw_rates is None else yaw_rates[piece]
-            readings = batch_fit.read(estimator, *some)
+            measurements = fit_batch.measure(estimator, *joints)
             size = piece.stop - piece.start
-            twist, one_by_one = batch_fit.first(estimator, readings, gyro, size)
+            twist, scalar_mask = fit_batch.unweighted_fit(estimator, measurements, gyro, size)
             for _ in range(1 + estimator.options.polish):
-                found = batch_fit.fit(estimator, readings, twist, gyro)
-                twist = found.twist
-            self._put(twist, twists[:, piece])
+                fit = fit_batch.fit_twists(estimator, measurements, twist, gyro)
+                twist = fit.twist
+            self._put_twist(twist, twists[:, piece])
             if covariances is not None:
-                self._put_covariance(found.covariance, covariances[:, piece])
+                self._put_covariance(fit.covariance, covariances[:, piece])
             if chi_squares is not None or reject:
-                batch_fit.chi_squares(found, tests[:, :size])
+                fit_batch.chi_squares(fit, tests[:, :size])
             if chi_squares is not None:
                 chi_squares[:, piece] = 0.0
-                chi_squares[[row.wheel for row in estimator.rows], piece] = tests[:, :size]
+                chi_squares[[wheel.number for wheel in estimator.wheels], piece] = tests[:, :size]
             if reject and estimator.options.faulty:
-                beyond: NDArray[np.bool_] = np.any(tests[:, :size] > gates, axis=0)
-                one_by_one = beyond if one_by_one is None else beyond | one_by_one
-            for k in _indices(one_by_one):
-                told = alone.estimate(_state(*some, gyro, k))
-                at = piece.start + k
-                twists[:, at] = told.twist
+                suspect: NDArray[np.bool_] = np.any(tests[:, :size] > gates, axis=0)
+                scalar_mask = suspect if scalar_mask is None else suspect | scalar_mask
+            for k in _indices(scalar_mask):
+                estimate = scalar_estimator.estimate(_state(*joints, gyro, k))
+                index = piece.start + k
+                twists[:, index] = estimate.twist
                 if covariances is not None:
-                    (a, b, c), (_, d, e), (_, _, f) = told.covariance
-                    covariances[:, at] = a, b, c, d, e, f
+                    (a, b, c), (_, d, e), (_, _, f) = estimate.covariance
+                    covariances[:, index] = a, b, c, d, e, f
                 if chi_squares is not None:
-                    chi_squares[:, at] = told.chi_squares
-                if told.dropped:
-                    dropped[at] = told.dropped
+                    chi_squares[:, index] = estimate.chi_squares
+                if estimate.dropped:
+                    dropped[index] = estimate.dropped
         return dropped
 
-    def _tolerant(self) -> TwistEstimator:
+    def _estimator_without_rejection(self) -> TwistEstimator:
         estimator = self.calculator.estimator
         options = replace(estimator.options, faulty=0)
         return TwistEstimator(self.calculator.geometry, estimator.noise, options)
 
-    def _put(self, twist: tuple[Array, Array, Array], out: Array) -> None:
-        """From the centre to ``base_link``."""
+    def _put_twist(self, twist: tuple[Array, Array, Array], out: Array) -> None:
+        """Writes the twists of ``base_link`` for those about the centroid."""
         vx, vy, wz = twist
         xm, ym = self.calculator.geometry.centre
         np.add(vx, ym * wz, out=out[0])
@@ -196,10 +199,10 @@ class CalculatorBatch:
         self, speeds: Array, angles: Array, twists: Array, rates: Array | None
     ) -> int:
         n = self._size(twists)
-        for array, what in ((speeds, "speeds"), (angles, "angles"), (rates, "rates")):
+        for array, quantity in ((speeds, "speeds"), (angles, "angles"), (rates, "rates")):
             if array is not None:
                 _check(array, (self.wheels, n))
-                _check_finite(array, what)
+                _check_finite(array, quantity)
         return n
 
     def _size(self, twists: Array) -> int:
@@ -209,8 +212,8 @@ class CalculatorBatch:
 
 
 def _pieces(n: int) -> Iterator[slice]:
-    for start in range(0, n, _PIECE):
-        yield slice(start, min(start + _PIECE, n))
+    for start in range(0, n, _PIECE_SIZE):
+        yield slice(start, min(start + _PIECE_SIZE, n))
 
 
 def _check(array: Array, shape: tuple[int, ...]) -> None:
@@ -218,12 +221,12 @@ def _check(array: Array, shape: tuple[int, ...]) -> None:
         raise ValueError(f"an array of {array.dtype} {array.shape}; expected float64 {shape}")
 
 
-def _check_finite(array: Array, what: str) -> None:
-    if not array.size or max(float(array.max()), -float(array.min())) < BEYOND:
+def _check_finite(array: Array, quantity: str) -> None:
+    if not array.size or max(float(array.max()), -float(array.min())) < MAX_VALUE:
         return
     if not np.isfinite(array).all():
-        raise NotFiniteError(f"the {what} are not all finite")
-    raise NotFiniteError(f"the {what} are not all below {BEYOND:g}")
+        raise NotFiniteError(f"the {quantity} are not all finite")
+    raise NotFiniteError(f"the {quantity} are not all below {MAX_VALUE:g}")
 
 
 def _piece(
@@ -239,7 +242,7 @@ def _indices(mask: NDArray[np.bool_] | None) -> list[int]:
 def _state(
     speeds: Array, angles: Array, rates: Array | None, yaw_rates: Array | None, k: int
 ) -> JointStates:
-    """One state as the scalar path takes it."""
+    """Returns state ``k`` for the scalar estimator."""
     turning = [0.0] * len(speeds) if rates is None else rates[:, k].tolist()
     yaw_rate = None if yaw_rates is None else float(yaw_rates[k])
     return JointStates(0.0, speeds[:, k].tolist(), angles[:, k].tolist(), turning, None, yaw_rate)

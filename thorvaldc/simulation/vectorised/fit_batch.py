@@ -1,4 +1,7 @@
-"""Least squares of what wheels say, over arrays: ``fit`` for many states at once."""
+"""``twist_fit`` over arrays: weighted fits of the twists of many states, with tests of the wheels.
+
+The equations are those of ``thorvaldc.runtime.calculators.twist_fit``.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +13,26 @@ from numpy.typing import NDArray
 
 from thorvaldc.runtime.calculators.twist_estimator import RANK_TOLERANCE, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import (
-    BOTH,
+    ROLL_AND_SIDE,
     STILL,
     TEST_SIDE,
     UNTESTABLE,
     USE_ROLL,
     USE_SIDE,
-    Row,
+    WheelConstants,
 )
 
 Array = NDArray[np.float64]
 Value = Array | float
 
 _SINGULAR = 1e-250
-"""A determinant that only underflow makes differ from 0."""
+"""Determinants below this are 0 but for underflow."""
 
 
-class Reading(NamedTuple):
-    """What a wheel says in each state; see ``fit.Reading``.  Plain numbers where all are alike."""
+class MeasurementBatch(NamedTuple):
+    """Measurements of one wheel, as ``twist_fit.Measurement``; a plain number: for all states."""
 
-    row: Row
+    wheel: WheelConstants
     c: Value
     s: Value
     x: Value
@@ -38,10 +41,10 @@ class Reading(NamedTuple):
     z_t: Value
 
 
-class Line(NamedTuple):
-    """A reading about a predicted twist; see ``fit.Line``."""
+class WeightedBatch(NamedTuple):
+    """Linearised measurements of one wheel, as ``twist_fit.WeightedMeasurement``."""
 
-    row: Row
+    wheel: WheelConstants
     c: Value
     s: Value
     x: Value
@@ -52,30 +55,31 @@ class Line(NamedTuple):
     v_t: Array
 
 
-class Fit(NamedTuple):
-    """Twists about the centre, their covariances' upper halves, the lines."""
+class FitBatch(NamedTuple):
+    """Twists about the centroid, the upper halves of their covariances, and the measurements."""
 
     twist: tuple[Array, Array, Array]
     covariance: tuple[Array, Array, Array, Array, Array, Array]
-    lines: list[Line]
+    measurements: list[WeightedBatch]
 
 
-def read(
+def measure(
     estimator: TwistEstimator, speeds: Array, angles: Array, rates: Array | None
-) -> list[Reading]:
-    """What the wheels say, from (wheels, n) of rad/s, rad and rad/s (``None``: 0)."""
-    readings = []
-    for row in estimator.rows:
-        z_l, z_t = speeds[row.wheel] * row.radius, 0.0
-        c: Value = row.cos
-        s: Value = row.sin
-        x: Value = row.x
-        y: Value = row.y
-        if row.turns:
-            # Both from the tangent of half the angle: c = 2 / (1 + t^2) - 1, s = t (1 + c).
-            t = angles[row.wheel] * (row.sign / 2.0)
-            if row.heading:
-                t += row.heading / 2.0
+) -> list[MeasurementBatch]:
+    """Converts joint states (wheels, n) in rad/s, rad and rad/s (``None``: 0) to measurements."""
+    measurements = []
+    for wheel in estimator.wheels:
+        z_l, z_t = speeds[wheel.number] * wheel.radius, 0.0
+        c: Value = wheel.cos
+        s: Value = wheel.sin
+        x: Value = wheel.x
+        y: Value = wheel.y
+        if wheel.steered:
+            # One tangent instead of sine and cosine: with t = tan(direction / 2),
+            # c = 2 / (1 + t^2) - 1 and s = t (1 + c).
+            t = angles[wheel.number] * (wheel.sign / 2.0)
+            if wheel.heading:
+                t += wheel.heading / 2.0
             np.tan(t, out=t)
             q = t * t
             q += 1.0
@@ -83,43 +87,47 @@ def read(
             t *= q
             q -= 1.0
             c, s = q, t
-            if row.trail or row.lateral:
-                x = row.x + (c - row.cos) * row.trail - (s - row.sin) * row.lateral
-                y = row.y + (s - row.sin) * row.trail + (c - row.cos) * row.lateral
+            if wheel.trail or wheel.lateral:
+                x = wheel.x + (c - wheel.cos) * wheel.trail - (s - wheel.sin) * wheel.lateral
+                y = wheel.y + (s - wheel.sin) * wheel.trail + (c - wheel.cos) * wheel.lateral
                 if rates is not None:
-                    turning = rates[row.wheel] * row.sign
-                    z_l += turning * row.lateral
-                    if row.trail:
-                        z_t = turning * -row.trail
-        readings.append(Reading(row, c, s, x, y, z_l, z_t))
-    return readings
+                    turning = rates[wheel.number] * wheel.sign
+                    z_l += turning * wheel.lateral
+                    if wheel.trail:
+                        z_t = turning * -wheel.trail
+        measurements.append(MeasurementBatch(wheel, c, s, x, y, z_l, z_t))
+    return measurements
 
 
-def first(
-    estimator: TwistEstimator, readings: Sequence[Reading], yaw_rates: Array | None, n: int
+def unweighted_fit(
+    estimator: TwistEstimator,
+    measurements: Sequence[MeasurementBatch],
+    yaw_rates: Array | None,
+    n: int,
 ) -> tuple[tuple[Array, Array, Array], NDArray[np.bool_] | None]:
-    """The twists with all weighing alike, about the centre; which are of lower rank, if any are.
+    """Returns the unweighted least-squares twists about the centroid, and the mask of low ranks.
 
-    Where ``estimator.inverse`` holds its rank is that of all, and nothing is said of it.
+    The mask is ``None`` if no rank is low, and if ``estimator.inverse`` applies: all states then
+    have the rank that it contains.
     """
     b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
     if estimator.inverse is not None and yaw_rates is None:
-        for r in readings:
-            if not r.row.kind & USE_ROLL:
+        for m in measurements:
+            if not m.wheel.flags & USE_ROLL:
                 continue
-            zx, zy = r.c * r.z_l, r.s * r.z_l
+            zx, zy = m.c * m.z_l, m.s * m.z_l
             b1 += zx
             b2 += zy
-            zy *= r.x
-            zx *= r.y
+            zy *= m.x
+            zx *= m.y
             b3 += zy
             b3 -= zx
         (q11, q12, q13, q22, q23, q33), _ = estimator.inverse
         return _times(q11, q12, q13, q22, q23, q33, b1, b2, b3), None
     a11, a12, a13, a22, a23, a33 = (np.zeros(n) for _ in range(6))
-    for row, c, s, x, y, z_l, z_t in readings:
+    for wheel, c, s, x, y, z_l, z_t in measurements:
         l3, t3 = s * x - c * y, c * x + s * y
-        if row.kind & USE_ROLL:
+        if wheel.flags & USE_ROLL:
             a11 += c * c
             a12 += c * s
             a13 += c * l3
@@ -129,7 +137,7 @@ def first(
             b1 += c * z_l
             b2 += s * z_l
             b3 += l3 * z_l
-        if row.kind & USE_SIDE:
+        if wheel.flags & USE_SIDE:
             a11 += s * s
             a12 -= s * c
             a13 -= s * t3
@@ -149,13 +157,13 @@ def first(
     return _times(*inverse, b1, b2, b3), low if low.any() else None
 
 
-def fit(
+def fit_twists(
     estimator: TwistEstimator,
-    readings: Sequence[Reading],
+    measurements: Sequence[MeasurementBatch],
     predicted: tuple[Array, Array, Array],
     yaw_rates: Array | None,
-) -> Fit:
-    """One Gauss-Newton step from the predicted twists, as ``fit.fit``."""
+) -> FitBatch:
+    """Computes one Gauss-Newton step from the predicted twists, as ``twist_fit.fit_twist``."""
     vx, vy, wz = predicted
     ratio2, angle2, floor2, slip2, skid2, gyro2 = estimator.squares
     a11, a12, a13, a22, a23, a33, b1, b2, b3 = (np.zeros_like(vx) for _ in range(9))
@@ -166,22 +174,22 @@ def fit(
     if yaw_rates is not None:
         a33 += 1.0 / gyro2
         b3 += (1.0 / gyro2) * yaw_rates
-    lines: list[Line] = []
-    skidding = [r for r in readings if r.row.skids]
-    for row, c, s, x, y, z_l, z_t in readings:
+    weighted: list[WeightedBatch] = []
+    skidding = [m for m in measurements if m.wheel.skids]
+    for wheel, c, s, x, y, z_l, z_t in measurements:
         ux, uy = vx - wz * y, vy + wz * x
-        if row.trail:
+        if wheel.trail:
             ux += s * z_t
             uy -= c * z_t
         across = c * uy - s * ux
         a2 = ux * ux
         a2 += uy * uy
-        v2 = a2 + z_t * z_t if row.trail else a2
+        v2 = a2 + z_t * z_t if wheel.trail else a2
         v_l = v2 * ratio2
         v_l += floor2
         v_t = v2 * angle2
         v_t += slip2
-        if row.turns:
+        if wheel.steered:
             t2 = across * across
             near = t2 < 0.25 * a2 - STILL
             k = np.sqrt(a2)
@@ -194,20 +202,20 @@ def fit(
             t2 *= across
             t2 *= near
             z_t = z_t - t2
-        elif row.skids:
+        elif wheel.skids:
             v_l = np.zeros_like(vx)
-            for r in skidding:
-                v_l += (r.c * (vx - wz * r.y) + r.s * (vy + wz * r.x)) ** 2
+            for m in skidding:
+                v_l += (m.c * (vx - wz * m.y) + m.s * (vy + wz * m.x)) ** 2
             v_l *= skid2 / len(skidding)
             v_l += floor2
             v_t = v_l
-        if row.turns:
+        if wheel.steered:
             mx, my = c * z_l - s * z_t, s * z_l + c * z_t
         else:
             mx, my = c * z_l, s * z_l
-        lines.append(Line(row, c, s, x, y, mx, my, v_l, v_t))
+        weighted.append(WeightedBatch(wheel, c, s, x, y, mx, my, v_l, v_t))
         w_t = 1.0 / v_t
-        k = 1.0 / v_l - w_t if row.kind & USE_ROLL else -w_t
+        k = 1.0 / v_l - w_t if wheel.flags & USE_ROLL else -w_t
         kc = k * c
         w11, w12 = kc * c, kc * s
         w11 += w_t
@@ -227,22 +235,22 @@ def fit(
         b2 += ty
         b3 += ty * x - tx * y
     inverse, _ = _inverse(a11, a12, a13, a22, a23, a33)
-    return Fit(_times(*inverse, b1, b2, b3), inverse, lines)
+    return FitBatch(_times(*inverse, b1, b2, b3), inverse, weighted)
 
 
-def chi_squares(found: Fit, result: Array) -> None:
-    """D of each line (lines, n) into ``result``, as ``fit.chi_squares``."""
-    vx, vy, wz = found.twist
-    p11, p12, p13, p22, p23, p33 = found.covariance
-    for d, (row, c, s, x, y, mx, my, v_l, v_t) in zip(result, found.lines, strict=True):
-        if not row.kind & TEST_SIDE:
+def chi_squares(fit: FitBatch, result: Array) -> None:
+    """Writes D of each wheel into ``result`` (wheels, n), as ``twist_fit.chi_squares``."""
+    vx, vy, wz = fit.twist
+    p11, p12, p13, p22, p23, p33 = fit.covariance
+    for d, (wheel, c, s, x, y, mx, my, v_l, v_t) in zip(result, fit.measurements, strict=True):
+        if not wheel.flags & TEST_SIDE:
             d[:] = 0.0
             continue
         u11 = p11 + y * (y * p33 - 2.0 * p13)
         u12 = p12 + x * p13 - y * (p23 + x * p33)
         u22 = p22 + x * (x * p33 + 2.0 * p23)
         rx, ry = mx - vx + wz * y, my - vy - wz * x
-        if row.kind != BOTH:
+        if wheel.flags != ROLL_AND_SIDE:
             r_t = c * ry - s * rx
             s_t = v_t - (s * s * u11 - 2.0 * c * s * u12 + c * c * u22)
             d[:] = 0.0
@@ -252,23 +260,27 @@ def chi_squares(found: Fit, result: Array) -> None:
         kc = k * c
         s11, s12, s22 = v_t + kc * c - u11, kc * s - u12, v_t + k * s * s - u22
         det = s11 * s22 - s12 * s12
-        fine = det > UNTESTABLE * v_l * v_t
-        if not fine.all():
-            # Of two directions the others know one at most: see ``fit.test``.
+        regular = det > UNTESTABLE * v_l * v_t
+        if not regular.all():
+            # S has rank 1 at most; see ``twist_fit.compare_with_others``.
             h_l = c * c * u11 + 2.0 * c * s * u12 + s * s * u22
-            known = (v_l - h_l) / v_l + (v_t - (u11 + u22 - h_l)) / v_t
+            scale = (v_l - h_l) / v_l + (v_t - (u11 + u22 - h_l)) / v_t
             r_l, r_t = c * rx + s * ry, c * ry - s * rx
-            one = (r_l * r_l / v_l + r_t * r_t / v_t) / np.where(known > UNTESTABLE, known, np.inf)
-            det = np.where(fine, det, 1.0)
+            scale = np.where(scale > UNTESTABLE, scale, np.inf)
+            singular = (r_l * r_l / v_l + r_t * r_t / v_t) / scale
+            det = np.where(regular, det, 1.0)
         d[:] = ((s22 * rx - 2.0 * s12 * ry) * rx + s11 * ry * ry) / det
-        if not fine.all():
-            d[:] = np.where(fine, d, one)
+        if not regular.all():
+            d[:] = np.where(regular, d, singular)
 
 
 def _inverse(
     a11: Array, a12: Array, a13: Array, a22: Array, a23: Array, a33: Array
 ) -> tuple[tuple[Array, Array, Array, Array, Array, Array], Array]:
-    """Of symmetric matrices, by cofactors (the adjugate where singular); and determinants."""
+    """Inverts symmetric matrices by cofactors; returns upper halves and determinants.
+
+    The result for a singular matrix is its adjugate.
+    """
     p11 = a22 * a33 - a23 * a23
     p12 = a13 * a23 - a12 * a33
     p13 = a12 * a23 - a13 * a22

@@ -1,0 +1,54 @@
+"""Wheel speeds of a robot that turns by skidding (fixed wheels on parallel axle lines)."""
+
+from __future__ import annotations
+
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.se2 import Twist
+
+
+class SkidSteering:
+    """Compensation of the turning speed that a robot loses by skidding.
+
+    Under Coulomb friction with equal loads, the robot turns as the least-squares fit of the
+    surface velocities of its wheels.  With a_i the positions across the wheels and l_i those along,
+    relative to their means, wheels driven at v_i turn it by
+
+        wz = -sum a_i v_i / (sum a_i^2 + sum l_i^2)
+
+    Pure rolling, v_i = -a_i wz', would give wz = g wz' with g = sum a^2 / (sum a^2 + sum l^2): for
+    wheels at (+-a, +-b), g = b^2 / (a^2 + b^2).  So the wheels are driven for wz / g.
+    """
+
+    def __init__(self, inverse_gain: float, middle: float, normal: tuple[float, float]) -> None:
+        self._inverse_gain = inverse_gain
+        self._middle = middle
+        self._normal = normal
+
+    @staticmethod
+    def from_geometry(geometry: BaseGeometry, fixed: FixedWheels) -> SkidSteering | None:
+        """Returns the compensation, or ``None`` if the robot does not turn by skidding."""
+        if geometry.steering_groups or not fixed.skids or len(fixed.rows) != 1:
+            return None
+        wheels = [w for w in geometry.wheels if w.fixed]
+        driven = [w for w in wheels if w.driven]
+        # The normal is (t1, t2); the wheels roll along (t2, -t1).
+        t1, t2, _ = fixed.rows[0]
+        across = [t1 * w.x + t2 * w.y for w in driven]
+        middle = sum(across) / len(across)
+        turning = sum((a - middle) ** 2 for a in across)
+        along = [t2 * w.x - t1 * w.y for w in wheels]
+        mean = sum(along) / len(wheels)
+        resisting = sum((a - mean) ** 2 for a in along)
+        if turning < 1e-6:
+            return None
+        return SkidSteering((turning + resisting) / turning, middle, (t1, t2))
+
+    def compensate(self, twist: Twist) -> Twist:
+        """Returns the twist whose rolling speeds make the skidding robot move by ``twist``.
+
+        The additional turn is about the middle of the driven wheels, which keeps their mean speed.
+        """
+        t1, t2 = self._normal
+        added_turn = (self._inverse_gain - 1.0) * twist.wz
+        along = added_turn * self._middle
+        return Twist(twist.vx + t2 * along, twist.vy - t1 * along, twist.wz + added_turn)
