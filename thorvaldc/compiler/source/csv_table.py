@@ -16,6 +16,22 @@ _MAX_INVALID_LINES = 10
 
 
 @dataclass(frozen=True, slots=True)
+class RowRules:
+    """Diagnostic codes for invalid lines, and the rules that differ between kinds of tables.
+
+    With ``complete`` an empty cell is an error, and so is an incomplete last line.
+    """
+
+    value_code: str
+    time_code: str
+    time_hint: str | None = None
+    complete: bool = False
+
+
+_RECORD_ROWS = RowRules("record-value", "record-value")
+
+
+@dataclass(frozen=True, slots=True)
 class Table:
     """The columns of a CSV file by name, and its first line."""
 
@@ -47,10 +63,8 @@ def read_table(path: Path, display: str, report: Report) -> Table | None:
         message = f"`{display}` is not a table of a run: its first line has {error}"
         report.add("record-unreadable", message, Span(display, 1, 1, 1, 1))
         return None
-    rows = _read_rows(lines, names, display, report)
-    if rows is None:
-        return None
-    return Table(display, header, {name: [row[i] for row in rows] for i, name in enumerate(names)})
+    columns = read_columns(lines, names, display, report, _RECORD_ROWS)
+    return None if columns is None else Table(display, header, columns)
 
 
 def _header_error(names: Sequence[str]) -> str | None:
@@ -62,9 +76,13 @@ def _header_error(names: Sequence[str]) -> str | None:
     return "no column except `time`" if len(names) < 2 else None
 
 
-def _read_rows(
-    lines: Sequence[str], names: Sequence[str], display: str, report: Report
-) -> list[list[float]] | None:
+def read_columns(
+    lines: Sequence[str], names: Sequence[str], display: str, report: Report, rules: RowRules
+) -> dict[str, list[float]] | None:
+    """Returns the columns ``names`` of the lines after the first; ``None`` on an error.
+
+    Reports invalid lines with line and column; stops after ``_MAX_INVALID_LINES`` of them.
+    """
     rows: list[list[float]] = []
     invalid_lines, last_time, time_index = 0, -math.inf, names.index(TIME)
     for line_number, raw_line in enumerate(lines[1:], start=2):
@@ -73,36 +91,43 @@ def _read_rows(
             continue
         cells = line.split(",")
         line_span = Span(display, line_number, 1, line_number, len(line) + 1)
-        if len(cells) != len(names) and line_number == len(lines):
+        is_cut = len(cells) != len(names) and line_number == len(lines)
+        if is_cut and not rules.complete:
             message = f"`{display}` ends in an incomplete line, after {max(last_time, 0.0):.10g} s"
             report.add("record-truncated", message, line_span)
             break
-        error = _row_error(cells, names, last_time, time_index)
-        if error is None:
+        error = _value_error(cells, names, time_index, rules)
+        time = parse_number(cells[time_index]) if error is None else math.nan
+        if time > last_time:
             rows.append([parse_number(cell) for cell in cells])
-            last_time = rows[-1][time_index]
+            last_time = time
             continue
-        index, message = error
-        span = line_span if index is None else cell_span(display, line_number, line, index)
-        report.add("record-value", message, span)
+        if error is None:
+            message = f"the time goes from {last_time:.10g} s to {time:.10g} s"
+            span = cell_span(display, line_number, line, time_index)
+            report.add(rules.time_code, message, span, hint=rules.time_hint)
+        else:
+            index, message = error
+            span = line_span if index is None else cell_span(display, line_number, line, index)
+            report.add(rules.value_code, message, span)
         invalid_lines += 1
         if invalid_lines >= _MAX_INVALID_LINES:
             break
-    return None if invalid_lines else rows
+    if invalid_lines:
+        return None
+    return {name: [row[i] for row in rows] for i, name in enumerate(names)}
 
 
-def _row_error(
-    cells: Sequence[str], names: Sequence[str], last_time: float, time_index: int
+def _value_error(
+    cells: Sequence[str], names: Sequence[str], time_index: int, rules: RowRules
 ) -> tuple[int | None, str] | None:
     """Returns the index of the invalid cell (``None``: the whole line) and a message."""
     if len(cells) != len(names):
         return None, f"the line has {len(cells)} values; there are {len(names)} columns"
     for i, cell in enumerate(cells):
-        if not math.isfinite(parse_number(cell)) and (cell.strip() or i == time_index):
+        must_be_number = rules.complete or bool(cell.strip()) or i == time_index
+        if must_be_number and not math.isfinite(parse_number(cell)):
             return i, f"`{cell.strip()}` in column {names[i]} is not a finite number"
-    time = parse_number(cells[time_index])
-    if not time > last_time:
-        return time_index, f"the time goes from {last_time:.10g} s to {time:.10g} s"
     return None
 
 

@@ -23,7 +23,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from thorvaldc.compiler.source.csv_table import cell_span, parse_number, read_utf8
+from thorvaldc.compiler.source.csv_table import (
+    TIME,
+    RowRules,
+    cell_span,
+    read_columns,
+    read_utf8,
+)
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
@@ -33,10 +39,13 @@ from thorvaldc.runtime.odometry import LONGEST_INTERVAL
 if TYPE_CHECKING:
     from thorvaldc.simulation.control_loop import ControlLoop
 
-TIME = "time"
 POSITION, VELOCITY, COMMAND = "position", "velocity", "velocity_command"
-_MAX_ERRORS = 10
-"""Number of invalid lines after which the reader stops."""
+_ROW_RULES = RowRules(
+    "joint-log-value",
+    "joint-log-time",
+    "times must increase; write each run to a file of its own",
+    complete=True,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +151,7 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     header = _header(lines[0].rstrip("\r"), display, report)
     if header is None or not _joints_match(header, display, robot, report):
         return None
-    columns = _values(lines, header, display, report)
+    columns = read_columns(lines, header, display, report, _ROW_RULES)
     if columns is None:
         return None
     times = columns[TIME]
@@ -225,55 +234,6 @@ def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Rep
             )
             matches = False
     return matches
-
-
-def _values(
-    lines: Sequence[str], header: Sequence[str], display: str, report: Report
-) -> dict[str, list[float]] | None:
-    """Returns the columns by name; ``None`` if a line is invalid."""
-    rows: list[list[float]] = []
-    errors = 0
-    last_time = -math.inf
-    time_column = list(header).index(TIME)
-    for line_number, raw in enumerate(lines[1:], start=2):
-        line = raw.rstrip("\r")
-        if not line.strip():
-            continue
-        cells = line.split(",")
-        if len(cells) != len(header):
-            report.add(
-                "joint-log-value",
-                f"the line has {len(cells)} values; the header has {len(header)} columns",
-                Span(display, line_number, 1, line_number, len(line) + 1),
-            )
-            errors += 1
-        else:
-            row = [parse_number(cell) for cell in cells]
-            invalid = next((i for i, value in enumerate(row) if not math.isfinite(value)), None)
-            if invalid is not None:
-                report.add(
-                    "joint-log-value",
-                    f"`{cells[invalid].strip()}` in column {header[invalid]} is not a "
-                    "finite number",
-                    cell_span(display, line_number, line, invalid),
-                )
-                errors += 1
-            elif not row[time_column] > last_time:
-                report.add(
-                    "joint-log-time",
-                    f"the time goes from {last_time:.10g} s to {row[time_column]:.10g} s",
-                    cell_span(display, line_number, line, time_column),
-                    hint="times must increase; write each run to a file of its own",
-                )
-                errors += 1
-            else:
-                last_time = row[time_column]
-                rows.append(row)
-        if errors >= _MAX_ERRORS:
-            break
-    if errors:
-        return None
-    return {name: [row[i] for row in rows] for i, name in enumerate(header)}
 
 
 def _report_gaps(times: Sequence[float], display: str, report: Report) -> None:
