@@ -9,71 +9,24 @@ slide, roll and stand on slopes as real ones do: elliptic cones, a first
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
-from typing import TypeGuard
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
+from thorvaldc.backends.colors_and_meshes import mesh_files
+from thorvaldc.backends.mjcf_robot import WORLD, RobotWriter, body_names
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
+from thorvaldc.backends.mjcf_sections import ModelSections
 from thorvaldc.backends.mjcf_world import add_world
 from thorvaldc.backends.xml_writer import Element, parse, to_bytes
 from thorvaldc.diagnostics import CODES, Diagnostic
-from thorvaldc.model import (
-    Actuator,
-    Box,
-    Cylinder,
-    Fleet,
-    Joint,
-    Link,
-    Mesh,
-    MeshShape,
-    Pose,
-    Robot,
-    Sensor,
-    Shape,
-    Tread,
-    Vec3,
-    Wheel,
-)
-from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
+from thorvaldc.model import Fleet, Pose, Robot
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics
-from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF, WheelContact
-
-TIMESTEP = 0.005
-# Ratio of the torsional friction coefficient (m) to mu times width.  A contact patch as wide as the
-# tyre resists turning on the spot with the torque mu N width / 4; a tyre that rolls deforms and
-# resists less.  MuJoCo has one coefficient for both, and spin and slip share one
-# friction cone.  With 1/4, wheels drift outwards by up to 2.1 % of
-# the turn (two driven wheels and casters); with 1/16 by 0.4 %.
-TORSION = 1 / 16
-ROLLING_FRICTION = 0.0005  # the third coefficient of MuJoCo; condim 4 does not use it
-DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
-DRIVE_DAMPING = 1.0  # damping ratio: critical
-FLANGE = 0.004  # m, thickness of the flange of a rail tread
-STEERING_STIFFNESS = 4000.0  # N m/rad
-# MuJoCo's implicit integrators apply the damping of the motor joints after the contact forces.  A
-# robot that accelerates is then ahead of its wheels by 5 ms.  The explicit integrator has no such
-# error.  For a joint of inertia I with damping d, a step of h multiplies the joint speed by 1 - d
-# h / I: it is stable for d h / I < 2.  So it is used if d h / I of every servo is at most this
-# value.  Robots with wheels that must slide get the implicit one: such wheels have no load except
-# friction and chatter above 1.
-EXPLICIT_DAMPING = 1.5
-SAME_AXLE = 1e-3  # m and rad; wheels closer than this are on one axle
-
-WORLD = "world"  # the name of MuJoCo's own root body
-
-# Robots collide with the world and with each other but not with themselves (their parts
-# overlap where they are joined).  MuJoCo lets two geoms collide if contype1 & conaffinity2 or
-# contype2 & conaffinity1 is not 0.  Robot i has contype i and the complement of i
-# as conaffinity: i & ~i is 0, but of two different numbers one always has a bit
-# that the other lacks.  Bit 0 of contype or conaffinity is set, so each robot collides with other
-# objects, which have the default 1 for both.
-_ALL_BITS = 0x7FFFFFFF
 
 
 class Mjcf(Backend):
+    """Writes ``robot.xml`` and ``scene.xml``; of a fleet also one scene with all robots."""
+
     name = "mjcf"
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
 
@@ -82,31 +35,31 @@ class Mjcf(Backend):
             tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
             yield Diagnostic(
                 CODES["urdf-only-element"],
-                "MJCF has no place for what the extras hold besides links and joints: "
+                "MJCF has no elements for these parts of the extras: "
                 + ", ".join(f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)),
                 robot.span,
-                "it is in the URDF",
+                "the URDF has them",
             )
         for link in robot.links:
             if link.name == WORLD and not robot.namespace:
                 yield Diagnostic(
                     CODES["mjcf-name-reserved"],
                     f"MuJoCo keeps the name `{WORLD}` for the ground; in MJCF the link is "
-                    f"`{_body_names(robot)[WORLD]}`",
+                    f"`{body_names(robot)[WORLD]}`",
                     link.span,
                     "rename it in the extra, or give the robot a `namespace`",
                 )
 
     def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
         tree = JointTree(robot.links, robot.joints)
-        writer = _Writer(robot.name, [robot], ["../meshes"])
-        writer.add_robot(robot, tree, 0, statics, None)
+        sections = ModelSections(robot.name, [robot], ["../meshes"])
+        RobotWriter(sections, robot, tree, 0, statics).write(None)
         scene = Element("mujoco", model=f"{robot.name} scene")
         scene.add("include", file="robot.xml")
         add_surroundings(scene, [robot], [Pose()])
         add_home(scene, [robot], [tree], [statics], [Pose()])
         return {
-            "mjcf/robot.xml": to_bytes(writer.root()),
+            "mjcf/robot.xml": to_bytes(sections.root()),
             "mjcf/scene.xml": to_bytes(scene),
             **mesh_files(robot),
         }
@@ -116,369 +69,14 @@ class Mjcf(Backend):
         robots = [placement.robot for placement in fleet.placements]
         poses = [placement.pose for placement in fleet.placements]
         folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
-        writer = _Writer(fleet.name, robots, folders)
+        sections = ModelSections(fleet.name, robots, folders)
         trees = [JointTree(robot.links, robot.joints) for robot in robots]
         for i, robot in enumerate(robots):
-            writer.add_robot(robot, trees[i], i, statics[i], poses[i])
-        scene = writer.root()
+            RobotWriter(sections, robot, trees[i], i, statics[i]).write(poses[i])
+        scene = sections.root()
         add_surroundings(scene, robots, poses, fleet.world)
         if fleet.world is not None:
             files.update(add_world(scene, fleet.world, poses))
         add_home(scene, robots, trees, statics, poses)
         files["mjcf/scene.xml"] = to_bytes(scene)
         return files
-
-
-def _prefix(robot: Robot) -> str:
-    return robot.prefix
-
-
-def _free(name: str, taken: Iterable[str]) -> str:
-    """Return the name, with underscores appended until it is not in ``taken``."""
-    names = set(taken)
-    while name in names:
-        name += "_"
-    return name
-
-
-def _body_names(robot: Robot) -> dict[str, str]:
-    """Return the body names by link names: with the name space, and never ``world``."""
-    prefix = _prefix(robot)
-    names = {link.name: prefix + link.name for link in robot.links}
-    if names.get(WORLD) == WORLD:
-        names[WORLD] = _free(f"{WORLD}_link", names)
-    return names
-
-
-class _Writer:
-    """Collects the sections of a model with one or several robots."""
-
-    def __init__(self, name: str, robots: list[Robot], mesh_folders: list[str]) -> None:
-        self.model = name
-        self.palette = Palette(*robots)
-        self.folders = mesh_folders
-        self.robots = robots
-        self.worldbody = Element("worldbody")
-        self.equality = Element("equality")
-        self.actuators = Element("actuator")
-        self.sensors = Element("sensor")
-        self.asset = Element("asset")
-        for material, color in self.palette.entries():
-            self.asset.add("material", name=material, rgba=color)
-        self.meshes: dict[tuple[str, Vec3], str] = {}
-        self.taken: dict[str, str] = {}
-        # The largest d h / I of all servos (see EXPLICIT_DAMPING).
-        self.largest_damping = 0.0
-
-    def root(self) -> Element:
-        root = Element("mujoco", model=self.model)
-        root.add(
-            "compiler",
-            angle="radian",
-            autolimits=True,
-            inertiafromgeom="false",
-            balanceinertia=False,
-        )
-        # MuJoCo's default is dense for fewer than 60 degrees of freedom, but the wheels' rows are
-        # mostly zeros.
-        explicit = self.largest_damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
-        root.add(
-            "option",
-            timestep=TIMESTEP,
-            integrator="Euler" if explicit else "implicitfast",
-            cone="elliptic",
-            impratio=100,
-            jacobian="sparse",
-        )
-        default = root.add("default")
-        default.add("default", class_="visual").add(
-            "geom", group=2, contype=0, conaffinity=0, mass=0
-        )
-        default.add("default", class_="collision").add("geom", group=3, mass=0)
-        default.add("default", class_="wheel").add(
-            "geom",
-            type="ellipsoid",
-            group=3,
-            mass=0,
-            condim=4,
-            priority=1,
-            solref=SOLREF,
-            solimp=SOLIMP,
-        )
-        sections = (self.asset, self.worldbody, self.equality, self.actuators, self.sensors)
-        root.children += [section for section in sections if section.children]
-        return root
-
-    def add_robot(
-        self, robot: Robot, tree: JointTree, number: int, statics: Statics, pose: Pose | None
-    ) -> None:
-        """Add a robot with its base at ``pose``; ``number`` is its index in the scene."""
-        _RobotWriter(self, robot, tree, number, statics).write(pose)
-
-    def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
-        """Return the name of the asset for a mesh at a scale; equal files share one asset."""
-        key = (mesh.sha256, scale)
-        name = self.meshes.get(key)
-        if name is None:
-            # Two files may differ only in their extension, and one file may have several scales.
-            name = stem = prefix + mesh.name.rsplit(".", 1)[0]
-            for count in range(2, len(self.meshes) + 2):
-                if name not in self.taken:
-                    break
-                name = f"{stem}_{count}"
-            self.taken[name] = mesh.name
-            self.meshes[key] = name
-            self.asset.add(
-                "mesh",
-                name=name,
-                file=f"{self.folders[number]}/{mesh.name}",
-                scale=None if scale == (1.0, 1.0, 1.0) else scale,
-                # All masses are explicit.  MuJoCo's default, a volume, fails for open and flat
-                # meshes.
-                inertia="shell",
-            )
-        return name
-
-
-class _RobotWriter:
-    """Writes one robot into the sections of a model."""
-
-    def __init__(
-        self, writer: _Writer, robot: Robot, tree: JointTree, number: int, statics: Statics
-    ) -> None:
-        self.writer = writer
-        self.robot = robot
-        self.number = number
-        self.statics = statics
-        self.prefix = _prefix(robot)
-        self.tree = tree
-        self.meshes = {mesh.name: mesh for mesh in robot.meshes}
-        self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
-        self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
-        self.actuated = {actuator.joint for actuator in robot.actuators}
-        contype = (number + 1) & _ALL_BITS
-        self.bits = {"contype": contype, "conaffinity": _ALL_BITS & ~contype}
-
-    def write(self, pose: Pose | None) -> None:
-        robot, prefix = self.robot, self.prefix
-        bodies: dict[str, Element] = {}
-        names = _body_names(robot)
-        for name in self.tree.order:
-            link = self.tree.links[name]
-            joint = self.tree.parent_joint.get(name)
-            if joint is None:
-                body = self.writer.worldbody.add("body", name=names[link.name])
-                if pose is not None:
-                    _place(body, pose)
-                base = _free("floating_base", self.tree.joints)
-                body.add("freejoint", name=prefix + base)
-            else:
-                body = bodies[joint.parent].add("body", name=names[link.name])
-                _place(body, joint.pose)
-                if joint.type != "fixed":
-                    self._add_joint(body, joint)
-            bodies[link.name] = body
-            self._add_link(body, link)
-        for sensor in robot.sensors:
-            self._add_sensor(bodies[sensor.link], sensor)
-        driven = sum(1 for wheel in robot.wheels if wheel.driven)
-        for actuator in robot.actuators:
-            self._add_actuator(actuator, driven)
-        for joint in self.tree.moving:
-            if joint.name in self.actuated or joint.role == "suspension":
-                name = prefix + joint.name
-                self.writer.sensors.add("jointpos", name=f"{name}_position", joint=name)
-                self.writer.sensors.add("jointvel", name=f"{name}_velocity", joint=name)
-
-    # -- bodies -----------------------------------------------------------------
-
-    def _add_joint(self, body: Element, joint: Joint) -> None:
-        friction = joint.friction
-        wheel = self.wheel_of_joint.get(joint.name)
-        if wheel is not None:
-            force = self.statics.wheels[wheel.name].force
-            friction = clean(friction + wheel.rolling_resistance * force * wheel.radius)
-        limits = None
-        if joint.lower is not None and joint.upper is not None:
-            limits = (joint.lower, joint.upper)
-        body.add(
-            "joint",
-            name=self.prefix + joint.name,
-            type="slide" if joint.type == "prismatic" else "hinge",
-            axis=joint.axis,
-            range=limits,
-            damping=joint.damping or None,
-            frictionloss=friction or None,
-            armature=joint.armature or None,
-            stiffness=joint.stiffness or None,
-            springref=joint.spring_reference if joint.stiffness else None,
-        )
-        if joint.mimic is not None:
-            self.writer.equality.add(
-                "joint",
-                joint1=self.prefix + joint.name,
-                joint2=self.prefix + joint.mimic.joint,
-                polycoef=(joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0),
-            )
-
-    def _add_link(self, body: Element, link: Link) -> None:
-        if link.inertial is not None:
-            body.add(
-                "inertial",
-                pos=link.inertial.com,
-                mass=link.inertial.mass,
-                fullinertia=link.inertial.inertia,
-            )
-        for visual in link.visuals:
-            geom = body.add("geom", class_="visual")
-            self._shape(geom, visual.shape, visual.pose)
-            geom.set(material=self.writer.palette.name(visual.color))
-        wheel = self.wheel_of_link.get(link.name)
-        if wheel is not None:
-            self._add_tread(body, wheel, self.statics.wheels[wheel.name])
-            return
-        for i, collision in enumerate(link.collisions):
-            name = f"{self.prefix}{link.name}_collision_{i}"
-            geom = body.add("geom", name=name, class_="collision", **self.bits)
-            self._shape(geom, collision.shape, collision.pose)
-
-    def _shape(self, geom: Element, shape: Shape, pose: Pose) -> None:
-        match shape:
-            case Box((x, y, z)):
-                geom.set(type="box", size=(x / 2, y / 2, z / 2))
-            case Cylinder(radius, length):
-                geom.set(type="cylinder", size=(radius, length / 2))
-            case MeshShape(file, scale):
-                mesh = self.writer.mesh(self.prefix, self.number, self.meshes[file], scale)
-                geom.set(type="mesh", mesh=mesh)
-            case _:
-                geom.set(type="sphere", size=shape.radius)
-        _place(geom, pose)
-
-    def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
-        """Add the ellipsoid that rolls like the wheel; it replaces the link's collision shapes."""
-        axis = contact.axis
-        x, y, z = axis
-        shift = contact.offset
-        geom = body.add("geom", name=f"{self.prefix}{wheel.link}_tread", class_="wheel")
-        geom.set(**self.bits)
-        geom.set(size=(contact.radius, contact.radius, contact.half_width))
-        center = Pose((shift * x, shift * y, shift * z), _z_to(axis)).clean()
-        _place(geom, center)
-        mu = wheel.friction
-        geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
-        for tread in wheel.treads:
-            self._add_ring(body, wheel, tread, contact)
-
-    def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
-        """Add a ring beside the tyre, with its flanges, which guide the wheel along a rail."""
-        radius = wheel.radius_named(tread.name)
-        name = f"{self.prefix}{wheel.link}_{tread.name}"
-        mu, half = wheel.friction, tread.width / 2
-        ring = body.add("geom", name=name, class_="wheel", **self.bits)
-        ring.set(type="cylinder", size=(clean(radius + contact.penetration / 2), half))
-        ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
-        turned = _z_to(contact.axis)
-        _place(ring, Pose(tread.center, turned).clean())
-        for side in (1, -1) if tread.flange else ():
-            shift = side * (half + FLANGE / 2)
-            center = tuple(c + shift * a for c, a in zip(tread.center, contact.axis, strict=True))
-            flange = body.add(
-                "geom", name=f"{name}_flange_{'left' if side > 0 else 'right'}", class_="wheel"
-            )
-            flange.set(**self.bits)
-            flange.set(type="cylinder", size=(clean(radius + tread.flange), FLANGE / 2), condim=1)
-            _place(flange, Pose((center[0], center[1], center[2]), turned).clean())
-
-    # -- sensors and actuators -----------------------------------------------
-
-    def _add_sensor(self, body: Element, sensor: Sensor) -> None:
-        name = self.prefix + sensor.name
-        body.add("site", name=name, group=4, size=0.01)
-        if sensor.type == "imu":
-            self.writer.sensors.add("gyro", name=f"{name}_gyro", site=name)
-            self.writer.sensors.add("accelerometer", name=f"{name}_accelerometer", site=name)
-        elif sensor.type == "camera":
-            # The view direction of an optical frame is z with y down, of MuJoCo's cameras -z with
-            # y up.
-            camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
-            values = dict(sensor.properties)
-            width, height = values.get("image_width"), values.get("image_height")
-            angle = values.get("horizontal_field_of_view")
-            if _positive(width) and _positive(height) and _positive(angle):
-                across = math.tan(angle / 2) * height / width
-                camera.set(fovy=clean(math.degrees(2 * math.atan(across))))
-                camera.set(resolution=(int(width), int(height)))
-
-    def _add_actuator(self, actuator: Actuator, driven: int) -> None:
-        joint = self.tree.joints[actuator.joint]
-        torque, speed = actuator.max_torque, actuator.max_velocity
-        names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
-        joint_inertia = self.statics.inertias[actuator.joint] + joint.armature
-        if actuator.role == "steering":
-            limits = None
-            if joint.lower is not None and joint.upper is not None:
-                limits = (joint.lower, joint.upper)
-            self.writer.actuators.add(
-                "position",
-                **names,
-                kp=STEERING_STIFFNESS,
-                dampratio=1,
-                ctrlrange=limits,
-                forcerange=(-torque, torque),
-            )
-            self._note_damping(2 * math.sqrt(STEERING_STIFFNESS * joint_inertia), joint_inertia)
-            return
-        inertia = joint_inertia
-        wheel = self.wheel_of_joint.get(actuator.joint)
-        if wheel is not None and driven:
-            inertia += self.robot.inertial.mass * wheel.radius**2 / driven
-        # A second-order servo on the inertia I: kp = I w^2 and kv = 2 D I w, with the natural
-        # frequency w and the damping ratio D.  MuJoCo integrates the speed set point to an angle
-        # that the servo holds, so the robot stands still on a slope.  The angle has no limit.
-        damping = 2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY
-        self._note_damping(damping, joint_inertia)
-        self.writer.actuators.add(
-            "intvelocity",
-            **names,
-            kp=clean(inertia * DRIVE_FREQUENCY**2),
-            kv=clean(damping),
-            ctrlrange=(-speed, speed),
-            forcerange=(-torque, torque),
-            actlimited=False,
-        )
-
-    def _note_damping(self, damping: float, inertia: float) -> None:
-        ratio = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
-        self.writer.largest_damping = max(self.writer.largest_damping, ratio)
-
-
-def _slides(robot: Robot) -> bool:
-    """True if wheels that cannot steer are on several axles: in a turn they must slide."""
-    fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
-    for wheel in fixed[1:]:
-        c, s = math.cos(fixed[0].heading), math.sin(fixed[0].heading)
-        along = c * (wheel.x - fixed[0].x) + s * (wheel.y - fixed[0].y)
-        if abs(along) > SAME_AXLE or abs(math.sin(wheel.heading - fixed[0].heading)) > SAME_AXLE:
-            return True
-    return False
-
-
-def _positive(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and value > 0
-
-
-def _place(element: Element, pose: Pose) -> None:
-    if pose.xyz != (0.0, 0.0, 0.0):
-        element.set(pos=pose.xyz)
-    if pose.quat != (1.0, 0.0, 0.0, 0.0):
-        element.set(quat=pose.quat)
-
-
-def _z_to(axis: Vec3) -> Quat:
-    """Return the smallest rotation from z to the unit vector ``axis``."""
-    c = dot((0.0, 0.0, 1.0), axis)
-    if c < -1.0 + 1e-12:
-        return (0.0, 1.0, 0.0, 0.0)
-    x, y, z = cross((0.0, 0.0, 1.0), axis)
-    return quat_normalize((1.0 + c, x, y, z))

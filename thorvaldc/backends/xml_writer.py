@@ -37,7 +37,7 @@ def number(value: Number) -> str:
     if text.endswith(".0"):
         return text[:-2]
     if text[-1] in "nf":  # nan, inf
-        raise XmlValueError(f"{text} has no place in XML")
+        raise XmlValueError(f"an XML file cannot contain the number {text}")
     return text
 
 

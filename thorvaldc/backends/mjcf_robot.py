@@ -1,0 +1,300 @@
+"""One robot in MJCF: its bodies, joints, shapes, sensors and actuators."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TypeGuard
+
+from thorvaldc.backends.mjcf_sections import TIMESTEP, ModelSections
+from thorvaldc.backends.xml_writer import Element
+from thorvaldc.model import (
+    Actuator,
+    Box,
+    Cylinder,
+    Joint,
+    Link,
+    MeshShape,
+    Pose,
+    Robot,
+    Sensor,
+    Shape,
+    Tread,
+    Vec3,
+    Wheel,
+)
+from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
+from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.standing_pose import Statics
+from thorvaldc.model.statics.wheel_contact import WheelContact
+
+# Ratio of the torsional friction coefficient (m) to mu times width.  A contact patch as wide as the
+# tyre resists turning on the spot with the torque mu N width / 4; a tyre that rolls deforms and
+# resists less.  MuJoCo has one coefficient for both, and spin and slip share one
+# friction cone.  With 1/4, wheels drift outwards by up to 2.1 % of
+# the turn (two driven wheels and casters); with 1/16 by 0.4 %.
+TORSION = 1 / 16
+ROLLING_FRICTION = 0.0005  # the third coefficient of MuJoCo; condim 4 does not use it
+DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
+DRIVE_DAMPING = 1.0  # damping ratio: critical
+FLANGE = 0.004  # m, thickness of the flange of a rail tread
+STEERING_STIFFNESS = 4000.0  # N m/rad
+WORLD = "world"  # the name of MuJoCo's own root body
+
+# Robots collide with the world and with each other but not with themselves (their parts
+# overlap where they are joined).  MuJoCo lets two geoms collide if contype1 & conaffinity2 or
+# contype2 & conaffinity1 is not 0.  Robot i has contype i and the complement of i
+# as conaffinity: i & ~i is 0, but of two different numbers one always has a bit
+# that the other lacks.  Bit 0 of contype or conaffinity is set, so each robot collides with other
+# objects, which have the default 1 for both.
+_ALL_BITS = 0x7FFFFFFF
+
+
+def _free(name: str, taken: Iterable[str]) -> str:
+    """Return the name, with underscores appended until it is not in ``taken``."""
+    names = set(taken)
+    while name in names:
+        name += "_"
+    return name
+
+
+def body_names(robot: Robot) -> dict[str, str]:
+    """Return the body names by link names: with the name space, and never ``world``."""
+    prefix = robot.prefix
+    names = {link.name: prefix + link.name for link in robot.links}
+    if names.get(WORLD) == WORLD:
+        names[WORLD] = _free(f"{WORLD}_link", names)
+    return names
+
+
+class RobotWriter:
+    """Writes one robot into the sections of a model."""
+
+    def __init__(
+        self, sections: ModelSections, robot: Robot, tree: JointTree, number: int, statics: Statics
+    ) -> None:
+        self.sections = sections
+        self.robot = robot
+        self.number = number
+        self.statics = statics
+        self.prefix = robot.prefix
+        self.tree = tree
+        self.meshes = {mesh.name: mesh for mesh in robot.meshes}
+        self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
+        self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
+        self.actuated = {actuator.joint for actuator in robot.actuators}
+        contype = (number + 1) & _ALL_BITS
+        self.bits = {"contype": contype, "conaffinity": _ALL_BITS & ~contype}
+
+    def write(self, pose: Pose | None) -> None:
+        robot, prefix = self.robot, self.prefix
+        bodies: dict[str, Element] = {}
+        names = body_names(robot)
+        for name in self.tree.order:
+            link = self.tree.links[name]
+            joint = self.tree.parent_joint.get(name)
+            if joint is None:
+                body = self.sections.worldbody.add("body", name=names[link.name])
+                if pose is not None:
+                    _place(body, pose)
+                base = _free("floating_base", self.tree.joints)
+                body.add("freejoint", name=prefix + base)
+            else:
+                body = bodies[joint.parent].add("body", name=names[link.name])
+                _place(body, joint.pose)
+                if joint.type != "fixed":
+                    self._add_joint(body, joint)
+            bodies[link.name] = body
+            self._add_link(body, link)
+        for sensor in robot.sensors:
+            self._add_sensor(bodies[sensor.link], sensor)
+        driven = sum(1 for wheel in robot.wheels if wheel.driven)
+        for actuator in robot.actuators:
+            self._add_actuator(actuator, driven)
+        for joint in self.tree.moving:
+            if joint.name in self.actuated or joint.role == "suspension":
+                name = prefix + joint.name
+                self.sections.sensors.add("jointpos", name=f"{name}_position", joint=name)
+                self.sections.sensors.add("jointvel", name=f"{name}_velocity", joint=name)
+
+    # -- bodies -----------------------------------------------------------------
+
+    def _add_joint(self, body: Element, joint: Joint) -> None:
+        friction = joint.friction
+        wheel = self.wheel_of_joint.get(joint.name)
+        if wheel is not None:
+            force = self.statics.wheels[wheel.name].force
+            friction = clean(friction + wheel.rolling_resistance * force * wheel.radius)
+        limits = None
+        if joint.lower is not None and joint.upper is not None:
+            limits = (joint.lower, joint.upper)
+        body.add(
+            "joint",
+            name=self.prefix + joint.name,
+            type="slide" if joint.type == "prismatic" else "hinge",
+            axis=joint.axis,
+            range=limits,
+            damping=joint.damping or None,
+            frictionloss=friction or None,
+            armature=joint.armature or None,
+            stiffness=joint.stiffness or None,
+            springref=joint.spring_reference if joint.stiffness else None,
+        )
+        if joint.mimic is not None:
+            self.sections.equality.add(
+                "joint",
+                joint1=self.prefix + joint.name,
+                joint2=self.prefix + joint.mimic.joint,
+                polycoef=(joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0),
+            )
+
+    def _add_link(self, body: Element, link: Link) -> None:
+        if link.inertial is not None:
+            body.add(
+                "inertial",
+                pos=link.inertial.com,
+                mass=link.inertial.mass,
+                fullinertia=link.inertial.inertia,
+            )
+        for visual in link.visuals:
+            geom = body.add("geom", class_="visual")
+            self._shape(geom, visual.shape, visual.pose)
+            geom.set(material=self.sections.palette.name(visual.color))
+        wheel = self.wheel_of_link.get(link.name)
+        if wheel is not None:
+            self._add_tread(body, wheel, self.statics.wheels[wheel.name])
+            return
+        for i, collision in enumerate(link.collisions):
+            name = f"{self.prefix}{link.name}_collision_{i}"
+            geom = body.add("geom", name=name, class_="collision", **self.bits)
+            self._shape(geom, collision.shape, collision.pose)
+
+    def _shape(self, geom: Element, shape: Shape, pose: Pose) -> None:
+        match shape:
+            case Box((x, y, z)):
+                geom.set(type="box", size=(x / 2, y / 2, z / 2))
+            case Cylinder(radius, length):
+                geom.set(type="cylinder", size=(radius, length / 2))
+            case MeshShape(file, scale):
+                mesh = self.sections.mesh(self.prefix, self.number, self.meshes[file], scale)
+                geom.set(type="mesh", mesh=mesh)
+            case _:
+                geom.set(type="sphere", size=shape.radius)
+        _place(geom, pose)
+
+    def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
+        """Add the ellipsoid that rolls like the wheel; it replaces the link's collision shapes."""
+        axis = contact.axis
+        x, y, z = axis
+        shift = contact.offset
+        geom = body.add("geom", name=f"{self.prefix}{wheel.link}_tread", class_="wheel")
+        geom.set(**self.bits)
+        geom.set(size=(contact.radius, contact.radius, contact.half_width))
+        center = Pose((shift * x, shift * y, shift * z), _z_to(axis)).clean()
+        _place(geom, center)
+        mu = wheel.friction
+        geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
+        for tread in wheel.treads:
+            self._add_ring(body, wheel, tread, contact)
+
+    def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
+        """Add a ring beside the tyre, with its flanges, which guide the wheel along a rail."""
+        radius = wheel.radius_named(tread.name)
+        name = f"{self.prefix}{wheel.link}_{tread.name}"
+        mu, half = wheel.friction, tread.width / 2
+        ring = body.add("geom", name=name, class_="wheel", **self.bits)
+        ring.set(type="cylinder", size=(clean(radius + contact.penetration / 2), half))
+        ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
+        turned = _z_to(contact.axis)
+        _place(ring, Pose(tread.center, turned).clean())
+        for side in (1, -1) if tread.flange else ():
+            shift = side * (half + FLANGE / 2)
+            center = tuple(c + shift * a for c, a in zip(tread.center, contact.axis, strict=True))
+            flange = body.add(
+                "geom", name=f"{name}_flange_{'left' if side > 0 else 'right'}", class_="wheel"
+            )
+            flange.set(**self.bits)
+            flange.set(type="cylinder", size=(clean(radius + tread.flange), FLANGE / 2), condim=1)
+            _place(flange, Pose((center[0], center[1], center[2]), turned).clean())
+
+    # -- sensors and actuators -----------------------------------------------
+
+    def _add_sensor(self, body: Element, sensor: Sensor) -> None:
+        name = self.prefix + sensor.name
+        body.add("site", name=name, group=4, size=0.01)
+        if sensor.type == "imu":
+            self.sections.sensors.add("gyro", name=f"{name}_gyro", site=name)
+            self.sections.sensors.add("accelerometer", name=f"{name}_accelerometer", site=name)
+        elif sensor.type == "camera":
+            # The view direction of an optical frame is z with y down, of MuJoCo's cameras -z with
+            # y up.
+            camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
+            values = dict(sensor.properties)
+            width, height = values.get("image_width"), values.get("image_height")
+            angle = values.get("horizontal_field_of_view")
+            if _positive(width) and _positive(height) and _positive(angle):
+                across = math.tan(angle / 2) * height / width
+                camera.set(fovy=clean(math.degrees(2 * math.atan(across))))
+                camera.set(resolution=(int(width), int(height)))
+
+    def _add_actuator(self, actuator: Actuator, driven: int) -> None:
+        joint = self.tree.joints[actuator.joint]
+        torque, speed = actuator.max_torque, actuator.max_velocity
+        names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
+        joint_inertia = self.statics.inertias[actuator.joint] + joint.armature
+        if actuator.role == "steering":
+            limits = None
+            if joint.lower is not None and joint.upper is not None:
+                limits = (joint.lower, joint.upper)
+            self.sections.actuators.add(
+                "position",
+                **names,
+                kp=STEERING_STIFFNESS,
+                dampratio=1,
+                ctrlrange=limits,
+                forcerange=(-torque, torque),
+            )
+            self._note_damping(2 * math.sqrt(STEERING_STIFFNESS * joint_inertia), joint_inertia)
+            return
+        inertia = joint_inertia
+        wheel = self.wheel_of_joint.get(actuator.joint)
+        if wheel is not None and driven:
+            inertia += self.robot.inertial.mass * wheel.radius**2 / driven
+        # A second-order servo on the inertia I: kp = I w^2 and kv = 2 D I w, with the natural
+        # frequency w and the damping ratio D.  MuJoCo integrates the speed set point to an angle
+        # that the servo holds, so the robot stands still on a slope.  The angle has no limit.
+        damping = 2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY
+        self._note_damping(damping, joint_inertia)
+        self.sections.actuators.add(
+            "intvelocity",
+            **names,
+            kp=clean(inertia * DRIVE_FREQUENCY**2),
+            kv=clean(damping),
+            ctrlrange=(-speed, speed),
+            forcerange=(-torque, torque),
+            actlimited=False,
+        )
+
+    def _note_damping(self, damping: float, inertia: float) -> None:
+        ratio = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
+        self.sections.largest_damping = max(self.sections.largest_damping, ratio)
+
+
+def _positive(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and value > 0
+
+
+def _place(element: Element, pose: Pose) -> None:
+    if pose.xyz != (0.0, 0.0, 0.0):
+        element.set(pos=pose.xyz)
+    if pose.quat != (1.0, 0.0, 0.0, 0.0):
+        element.set(quat=pose.quat)
+
+
+def _z_to(axis: Vec3) -> Quat:
+    """Return the smallest rotation from z to the unit vector ``axis``."""
+    c = dot((0.0, 0.0, 1.0), axis)
+    if c < -1.0 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    x, y, z = cross((0.0, 0.0, 1.0), axis)
+    return quat_normalize((1.0 + c, x, y, z))
