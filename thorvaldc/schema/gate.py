@@ -26,7 +26,10 @@ def passes(schema: dict[str, Any], value: Any) -> bool:
 
 
 def matches(pattern: str, text: str) -> bool:
-    """Returns whether a JSON Schema pattern matches: `$` is the end, not before a line feed."""
+    """Returns whether a text matches a JSON Schema pattern.
+
+    Unlike in Python, `$` matches only at the end, not before a final line feed.
+    """
     if pattern.endswith("$"):
         pattern = pattern[:-1] + r"\Z"
     return re.search(pattern, text) is not None

@@ -156,13 +156,14 @@ class DriverSettingsReader:
     def _limit(self, node: Node | None, key: str, motor_limit: float) -> float:
         """Returns the lower of the stated limit and that of the motors."""
         stated = self._reader.quantity(node, LIMITS[key], motor_limit)
-        shown = QUANTITIES[LIMITS[key]].shown
+        quantity = QUANTITIES[LIMITS[key]]
         if node is not None and stated <= 0:
             self._report_not_positive(key, stated, node)
         if node is not None and stated > motor_limit * (1 + self._tolerance):
             self._report.add(
                 "driver-limit-too-high",
-                f"`{key}` is {shown(stated)}; the slowest module allows {shown(motor_limit)}",
+                f"`{key}` is {quantity.format_value(stated)}; the slowest module allows "
+                f"{quantity.format_value(motor_limit)}",
                 node.span,
                 hint="lower it, or leave it out to use the limit of the modules",
             )

@@ -52,7 +52,7 @@ class ModuleValues:
         if value < 0 and entry is not None:
             self.report.add(
                 "size-not-positive",
-                f"`{key}` is {QUANTITIES[quantity].shown(value)}; it must not be negative",
+                f"`{key}` is {QUANTITIES[quantity].format_value(value)}; it must not be negative",
                 entry.span,
             )
         return max(value, 0.0)
@@ -66,7 +66,7 @@ class ModuleValues:
         if entry is not None:
             self.report.add(
                 "size-not-positive",
-                f"`{key}` is {QUANTITIES[quantity].shown(value)}; it must be positive",
+                f"`{key}` is {QUANTITIES[quantity].format_value(value)}; it must be positive",
                 entry.span,
             )
         return default

@@ -278,9 +278,9 @@ class _Reader:
         values: dict[str, Node] = {}
         last: Node | None = None
         for raw_key, raw_value in raw.value:
-            where = self._span(raw_key)
-            key = self._key(raw_key, where)
-            last = self.node(raw_value, where)
+            entry_span = self._span(raw_key)
+            key = self._key(raw_key, entry_span)
+            last = self.node(raw_value, entry_span)
             if key is None:
                 continue
             if key in values:
@@ -288,7 +288,7 @@ class _Reader:
                 self.report.add(
                     "yaml-duplicate-key",
                     f"the key `{key}` occurs twice",
-                    where,
+                    entry_span,
                     hint="keep one of them",
                     labels=[Label(first, "first used here")],
                 )
@@ -297,13 +297,13 @@ class _Reader:
         span = self._collection_span(raw, last.span if last else None)
         return Node(values, span, key_span)
 
-    def _key(self, raw: Any, where: Span) -> str | None:
+    def _key(self, raw: Any, key_span: Span) -> str | None:
         """Returns the text of a key; ``None`` if it is not usable."""
         if raw.id != "scalar":
             self.report.add(
                 "yaml-key-not-text",
                 f"a {'list' if raw.id == 'sequence' else 'mapping'} cannot be a key",
-                where,
+                key_span,
                 hint='quote a value that contains braces, as in `"${width}"`',
             )
             return None
@@ -316,7 +316,7 @@ class _Reader:
             self.report.add(
                 "yaml-merge-key",
                 "merge keys (`<<`) are not part of YAML 1.2",
-                where,
+                key_span,
                 hint="write the entries in full, or put shared values of modules under `defaults`",
             )
             return None
@@ -325,7 +325,7 @@ class _Reader:
             self.report.add(
                 "yaml-key-not-text",
                 f"the key `{text}` is {kind}; expected text" if text else "a key is empty",
-                where,
+                key_span,
                 hint=f'if this is the name, write `"{text}"`' if text else None,
             )
         return text

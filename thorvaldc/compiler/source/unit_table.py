@@ -26,7 +26,7 @@ class Quantity(NamedTuple):
     def __str__(self) -> str:
         return f"{self.article} {self.name.replace('_', ' ')}"
 
-    def shown(self, value: float) -> str:
+    def format_value(self, value: float) -> str:
         """Formats a value in SI with its unit: ``1.5 m/s``."""
         return f"{value:.6g}" if self.unit == "1" else f"{value:.6g} {self.unit}"
 

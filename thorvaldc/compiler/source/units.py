@@ -212,7 +212,9 @@ def _parse_product(text: str, position: int, depth: int) -> tuple[Unit, int]:
         token = _TOKEN.match(text, position)
         if token is None:
             break
-        name, power, symbol, one = token.groups()
+        name, power, symbol, unity = token.groups()
+        if name == "per" and result is not None and not pending and power is None:
+            symbol = "/"
         if symbol == ")":
             break
         if symbol == "(":
@@ -229,12 +231,9 @@ def _parse_product(text: str, position: int, depth: int) -> tuple[Unit, int]:
             pending, sign = True, -1 if symbol == "/" else 1
             position = token.end()
             continue
-        elif one is not None:
+        elif unity is not None:
             factor, position = PLAIN, token.end()
         else:
-            if name == "per" and result is not None and not pending and power is None:
-                pending, sign, position = True, -1, token.end()
-                continue
             factor = _raise_to_power(_find_unit_or_raise(name, text), power, text)
             position = token.end()
         result = _multiply(result, factor, sign, text) if result is not None else factor

@@ -1,6 +1,6 @@
 """Checks documents against the JSON Schemas in ``thorvaldc/schema``.
 
-Valid documents pass the fast schema gate.  Only if that rejects one, jsonschema is imported
+Valid documents pass the fast schema gate.  Only if the gate rejects one, jsonschema is imported
 to list the errors; ``schema_diagnostics`` converts them to diagnostics with spans.
 Quantities (``x-quantity`` in the schemas) are checked here.
 """

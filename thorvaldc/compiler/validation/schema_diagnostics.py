@@ -366,24 +366,24 @@ def _example(schema: dict[str, Any]) -> str | None:
     examples = schema.get("examples")
     if not examples or (isinstance(examples[0], str) and examples[0].startswith("${")):
         return None
-    shown = _shown(examples[0])
+    shown = _yaml_text(examples[0])
     # Unquoted, YAML would read this text as a number.
     return f'"{shown}"' if isinstance(examples[0], str) and shown.startswith("0x") else shown
 
 
-def _shown(value: Any) -> str:
+def _yaml_text(value: Any) -> str:
     """Formats a value as YAML in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{k}: {_shown(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{k}: {_yaml_text(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(_shown(item) for item in value) + "]"
+        return "[" + ", ".join(_yaml_text(item) for item in value) + "]"
     return str(value)
 
 
 def _text(node: Node) -> str:
-    text = _shown(node.value)
+    text = _yaml_text(node.value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
