@@ -9,81 +9,74 @@ import typer
 from thorvaldc import __version__
 from thorvaldc.cli.command import CommandEntry, GroupEntry, lazy_group
 
-_IN = "thorvaldc.cli.commands"
-
 MODULES = (
-    CommandEntry("list", f"{_IN}.modules_list:list_modules", "List the module types."),
+    CommandEntry("list", "modules_list:list_modules", "List the module types."),
     CommandEntry(
         "show",
-        f"{_IN}.modules_show:show_module",
+        "modules_show:show_module",
         "Show a module type: parameters, ports, sources of its numbers.",
     ),
-    CommandEntry("check", f"{_IN}.modules_check:check_modules", "Check the modules in folders."),
+    CommandEntry("check", "modules_check:check_modules", "Check the modules in folders."),
 )
 CAN = (
     CommandEntry(
-        "scan", f"{_IN}.can_scan:scan", "Find the nodes on a bus and compare them with the robot."
+        "scan", "can_scan:scan", "Find the nodes on a bus and compare them with the robot."
     ),
     CommandEntry(
-        "plan", f"{_IN}.can_plan:plan", "Show the steps that would set up the bus; writes nothing."
+        "plan", "can_plan:plan", "Show the steps that would set up the bus; writes nothing."
     ),
+    CommandEntry("flash", "can_flash:flash", "Write addresses and values to the nodes, verified."),
+    CommandEntry("verify", "can_verify:verify", "Check identities, values, periods and bus load."),
     CommandEntry(
-        "flash", f"{_IN}.can_flash:flash", "Write addresses and values to the nodes, verified."
-    ),
-    CommandEntry(
-        "verify", f"{_IN}.can_verify:verify", "Check identities, values, periods and bus load."
-    ),
-    CommandEntry(
-        "monitor", f"{_IN}.can_monitor:monitor", "Show frames, load and states; sends nothing."
+        "monitor",
+        "can_monitor:monitor",
+        "Show frames, bus load and node states; sends nothing.",
     ),
 )
+# Options of `scenario`, `batch` and `replay`, which were parts of `sim`.
+OLD_SIM_OPTIONS = (
+    *("--scenario", "--junit", "--replay", "--set", "--variations"),
+    *("--draws", "--seed", "--jobs", "--output"),
+)
 COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
-    CommandEntry("new", f"{_IN}.new:new", "Make a folder with a robot.yaml to start from."),
-    CommandEntry("check", f"{_IN}.check:check", "Report every error in robot and fleet files."),
-    CommandEntry("build", f"{_IN}.build:build", "Compile robots and write the target files."),
+    CommandEntry("new", "new:new", "Make a folder with a robot.yaml to start from."),
+    CommandEntry("check", "check:check", "Report every error in robot and fleet files."),
+    CommandEntry("build", "build:build", "Compile robots and write the target files."),
     CommandEntry(
         "sim",
-        f"{_IN}.sim:sim",
+        "sim:sim",
         "Drive a robot in simulation, without a display.",
-        # Options of `scenario`, `batch` and `replay`, which were parts of `sim`.
-        hidden_options=(
-            "--scenario",
-            "--junit",
-            "--set",
-            "--variations",
-            "--draws",
-            "--seed",
-            "--jobs",
-            "--output",
-            "--replay",
-        ),
+        hidden_options=OLD_SIM_OPTIONS,
     ),
-    CommandEntry(
-        "scenario", f"{_IN}.scenario:scenario", "Run a scenario and check its expectations."
-    ),
-    CommandEntry("batch", f"{_IN}.batch:batch", "Run variations of a scenario in parallel."),
-    CommandEntry("replay", f"{_IN}.replay:replay", "Show a recorded run again, without physics."),
-    CommandEntry("render", f"{_IN}.render:render", "Draw a picture of a robot or fleet."),
-    CommandEntry("view", f"{_IN}.view:view", "Show a robot in MuJoCo's viewer or as a web page."),
-    CommandEntry("run", f"{_IN}.run:run", "Run the base driver on a real or simulated CAN bus."),
-    CommandEntry(
-        "teleop", f"{_IN}.teleop:teleop", "Drive a robot with the keyboard or a joystick."
-    ),
-    CommandEntry("call", f"{_IN}.call:call", "Call a service of a running driver."),
-    CommandEntry("bus", f"{_IN}.bus:bus", "Simulate a robot's CAN bus for other programs."),
+    CommandEntry("scenario", "scenario:scenario", "Run a scenario and check its expectations."),
+    CommandEntry("batch", "batch:batch", "Run variations of a scenario in parallel."),
+    CommandEntry("replay", "replay:replay", "Show a recorded run again, without physics."),
+    CommandEntry("render", "render:render", "Draw a picture of a robot or fleet."),
+    CommandEntry("view", "view:view", "Show a robot in MuJoCo's viewer or as a web page."),
+    CommandEntry("run", "run:run", "Run the base driver on a real or simulated CAN bus."),
+    CommandEntry("teleop", "teleop:teleop", "Drive a robot with the keyboard or a joystick."),
+    CommandEntry("call", "call:call", "Call a service of a running driver."),
+    CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs."),
     GroupEntry("can", CAN, "Set up, check and monitor a robot's CAN bus."),
     CommandEntry(
-        "calibrate", f"{_IN}.calibrate:calibrate", "Estimate wheel radii and steering offsets."
+        "calibrate",
+        "calibrate:calibrate",
+        "Estimate wheel radii and steering offsets from a joint log.",
     ),
     GroupEntry("modules", MODULES, "List, show and check the hardware modules."),
-    CommandEntry("targets", f"{_IN}.targets:targets", "List the targets of a build."),
-    CommandEntry("schema", f"{_IN}.schema:schema", "Print the JSON Schema of a document."),
-    CommandEntry("explain", f"{_IN}.explain:explain", "Explain a diagnostic code."),
+    CommandEntry("targets", "targets:targets", "List the targets that a robot can be built for."),
+    CommandEntry("schema", "schema:schema", "Print the JSON Schema of a kind of document."),
+    CommandEntry("explain", "explain:explain", "Explain a diagnostic code."),
     CommandEntry(
-        "import", f"{_IN}.import_original:import_original", "Convert a Thorvald configuration."
+        "import",
+        "import_original:import_original",
+        "Convert a configuration of the original Thorvald system.",
     ),
     CommandEntry(
-        "demo", f"{_IN}.demo:demo", "Build robots, drive each in simulation, print a table.", True
+        "demo",
+        "demo:demo",
+        "Build robots, drive each in simulation, print a table.",
+        hidden=True,
     ),
 )
 

@@ -15,13 +15,15 @@ from thorvaldc.cli.exits import protect
 from thorvaldc.cli.installation import is_runtime_only, require_full_installation
 
 P = ParamSpec("P")
+PACKAGE = "thorvaldc.cli.commands"
 
 
 class CommandEntry(NamedTuple):
     """A row of the command table.
 
-    ``target`` is ``module:function``.  ``help`` is one line for the list of commands and for the
-    command's own help.  ``hidden_options`` are accepted but not shown in the help.
+    ``target`` is ``module:function`` in the package ``thorvaldc.cli.commands``.  ``help`` is one
+    line for the list of commands and for the command's own help.  ``hidden_options`` are accepted
+    but not shown in the help.
     """
 
     name: str
@@ -117,7 +119,7 @@ def load_command(entry: CommandEntry) -> Any:
     module, function = entry.target.split(":")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     declare = app.command(entry.name, cls=LightCommand, help=entry.help, hidden=entry.hidden)
-    declare(guarded(getattr(import_module(module), function)))
+    declare(guarded(getattr(import_module(f"{PACKAGE}.{module}"), function)))
     command: Any = get_command(app)
     for parameter in command.params:
         parameter.hidden = parameter.hidden or bool(set(parameter.opts) & set(entry.hidden_options))

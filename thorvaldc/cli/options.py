@@ -100,7 +100,7 @@ Plot = Annotated[
     ),
 ]
 Video = Annotated[
-    str, typer.Option("--video", metavar="OUT.mp4", help="VideoRecorder the run (.mp4 or .gif).")
+    str, typer.Option("--video", metavar="OUT.mp4", help="Make a video of the run (.mp4 or .gif).")
 ]
 JUnit = Annotated[
     str, typer.Option("--junit", metavar="OUT.xml", help="Write the expectations as JUnit XML.")

@@ -26,7 +26,9 @@ def render(
     file: ModelFile,
     output: Annotated[
         str,
-        typer.Option("--output", "-o", metavar="OUT.png", show_default="<name>.png"),
+        typer.Option(
+            "--output", "-o", metavar="OUT.png", help="File to write.", show_default="<name>.png"
+        ),
     ] = "",
     size: Annotated[
         str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
-import time
 from collections.abc import Mapping
-from types import TracebackType
 from typing import Annotated
 
 import typer
 
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.open_interface import open_interfaces
-from thorvaldc.cli.diagnostic_output import message, print_json
+from thorvaldc.cli.diagnostic_output import print_json
 from thorvaldc.cli.exits import INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
 from thorvaldc.cli.installation import check_full_installation
@@ -32,15 +28,12 @@ from thorvaldc.cli.options import (
     refuse_options,
 )
 from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.cli.status_view import StatusView
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.runtime.runner import BaseRunner
 from thorvaldc.runtime.twist_text import parse_twist
-
-STATUS_PERIOD = 0.2  # s
 
 
 def run(
@@ -126,7 +119,7 @@ def run(
     if is_hardware(bus):
         warn_once()
     loaded.show(report)
-    with _StatusView(session) as view:
+    with StatusView(session) as view:
         diagnostic = session.run(None if json else view.watch)
     if json:
         print_json(session.summary())
@@ -146,49 +139,3 @@ def _virtual_interfaces(
 
     simulated = start_virtual_robot(robot, file, physics, faults, seed, report)
     return {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}
-
-
-class _StatusView:
-    """Prints changes of state, and on a terminal a status line that is overwritten."""
-
-    def __init__(self, session: RunSession) -> None:
-        self._session = session
-        self._last_time = -math.inf
-        self._line_shown = False
-
-    def __enter__(self) -> _StatusView:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._erase_line()
-
-    def watch(self, runner: BaseRunner, state: DriverState) -> None:
-        session = self._session
-        if runner.changes:
-            self._erase_line()
-            for change in runner.changes:
-                reason = f": {change.reason}" if change.reason else ""
-                elapsed = change.time - session.start_time
-                message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
-            runner.changes.clear()
-        now = time.monotonic()
-        if sys.stderr.isatty() and now - self._last_time >= STATUS_PERIOD:
-            self._last_time = now
-            self._show_line(f"{session.elapsed:8.1f} s  {session.status_line()}")
-
-    def _show_line(self, text: str) -> None:
-        width = max(os.get_terminal_size(sys.stderr.fileno()).columns - 1, 20)
-        sys.stderr.write("\r" + text[:width] + "\x1b[K")
-        sys.stderr.flush()
-        self._line_shown = True
-
-    def _erase_line(self) -> None:
-        if self._line_shown:
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
-            self._line_shown = False

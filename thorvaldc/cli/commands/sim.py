@@ -6,15 +6,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import gc
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 
 from thorvaldc.cli.compiling import compile_and_show
-from thorvaldc.cli.diagnostic_output import message, print_json, show_report
+from thorvaldc.cli.drive_runs import run_drive
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.options import (
     BatchOutput,
@@ -35,36 +33,10 @@ from thorvaldc.cli.options import (
     parse_duration,
     refuse_options,
 )
-from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.replays import replay_run
 from thorvaldc.cli.run_pictures import RunPictures
-from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders, record_summary
 from thorvaldc.cli.scenario_runs import plan_runs, run_batch, run_scenario, single_run
-from thorvaldc.compiler.compilation import Compilation
-from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.scenario.variations import Change
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.scenario import GROUPS
-from thorvaldc.runtime.twist_text import parse_twist
-from thorvaldc.simulation.control_loop import TickCallback
-from thorvaldc.simulation.records.recorder import record_ticks
-from thorvaldc.simulation.run_result import result_table
-from thorvaldc.simulation.simulation_run import Simulation
-
-TWIST_DURATION = 5.0
-"""s of a twist without ``--duration``."""
-
-
-class _Drive(NamedTuple):
-    """What to drive: twist (empty: the manoeuvre), duration in s (0: the default) and options."""
-
-    twist: str
-    duration: float
-    parameters: str
-    ideal: bool
-    open_loop: bool
 
 
 def sim(
@@ -146,50 +118,16 @@ def sim(
             json=json,
         )
     refuse_options({"--scenario": scenario, "--junit": junit}, f"{name} is no scenario")
-    drive = _Drive(twist, seconds, parameters, ideal, open_loop)
-    return _run(compilation, compilation.model, drive, pictures, record, log, json)
-
-
-def _run(
-    compilation: Compilation,
-    model: Robot | Fleet,
-    drive: _Drive,
-    pictures: RunPictures,
-    record: str,
-    log: str,
-    json: bool,
-) -> int:
-    gc.enable()
-    report = Report()
-    try:
-        files = None if drive.ideal else emit(model, ["mjcf"], report)
-        simulation = Simulation(model, files, drive.parameters or None, open_loop=drive.open_loop)
-        twist = parse_twist(drive.twist) if drive.twist else None
-        default = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
-        duration = drive.duration or default
-        robots = simulation.robots
-        with contextlib.ExitStack() as stack:
-            progress = Progress(duration)
-            watches: list[TickCallback] = [progress.watch, pictures.watch]
-            recorders = open_recorders(record, robots, GROUPS, 0.0, stack)
-            if recorders:
-                watches.append(record_ticks(recorders))
-            if log:
-                watches.append(open_joint_logs(log, robots, stack))
-            stack.callback(progress.clear)
-            if twist is not None:
-                result = simulation.run(duration, twist, report, call_all(watches))
-            else:
-                result = simulation.demonstrate(report, duration, call_all(watches))
-    except DiagnosticError as error:
-        report.put(error.diagnostic)
-        return show_report(compilation.located(report), compilation.sources)
-    if json:
-        print_json(result.as_json())
-    else:
-        print(result_table([result]))
-    status = show_report(compilation.located(report), compilation.sources)
-    if record:
-        message(record_summary(record, robots))
-    pictures.write(model, robots, files)
-    return status
+    return run_drive(
+        compilation,
+        compilation.model,
+        pictures,
+        twist=twist,
+        duration=seconds,
+        parameters=parameters,
+        ideal=ideal,
+        open_loop=open_loop,
+        record=record,
+        log=log,
+        json=json,
+    )

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import signal
 import sys
-from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
 import typer
@@ -26,13 +23,10 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_session import RunSession
 from thorvaldc.tools.teleoperation.bus_vehicle import BusVehicle
-from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
-from thorvaldc.tools.teleoperation.joystick import Joystick, OperatorPair, Search, evdev_search
-from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
-from thorvaldc.tools.teleoperation.keyboard import Keyboard
-from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE, Limits, Operator
-from thorvaldc.tools.teleoperation.teleop_loop import operate
-from thorvaldc.tools.teleoperation.terminal import Terminal
+from thorvaldc.tools.teleoperation.console import drive_from_console
+from thorvaldc.tools.teleoperation.joystick import Search, evdev_search
+from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE
+from thorvaldc.tools.teleoperation.terminal import end_signals
 from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle, SimulatedVehicle, Vehicle
 
 
@@ -96,13 +90,13 @@ def teleop(
     if search is None and not sys.stdin.isatty():
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
     gc.enable()
-    with _end_signals() as end_requested:
+    with end_signals() as end_requested:
         vehicle = _connect(to) if to else _start_driver(file, on, name, library)
         if vehicle is None:
             return INPUT
         try:
             _check_source(source, vehicle.description)
-            _drive(vehicle, source, share, search, end_requested)
+            drive_from_console(vehicle, source, share, search, end_requested)
         except ConnectionError as error:
             raise OutsideError(str(error)) from None
         finally:
@@ -160,33 +154,6 @@ def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
     return BusVehicle(session.runner, session.control)
 
 
-def _drive(
-    vehicle: Vehicle,
-    source: str,
-    share: float,
-    search: Search | None,
-    end_requested: Callable[[], bool],
-) -> None:
-    description = vehicle.description
-    limits = Limits.of(description)
-    keys = sys.stdin if sys.stdin.isatty() else None
-    print(f"{description['robot']}, as {source}")
-    help_texts = [KEYBOARD_HELP] * (keys is not None) + [JOYSTICK_HELP] * (search is not None)
-    print(*help_texts, "", sep="\n", flush=True)
-    # A pause of the garbage collector is a pause of the robot: the collector does not look at the
-    # objects that exist now.
-    gc.collect()
-    gc.freeze()
-    with Terminal(keys, sys.stdout) as terminal:
-        operator: Operator = Keyboard(limits, terminal.read, share, description["parameter_sets"])
-        if search is not None:
-            operator = OperatorPair(operator, Joystick(limits, search, share))
-        try:
-            operate(vehicle, operator, source, terminal.show, end_requested)
-        finally:
-            operator.close()
-
-
 def _joystick_search(joystick: str, mapping: str) -> Search:
     """Returns the search for the joystick, after it was found once."""
     try:
@@ -227,23 +194,3 @@ def _parse_share(text: str) -> float:
             param_hint="'--speed'",
         )
     return share
-
-
-@contextlib.contextmanager
-def _end_signals() -> Iterator[Callable[[], bool]]:
-    """Yields a function that reports a received signal; a second Ctrl-C interrupts at once."""
-    received: list[int] = []
-    previous_handlers = {}
-
-    def handle(number: int, frame: object) -> None:
-        if received and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        received.append(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        previous_handlers[number] = signal.signal(number, handle)
-    try:
-        yield lambda: bool(received)
-    finally:
-        for number, handler in previous_handlers.items():
-            signal.signal(number, handler)

@@ -27,7 +27,9 @@ def view(
     ] = False,
     output: Annotated[
         str,
-        typer.Option("--output", "-o", metavar="OUT.html", show_default="<name>.html"),
+        typer.Option(
+            "--output", "-o", metavar="OUT.html", help="Page to write.", show_default="<name>.html"
+        ),
     ] = "",
     library: Library = [],  # noqa: B006
 ) -> int:

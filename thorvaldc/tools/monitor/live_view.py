@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import IO, Any
 
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
 from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
-from thorvaldc.tools.teleoperation.terminal import Terminal
+from thorvaldc.tools.teleoperation.terminal import Terminal, end_signals
 
 
 def watch_live(
@@ -27,7 +25,7 @@ def watch_live(
     ``interval`` (s) is the time between two views.  Raises ``ConnectionError`` if the interface
     is lost.
     """
-    with _end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
+    with end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
         view = LiveView(terminal)
         watch(
             interface,
@@ -47,7 +45,7 @@ def watch_stream(
     show: Callable[[Mapping[str, Any]], None],
 ) -> None:
     """Calls ``show`` with a summary every ``interval`` (s) until a signal or ``duration`` (s)."""
-    with _end_signals() as end_requested:
+    with end_signals() as end_requested:
         until = interface.now + duration
         watch(interface, monitor, interval, show, until=until, ended=end_requested)
 
@@ -88,18 +86,3 @@ class LiveView:
 
 def _height() -> int:
     return shutil.get_terminal_size().lines
-
-
-@contextmanager
-def _end_signals() -> Iterator[Callable[[], bool]]:
-    """Yields a function that reports whether SIGINT, SIGTERM or SIGHUP arrived."""
-    received: list[int] = []
-    previous_handlers = {
-        number: signal.signal(number, lambda number, _: received.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    try:
-        yield lambda: bool(received)
-    finally:
-        for number, handler in previous_handlers.items():
-            signal.signal(number, handler)

@@ -7,6 +7,8 @@ import os
 import re
 import select
 import shutil
+import signal
+from collections.abc import Callable, Iterator
 from typing import IO, Any
 
 # Escape sequences of keys, in the normal and the application mode of terminals.
@@ -142,3 +144,27 @@ class Terminal:
         with contextlib.suppress(OSError):
             written = os.write(fd, self._pending)
             self._pending = self._pending[written:]
+
+
+@contextlib.contextmanager
+def end_signals() -> Iterator[Callable[[], bool]]:
+    """Yields a function that reports whether SIGINT, SIGTERM or SIGHUP arrived.
+
+    A second SIGINT raises ``KeyboardInterrupt``.
+    """
+    received: list[int] = []
+
+    def handle(number: int, frame: object) -> None:
+        if received and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        received.append(number)
+
+    previous_handlers = {
+        number: signal.signal(number, handle)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in previous_handlers.items():
+            signal.signal(number, handler)

@@ -1,0 +1,79 @@
+"""Runs of a robot or fleet that drives a twist or a manoeuvre, for the command ``sim``."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.run_pictures import RunPictures
+from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders, record_summary
+from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.scenario import GROUPS
+from thorvaldc.runtime.twist_text import parse_twist
+from thorvaldc.simulation.control_loop import TickCallback
+from thorvaldc.simulation.records.recorder import record_ticks
+from thorvaldc.simulation.run_result import result_table
+from thorvaldc.simulation.simulation_run import Simulation
+
+TWIST_DURATION = 5.0
+"""s of a twist without ``--duration``."""
+
+
+def run_drive(
+    compilation: Compilation,
+    model: Robot | Fleet,
+    pictures: RunPictures,
+    *,
+    twist: str,
+    duration: float,
+    parameters: str,
+    ideal: bool,
+    open_loop: bool,
+    record: str,
+    log: str,
+    json: bool,
+) -> int:
+    """Drives ``twist`` (empty: the manoeuvre of the robot) and prints the result.
+
+    ``duration`` is in s; 0: the default.  ``record`` and ``log`` may be empty.
+    """
+    gc.enable()
+    report = Report()
+    try:
+        files = None if ideal else emit(model, ["mjcf"], report)
+        simulation = Simulation(model, files, parameters or None, open_loop=open_loop)
+        commanded = parse_twist(twist) if twist else None
+        if not duration:
+            duration = TWIST_DURATION if twist else simulation.demonstration()[1]
+        robots = simulation.robots
+        with contextlib.ExitStack() as stack:
+            progress = Progress(duration)
+            watches: list[TickCallback] = [progress.watch, pictures.watch]
+            recorders = open_recorders(record, robots, GROUPS, 0.0, stack)
+            if recorders:
+                watches.append(record_ticks(recorders))
+            if log:
+                watches.append(open_joint_logs(log, robots, stack))
+            stack.callback(progress.clear)
+            if commanded is not None:
+                result = simulation.run(duration, commanded, report, call_all(watches))
+            else:
+                result = simulation.demonstrate(report, duration, call_all(watches))
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
+        return show_report(compilation.located(report), compilation.sources)
+    if json:
+        print_json(result.as_json())
+    else:
+        print(result_table([result]))
+    status = show_report(compilation.located(report), compilation.sources)
+    if record:
+        message(record_summary(record, robots))
+    pictures.write(model, robots, files)
+    return status

@@ -1,0 +1,48 @@
+"""Drives a vehicle from standard input and output, with a keyboard and a joystick."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+
+from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
+from thorvaldc.tools.teleoperation.joystick import Joystick, OperatorPair, Search
+from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
+from thorvaldc.tools.teleoperation.keyboard import Keyboard
+from thorvaldc.tools.teleoperation.operator import Limits, Operator
+from thorvaldc.tools.teleoperation.teleop_loop import operate
+from thorvaldc.tools.teleoperation.terminal import Terminal
+from thorvaldc.tools.teleoperation.vehicle import Vehicle
+
+
+def drive_from_console(
+    vehicle: Vehicle,
+    source: str,
+    share: float,
+    search: Search | None,
+    end_requested: Callable[[], bool],
+) -> None:
+    """Drives as the twist source ``source`` until the operator or ``end_requested`` ends it.
+
+    ``share`` is the initial share of the top speed.  ``search`` finds the joystick; ``None``: the
+    keyboard alone.  Raises ``ConnectionError`` if the driver ends.
+    """
+    description = vehicle.description
+    limits = Limits.of(description)
+    keys = sys.stdin if sys.stdin.isatty() else None
+    print(f"{description['robot']}, as {source}")
+    help_texts = [KEYBOARD_HELP] * (keys is not None) + [JOYSTICK_HELP] * (search is not None)
+    print(*help_texts, "", sep="\n", flush=True)
+    # A pause of the garbage collector is a pause of the robot: the collector does not look at the
+    # objects that exist now.
+    gc.collect()
+    gc.freeze()
+    with Terminal(keys, sys.stdout) as terminal:
+        operator: Operator = Keyboard(limits, terminal.read, share, description["parameter_sets"])
+        if search is not None:
+            operator = OperatorPair(operator, Joystick(limits, search, share))
+        try:
+            operate(vehicle, operator, source, terminal.show, end_requested)
+        finally:
+            operator.close()
