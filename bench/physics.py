@@ -16,7 +16,8 @@ from bench.robots import built, example
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.simulation_run import Simulation
 
 RATES = (0.1, 0.5, 1.0, 2.0)  # rad/s

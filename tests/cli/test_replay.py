@@ -14,7 +14,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.record_reader import read_record
 from thorvaldc.tools.replay import Replay

@@ -31,7 +31,8 @@ from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 COMMAND, STATE = 0x240, 0x1C0
 """What is told to the sprayer, a foreign device, and what it says."""

@@ -17,7 +17,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.recorded_run import RecordedRun
 from thorvaldc.simulation.run_result import result_table
 from thorvaldc.tools.replay import Replay, summary

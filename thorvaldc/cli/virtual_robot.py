@@ -18,7 +18,8 @@ from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_memory import Memory, read_memory
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 def start_virtual_robot(

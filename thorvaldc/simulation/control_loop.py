@@ -13,7 +13,8 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.simulation.manoeuvre import Manoeuvre, twist_at
 from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.run_result import RobotResult
 
 TIPPED = math.cos(math.radians(60.0))

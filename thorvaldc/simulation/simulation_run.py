@@ -18,7 +18,8 @@ from thorvaldc.runtime.driver_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment, default_manoeuvre, fleet_manoeuvres
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.rolling_base import RollingBase
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors

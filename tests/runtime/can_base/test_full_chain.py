@@ -15,7 +15,8 @@ from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.manoeuvre import Segment, twist_at
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 def test_the_odometry_experiment_over_the_bus() -> None:

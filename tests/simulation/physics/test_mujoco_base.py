@@ -15,7 +15,8 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 pytest.importorskip("mujoco")
 ROBOT = make_robot(FOUR_STEERED)

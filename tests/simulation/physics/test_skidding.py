@@ -10,7 +10,8 @@ import pytest
 from tests.backend_files import files_of
 from tests.robots import make_robot
 from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 pytest.importorskip("mujoco")
 X, Y = 0.5, 0.4  # m

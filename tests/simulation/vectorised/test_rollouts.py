@@ -11,7 +11,8 @@ import pytest
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.vectorised.rollouts import Rollouts
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -17,7 +17,7 @@ from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 def view(

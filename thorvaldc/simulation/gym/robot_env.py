@@ -28,7 +28,8 @@ from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.gym.joint_actions import DirectCommands, JointActions
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
 from thorvaldc.simulation.physics.collision_counter import CollisionCounter
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 
 try:

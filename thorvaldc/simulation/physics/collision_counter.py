@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from thorvaldc.model import Robot
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 DRIVABLE = ("ground", "rail", "kerb")
 """First parts of the names of the geoms on which wheels may roll."""

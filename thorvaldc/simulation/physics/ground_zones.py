@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from thorvaldc.model import Robot, Zone
 from thorvaldc.model.scenario import WheelFault
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 class GroundZones:

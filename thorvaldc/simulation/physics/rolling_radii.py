@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from thorvaldc.model import Robot
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 class RollingRadii:

@@ -12,7 +12,8 @@ from thorvaldc.model import Robot, Zone
 from thorvaldc.model.scenario import Noise, WheelFault
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.simulation.physics.ground_zones import GroundZones
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
 _WHEEL_ERRORS = ("radius_error", "steering_offset")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.physics.mujoco_base import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.pictures import PictureError
 
 if TYPE_CHECKING:

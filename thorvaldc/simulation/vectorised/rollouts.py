@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase, MujocoScene
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Array = NDArray[np.float64]
 _ROOM = 1 << 23
