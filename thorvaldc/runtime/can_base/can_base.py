@@ -11,13 +11,14 @@ One control cycle of 20 ms (the sync period), on the bus:
     (driver) ramps and calculator turn the twist into joint commands
     write    the frames are sent
 
-Commands go out in the order of their identifiers, which is their order by arbitration too.  SYNC
-follows all commands: drives apply them together at SYNC, and send their reports after it.  The
-heartbeat of the master goes out only after a complete cycle.
+Commands are sent in the order of their identifiers, which is also their order by arbitration.  SYNC
+follows all commands: CiA 402 drives apply them together at SYNC, and send their reports after it.
+(The Roboteq script applies a command when it comes, and reports by its own period.)  The master's
+heartbeat is sent only after a complete cycle.
 
-There is no sending by timers.  If the loop hangs, or a cycle cannot be sent, the heartbeat stays
-away, and every node stops by its own watchdog: CiA 402 drives by their heartbeat consumer (0x1016),
-the Roboteq script 0.5 s after the last new sequence number.
+Nothing is sent by timers.  If the loop hangs, or a cycle cannot be sent, the heartbeat is missing,
+and every node stops by its own watchdog: CiA 402 drives by their heartbeat consumer (0x1016), the
+Roboteq script 0.5 s after the last new sequence number.
 """
 
 from __future__ import annotations

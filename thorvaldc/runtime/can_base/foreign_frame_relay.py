@@ -11,8 +11,8 @@ by T, from the old due time or from its arrival, whichever is later:
 
     x passes; - is dropped: the next due time is more than T/2 away
 
-So jitter of half a period does no harm, and the mean rate of a fast sender is never exceeded: an
-early frame does not move the grid.
+So jitter of half a period does no harm.  The mean rate never exceeds 1/T, because an early frame
+does not make the next due time earlier.
 """
 
 from __future__ import annotations
