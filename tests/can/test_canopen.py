@@ -5,17 +5,12 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.can.canopen import (
-    AbortCode,
     Emergency,
     NmtCommand,
     NmtState,
-    abort_text,
     heartbeat_state,
     nmt_message,
     nmt_state_text,
-    sdo_abort,
-    sdo_abort_code,
-    sdo_upload,
 )
 
 
@@ -29,21 +24,6 @@ def test_states_of_a_heartbeat() -> None:
     assert heartbeat_state(b"\x05") == heartbeat_state(b"\x85") == NmtState.OPERATIONAL
     names = [nmt_state_text(state) for state in (0, 4, 5, 127, 9)]
     assert names == ["boot-up", "stopped", "operational", "pre-operational", "0x09"]
-
-
-def test_sdo_requests_and_aborts() -> None:
-    assert sdo_upload(0x1018, 4) == bytes.fromhex("4018100400000000")
-    abort = sdo_abort(0x2345, 1, AbortCode.OBJECT_UNKNOWN)
-    assert abort == bytes.fromhex("8045230100000206")
-    assert sdo_abort_code(abort) == AbortCode.OBJECT_UNKNOWN
-    assert sdo_abort_code(bytes.fromhex("4318100401000000")) is None
-
-
-def test_every_abort_code_has_a_text() -> None:
-    assert abort_text(0x06090030) == "the value is out of range (SDO abort 0x06090030)"
-    texts = {abort_text(code).partition(" (")[0] for code in AbortCode}
-    assert len(texts) == len(AbortCode)
-    assert abort_text(0x12345678) == "aborted (SDO abort 0x12345678)"
 
 
 def test_emergency_messages() -> None:

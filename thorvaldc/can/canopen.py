@@ -11,6 +11,8 @@ SYNC and EMCY have the same base: 0x080 itself is SYNC, 0x081 to 0x0FF are EMCY.
     0x580  SDO      + id  node -> master    response
     0x600  SDO      + id  master -> node    request
     0x700  heartbeat + id node -> all       NMT state (bits 0 to 6)
+
+``sdo`` has the SDO messages, ``lss`` the layer setting services, ``cia402`` the drive profile.
 """
 
 from __future__ import annotations
@@ -77,104 +79,6 @@ def nmt_state_text(state: int) -> str:
         return NmtState(state).text
     except ValueError:
         return f"{state:#04x}"
-
-
-# -- SDO: the first byte of request and response --------------------------------------------
-#
-# An SDO message has 8 bytes: command, index (u16), subindex, and 4 bytes of data.  Bits 5 to 7
-# of the command are the specifier.  Expedited transfer, up to 4 bytes in one frame each way:
-#
-#    upload    client   40 index sub 00 00 00 00
-#              server   43 index sub data           4 bytes; 47: 3, 4B: 2, 4F: 1
-#    download  client   23 index sub data           4 bytes; 27: 3, 2B: 2, 2F: 1
-#              server   60 index sub 00 00 00 00
-#    abort     either   80 index sub abort code (u32)
-#
-# Segmented transfer of longer values: the first response (41) or request (21) has the size (u32)
-# in place of the data.  Then each segment of up to 7 bytes has its own request and response,
-# whose command holds the toggle bit, the number of unused bytes and the "last segment" flag.
-
-
-class ClientCommand(enum.IntEnum):
-    """Bits 5 to 7 of a request, shifted to bit 0."""
-
-    DOWNLOAD_SEGMENT = 0
-    INITIATE_DOWNLOAD = 1
-    INITIATE_UPLOAD = 2
-    UPLOAD_SEGMENT = 3
-    ABORT = 4
-
-
-SDO_UPLOAD = ClientCommand.INITIATE_UPLOAD << 5
-"""Request to read an object: 0x40."""
-SDO_DOWNLOAD_RESPONSE = 0x60
-SDO_ABORT = ClientCommand.ABORT << 5
-"""First byte of an abort, from either side: 0x80."""
-EXPEDITED, SIZE_INDICATED = 0x02, 0x01
-"""Bits of the command of an initiate message: the data is in this message; its size is given."""
-SDO_HEADER = struct.Struct("<BHB")
-"""Command, index, subindex; 4 bytes of data follow."""
-
-
-def sdo_upload(index: int, subindex: int) -> bytes:
-    """Returns the request to read an object."""
-    return SDO_HEADER.pack(SDO_UPLOAD, index, subindex) + bytes(4)
-
-
-def sdo_abort(index: int, subindex: int, code: int) -> bytes:
-    """Returns the message that aborts a transfer."""
-    return SDO_HEADER.pack(SDO_ABORT, index, subindex) + struct.pack("<I", code)
-
-
-def sdo_abort_code(data: bytes) -> int | None:
-    """Returns the abort code of a message of 8 bytes; ``None`` where it is no abort."""
-    if data[0] != SDO_ABORT:
-        return None
-    code: int = struct.unpack_from("<I", data, 4)[0]
-    return code
-
-
-class AbortCode(enum.IntEnum):
-    """Reasons for which a transfer is aborted; a device may send others."""
-
-    TOGGLE_NOT_ALTERNATED = 0x05030000
-    TIMED_OUT = 0x05040000
-    COMMAND_UNKNOWN = 0x05040001
-    UNSUPPORTED_ACCESS = 0x06010000
-    WRITE_ONLY = 0x06010001
-    READ_ONLY = 0x06010002
-    OBJECT_UNKNOWN = 0x06020000
-    NOT_MAPPABLE = 0x06040041
-    MAPPING_TOO_LONG = 0x06040042
-    LENGTH_WRONG = 0x06070010
-    SUBINDEX_UNKNOWN = 0x06090011
-    VALUE_RANGE = 0x06090030
-    STORE_REFUSED = 0x08000020
-    STATE_REFUSED = 0x08000022
-
-
-_ABORT_TEXTS = {
-    AbortCode.TOGGLE_NOT_ALTERNATED: "the toggle bit did not alternate",
-    AbortCode.TIMED_OUT: "the SDO protocol timed out",
-    AbortCode.COMMAND_UNKNOWN: "the command specifier is unknown",
-    AbortCode.UNSUPPORTED_ACCESS: "this access is not supported",
-    AbortCode.WRITE_ONLY: "the object is write-only",
-    AbortCode.READ_ONLY: "the object is read-only",
-    AbortCode.OBJECT_UNKNOWN: "the object does not exist",
-    AbortCode.NOT_MAPPABLE: "the object cannot be mapped to a PDO",
-    AbortCode.MAPPING_TOO_LONG: "the mapped objects are longer than a PDO",
-    AbortCode.LENGTH_WRONG: "the data type does not match: wrong length",
-    AbortCode.SUBINDEX_UNKNOWN: "the subindex does not exist",
-    AbortCode.VALUE_RANGE: "the value is out of range",
-    AbortCode.STORE_REFUSED: "the data cannot be stored",
-    AbortCode.STATE_REFUSED: "the device state does not allow it",
-}
-
-
-def abort_text(code: int) -> str:
-    """Returns the reason and the number of an abort code, for messages to the user."""
-    reason = next((text for known, text in _ABORT_TEXTS.items() if known == code), "aborted")
-    return f"{reason} (SDO abort {code:#010x})"
 
 
 # -- EMCY -------------------------------------------------------------------------------------

@@ -1,6 +1,15 @@
-"""SDO messages of a client and a server (CiA 301, 7.2.4), for values of every length.
+"""SDO messages of a client and a server (CiA 301): access to the object dictionary of a node.
 
-``canopen`` draws the expedited transfer.  A longer value goes in segments of up to 7 bytes:
+A message has 8 bytes: command, index (u16), subindex and 4 bytes of data.  Bits 5 to 7 of the
+command are the specifier.  An expedited transfer has up to 4 bytes in one message each way:
+
+    upload    client   40 index sub 00 00 00 00
+              server   43 index sub data           4 bytes; 47: 3, 4B: 2, 4F: 1
+    download  client   23 index sub data           4 bytes; 27: 3, 2B: 2, 2F: 1
+              server   60 index sub 00 00 00 00
+    abort     either   80 index sub abort code (u32)
+
+A longer value is transferred in segments of up to 7 bytes:
 
     client                                   server
     40 index sub 00 00 00 00  ----------->
@@ -15,18 +24,35 @@ Byte 0 of a segment: bit 4 toggle, bits 3 to 1 number of unused bytes, bit 0 las
 
 from __future__ import annotations
 
-from thorvaldc.can.canopen import (
-    EXPEDITED,
-    SDO_HEADER,
-    SIZE_INDICATED,
-    ClientCommand,
-)
+import enum
+import struct
+
 from thorvaldc.model.bus import OBJECT_TYPES
 
 SEGMENT_LENGTH = 7
 """Bytes of data in a segment."""
-_UPLOAD_RESPONSE = 0x40
+HEADER = struct.Struct("<BHB")
+"""Command, index, subindex; 4 bytes of data follow."""
+EXPEDITED, SIZE_INDICATED = 0x02, 0x01
+"""Bits of the command of a first message: the data is in this message; its size is given."""
 _TOGGLE_BIT, _LAST_SEGMENT = 4, 0x01
+_UPLOAD_RESPONSE, _DOWNLOAD_RESPONSE = 0x40, 0x60
+
+
+class ClientCommand(enum.IntEnum):
+    """Specifier of a request: bits 5 to 7 of its command, shifted to bit 0."""
+
+    DOWNLOAD_SEGMENT = 0
+    INITIATE_DOWNLOAD = 1
+    INITIATE_UPLOAD = 2
+    UPLOAD_SEGMENT = 3
+    ABORT = 4
+
+
+_ABORT = ClientCommand.ABORT << 5
+"""Command of an abort, from either side: 0x80."""
+
+# -- numbers -----------------------------------------------------------------------------------
 
 
 def number_length(type_name: str) -> int:
@@ -50,10 +76,15 @@ def decode_number(type_name: str, data: bytes) -> int:
 # -- client ------------------------------------------------------------------------------------
 
 
+def upload_request(index: int, subindex: int) -> bytes:
+    """Returns the request to read an object."""
+    return HEADER.pack(ClientCommand.INITIATE_UPLOAD << 5, index, subindex) + bytes(4)
+
+
 def download_request(index: int, subindex: int, data: bytes) -> bytes:
     """Returns the expedited request to write 1 to 4 bytes."""
     command = ClientCommand.INITIATE_DOWNLOAD << 5 | _expedited(data)
-    return SDO_HEADER.pack(command, index, subindex) + data.ljust(4, b"\0")
+    return HEADER.pack(command, index, subindex) + data.ljust(4, b"\0")
 
 
 def upload_segment_request(toggle: int) -> bytes:
@@ -92,16 +123,34 @@ def _expedited(data: bytes) -> int:
     return (4 - len(data)) << 2 | EXPEDITED | SIZE_INDICATED
 
 
+def abort_message(index: int, subindex: int, code: int) -> bytes:
+    """Returns the message that aborts a transfer."""
+    return HEADER.pack(_ABORT, index, subindex) + struct.pack("<I", code)
+
+
+def abort_code(message: bytes) -> int | None:
+    """Returns the code of an abort message; ``None``: it is another message."""
+    if message[0] != _ABORT:
+        return None
+    code: int = struct.unpack_from("<I", message, 4)[0]
+    return code
+
+
 # -- server ------------------------------------------------------------------------------------
+
+
+def download_response(index: int, subindex: int) -> bytes:
+    """Returns the response to a download request."""
+    return HEADER.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4)
 
 
 def upload_response(index: int, subindex: int, value: bytes) -> bytes:
     """Returns the response to an upload request: expedited for 1 to 4 bytes, else the size."""
     if 1 <= len(value) <= 4:
         command = _UPLOAD_RESPONSE | _expedited(value)
-        return SDO_HEADER.pack(command, index, subindex) + value.ljust(4, b"\0")
+        return HEADER.pack(command, index, subindex) + value.ljust(4, b"\0")
     command = _UPLOAD_RESPONSE | SIZE_INDICATED
-    return SDO_HEADER.pack(command, index, subindex) + len(value).to_bytes(4, "little")
+    return HEADER.pack(command, index, subindex) + len(value).to_bytes(4, "little")
 
 
 def upload_segment_response(toggle: int, data: bytes, last: bool) -> bytes:
@@ -113,3 +162,48 @@ def upload_segment_response(toggle: int, data: bytes, last: bool) -> bytes:
 def download_segment_response(toggle: int) -> bytes:
     """Returns the confirmation of a segment written by the client."""
     return bytes([0x20 | toggle << _TOGGLE_BIT]) + bytes(7)
+
+
+# -- abort codes -------------------------------------------------------------------------------
+
+
+class AbortCode(enum.IntEnum):
+    """Reasons for which a transfer is aborted; a device may send others."""
+
+    TOGGLE_NOT_ALTERNATED = 0x05030000
+    TIMED_OUT = 0x05040000
+    COMMAND_UNKNOWN = 0x05040001
+    UNSUPPORTED_ACCESS = 0x06010000
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    OBJECT_UNKNOWN = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    MAPPING_TOO_LONG = 0x06040042
+    LENGTH_WRONG = 0x06070010
+    SUBINDEX_UNKNOWN = 0x06090011
+    VALUE_RANGE = 0x06090030
+    STORE_REFUSED = 0x08000020
+    STATE_REFUSED = 0x08000022
+
+
+_ABORT_TEXTS: dict[int, str] = {
+    AbortCode.TOGGLE_NOT_ALTERNATED: "the toggle bit did not alternate",
+    AbortCode.TIMED_OUT: "the SDO protocol timed out",
+    AbortCode.COMMAND_UNKNOWN: "the command specifier is unknown",
+    AbortCode.UNSUPPORTED_ACCESS: "this access is not supported",
+    AbortCode.WRITE_ONLY: "the object is write-only",
+    AbortCode.READ_ONLY: "the object is read-only",
+    AbortCode.OBJECT_UNKNOWN: "the object does not exist",
+    AbortCode.NOT_MAPPABLE: "the object cannot be mapped to a PDO",
+    AbortCode.MAPPING_TOO_LONG: "the mapped objects are longer than a PDO",
+    AbortCode.LENGTH_WRONG: "the data type does not match: wrong length",
+    AbortCode.SUBINDEX_UNKNOWN: "the subindex does not exist",
+    AbortCode.VALUE_RANGE: "the value is out of range",
+    AbortCode.STORE_REFUSED: "the data cannot be stored",
+    AbortCode.STATE_REFUSED: "the device state does not allow it",
+}
+
+
+def abort_text(code: int) -> str:
+    """Returns the reason and the number of an abort code, for messages to the user."""
+    return f"{_ABORT_TEXTS.get(code, 'aborted')} (SDO abort {code:#010x})"

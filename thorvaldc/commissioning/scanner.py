@@ -16,9 +16,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState, sdo_upload
+from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
 from thorvaldc.can.cia402 import DriveState
 from thorvaldc.can.lss import UNCONFIGURED, Identity
+from thorvaldc.can.sdo import upload_request
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
@@ -162,7 +163,7 @@ class Scanner:
         for position, node in enumerate(ids):
             if position % PROGRESS_STEP == 0:
                 self._progress("looking for nodes", position, len(ids))
-            self.master.send(SDO_REQUEST + node, sdo_upload(DEVICE_TYPE, 0))
+            self.master.send(SDO_REQUEST + node, upload_request(DEVICE_TYPE, 0))
             self.master.listen(self.master.timing.probe_gap)
         self.master.listen(self.master.timing.probe_tail)
         self._progress("looking for nodes", len(ids), len(ids))

@@ -1,6 +1,6 @@
 """An SDO client (CiA 301) that counts the responses, so that it detects two nodes with one id.
 
-``thorvaldc.can.canopen`` and ``thorvaldc.can.sdo`` draw the messages.
+``thorvaldc.can.sdo`` draws the messages.
 """
 
 from __future__ import annotations
@@ -8,13 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thorvaldc.can import sdo
-from thorvaldc.can.canopen import (
-    SDO_REQUEST,
-    SDO_RESPONSE,
-    abort_text,
-    sdo_abort_code,
-    sdo_upload,
-)
+from thorvaldc.can.canopen import SDO_REQUEST, SDO_RESPONSE
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_master import BusMaster
 
@@ -26,7 +20,7 @@ class SdoAborted(Exception):
     """The node aborted the transfer."""
 
     def __init__(self, code: int) -> None:
-        super().__init__(abort_text(code))
+        super().__init__(sdo.abort_text(code))
         self.code = code
 
 
@@ -63,20 +57,22 @@ class SdoClient:
 
         Of a longer value, such as a text, the data is its length.
         """
-        request = sdo_upload(index, subindex)
+        request = sdo.upload_request(index, subindex)
         frames = self._request(node, request, timeout, self.master.timing.settle)
         return [_upload_response(frame.data) for frame in frames]
 
     def read_number(self, node: int, index: int, subindex: int, type_name: str) -> int:
         """Raises ``SdoAborted``, ``SdoTimeout`` or ``SdoMultipleResponses``."""
-        response = _upload_response(self._single_response(node, sdo_upload(index, subindex)))
+        response = _upload_response(
+            self._single_response(node, sdo.upload_request(index, subindex))
+        )
         if response.abort is not None:
             raise SdoAborted(response.abort)
         return sdo.decode_number(type_name, response.data)
 
     def read_text(self, node: int, index: int) -> str:
         """Reads a text, in segments if it is long.  Raises as ``read_number`` does."""
-        response = self._single_response(node, sdo_upload(index, 0))
+        response = self._single_response(node, sdo.upload_request(index, 0))
         _raise_abort(response)
         if sdo.is_expedited(response):
             return _text(sdo.expedited_data(response))
@@ -137,14 +133,14 @@ class SdoClient:
 
 
 def _upload_response(data: bytes) -> UploadResponse:
-    abort = sdo_abort_code(data)
+    abort = sdo.abort_code(data)
     if abort is not None:
         return UploadResponse(abort=abort)
     return UploadResponse(sdo.expedited_data(data) if sdo.is_expedited(data) else data[4:8])
 
 
 def _raise_abort(response: bytes) -> None:
-    abort = sdo_abort_code(response)
+    abort = sdo.abort_code(response)
     if abort is not None:
         raise SdoAborted(abort)
 

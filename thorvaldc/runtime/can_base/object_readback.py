@@ -5,9 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 
-from thorvaldc.can.canopen import abort_text, sdo_abort_code, sdo_upload
+from thorvaldc.can import sdo
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.sdo import decode_number
 from thorvaldc.model.bus import ObjectValue
 
 ANSWER_TIME = 0.1
@@ -47,7 +46,7 @@ class ObjectReadback:
             return None
         self._tries += 1
         self._requested_at = now
-        return CanFrame(self.request, sdo_upload(expected.index, expected.subindex))
+        return CanFrame(self.request, sdo.upload_request(expected.index, expected.subindex))
 
     def take_response(self, data: bytes) -> None:
         """Compares the value of a response; ignores a response to an earlier request."""
@@ -56,11 +55,11 @@ class ObjectReadback:
         expected = self._remaining[-1]
         if struct.unpack_from("<HB", data, 1) != (expected.index, expected.subindex):
             return
-        abort_code = sdo_abort_code(data)
+        abort_code = sdo.abort_code(data)
         if abort_code is not None:
-            self.problem = f"{_label(expected)} cannot be read: {abort_text(abort_code)}"
+            self.problem = f"{_label(expected)} cannot be read: {sdo.abort_text(abort_code)}"
             return
-        value = decode_number(expected.type, data[4:8])
+        value = sdo.decode_number(expected.type, data[4:8])
         if value != expected.value:
             self.problem = f"{_label(expected)} is {value}, but the robot file has {expected.value}"
             return

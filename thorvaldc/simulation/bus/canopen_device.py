@@ -17,9 +17,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can import canopen, lss
-from thorvaldc.can.canopen import AbortCode, Emergency, NmtCommand, NmtState
+from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.sdo import AbortCode
 from thorvaldc.simulation.bus.lss_slave import LssSlave
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,

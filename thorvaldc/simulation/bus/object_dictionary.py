@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from thorvaldc.can.canopen import AbortCode
+from thorvaldc.can.sdo import AbortCode
 
 _FORMATS = {
     "bool": "<?",

@@ -18,8 +18,8 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from thorvaldc.can.canopen import AbortCode
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.sdo import AbortCode
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,

@@ -6,15 +6,7 @@ import struct
 from collections.abc import Callable
 
 from thorvaldc.can import sdo
-from thorvaldc.can.canopen import (
-    EXPEDITED,
-    SDO_DOWNLOAD_RESPONSE,
-    SDO_HEADER,
-    SIZE_INDICATED,
-    AbortCode,
-    ClientCommand,
-    sdo_abort,
-)
+from thorvaldc.can.sdo import EXPEDITED, SIZE_INDICATED, AbortCode, ClientCommand
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, ObjectDictionary, SdoAbort
 
 
@@ -57,7 +49,7 @@ class SdoServer:
                 raise SdoAbort(AbortCode.COMMAND_UNKNOWN)
         except SdoAbort as abort:
             self._upload = self._download = None
-            self._respond(sdo_abort(*self._object, abort.code))
+            self._respond(sdo.abort_message(*self._object, abort.code))
 
     def _initiate_download(self, data: bytes) -> None:
         self._upload = self._download = None
@@ -75,8 +67,7 @@ class SdoServer:
                 raise SdoAbort(AbortCode.LENGTH_WRONG)
             self._download, self._toggle = bytearray(), 0
             delayed = None
-        response = SDO_HEADER.pack(SDO_DOWNLOAD_RESPONSE, *self._object) + bytes(4)
-        self._respond_after(delayed, response)
+        self._respond_after(delayed, sdo.download_response(*self._object))
 
     def _download_segment(self, data: bytes) -> None:
         if self._download is None:
