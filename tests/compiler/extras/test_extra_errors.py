@@ -116,6 +116,14 @@ from tests.compiler.extras.xacro_files import (
             3,
             "`x`",
         ),
+        (
+            "<link name='a'>"
+            + BOX.replace("</v", "<material>\n<color rgba='255 0 0 1'/></material></v")
+            + "</link>",
+            "extra-number",
+            4,
+            "between 0 and 1",
+        ),
         (mesh("\nnone.stl"), "mesh-missing", 3, "none.stl"),
         (mesh("http://x.y/none.stl"), "mesh-missing", 3, "http"),
         (mesh("a.blend"), "mesh-format", 3, "blend"),
