@@ -18,7 +18,8 @@ from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot
-from thorvaldc.simulation.bus.canopen_device import NODE_ID, PARAMETERS, CanopenDevice
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
+from thorvaldc.simulation.bus.device_description import NODE_ID, PARAMETERS
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 

@@ -1,5 +1,5 @@
-"""Commissioning: what is on a robot's bus is found, planned, written and verified.
+"""Commissioning: scans a robot's bus, plans and writes addresses and values, and verifies them.
 
-See docs/commissioning.md.  Everything works on a ``CanInterface``, in virtual time as by the clock.
+See docs/commissioning.md.  All of it uses a ``CanInterface``, in virtual or in real time.
 None of it was ever tried on physical hardware.
 """

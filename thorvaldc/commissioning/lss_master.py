@@ -15,7 +15,7 @@ answers, so a missing answer means that the bit is 1 for all that are left.  For
 parts, from bit 31 to bit 0:
 
     51 number, bit, part, part        ----->   4F  some identity has 0 at this bit: keep it
-                                      ----->   --  nobody has 0: set this bit in ``number``
+                                      ----->   --  no identity has 0: set this bit in ``number``
     51 number, 0, part, next part     ----->   4F  confirms the part; the slaves go to ``next part``
 
 After the confirmation of the last part (its ``next part`` is 0), exactly one slave is left, in the

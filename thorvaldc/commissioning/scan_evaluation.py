@@ -23,7 +23,7 @@ from thorvaldc.commissioning.scan_result import (
 
 @dataclass
 class Findings:
-    """What the requests of a scan found.
+    """Results of the requests of a scan.
 
     ``evidence``: signs of a duplicate, by id.  ``by_id``: devices that answered SDO requests.
     ``by_name``: devices that LSS found by the identity of a node.  ``without_id``: devices that

@@ -2,7 +2,7 @@
 
 An address step, with its entries in the journal:
 
-    check      nobody answers SDO at the new id
+    check      no node answers SDO at the new id
     journal    begin
     LSS        select identity, compare its id with ``before``, configure id, store
     NMT        reset node                        the stored id takes effect

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from tests.simulation.bus.master import Master
-from thorvaldc.simulation.bus.canopen_device import DeviceDescription
 from thorvaldc.simulation.bus.cia402_axis import AxisSettings
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
+from thorvaldc.simulation.bus.device_description import DeviceDescription
 from thorvaldc.simulation.bus.pdo import Pdo
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
 from thorvaldc.simulation.bus.timeline import Timeline

@@ -1,5 +1,4 @@
-"""A simulated CAN bus with a robot's devices on it, in virtual time or by the clock.
+"""A simulated CAN bus with a robot's devices, in virtual time or in real time.
 
-See docs/simulated-bus.md.  Nothing here imports python-can but ``interface``, which is
-python-can's way in.
+See docs/simulated-bus.md.  Only ``python_can_plugin`` imports python-can.
 """

@@ -11,8 +11,8 @@ Each controller counts transmit errors (TEC) and receive errors (REC).  The coun
                restart, or 128 x 11 recessive bits with auto_recovery
 
 An error-active controller destroys a faulty frame with dominant bits.  An error-passive one
-sends recessive error flags, which nobody sees, and waits 8 more bits after each of its own frames.
-In bus-off a controller neither sends nor receives.
+sends recessive error flags, which no other controller sees, and waits 8 more bits after each of
+its own frames.  In bus-off a controller neither sends nor receives.
 """
 
 from __future__ import annotations

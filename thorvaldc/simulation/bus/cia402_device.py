@@ -10,12 +10,9 @@ from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.cia402 import DriveState
 from thorvaldc.model import Actuator
 from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node
-from thorvaldc.simulation.bus.canopen_device import (
-    CanopenDevice,
-    DeviceDescription,
-    commissioned_memory,
-)
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_axis import Axis, AxisSettings
+from thorvaldc.simulation.bus.device_description import DeviceDescription, commissioned_memory
 from thorvaldc.simulation.bus.object_dictionary import ObjectDictionary
 from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
 from thorvaldc.simulation.bus.simulated_motors import MotorModel

@@ -14,7 +14,7 @@ One command, from the master's frame to its effect:
 If the sequence number does not change for 0.5 s, the script stops the propulsion.
 
 Homing: the switch reads 1 on one side of the home angle and 0 on the other, so its first reading
-tells the direction.  The steering turns until the reading changes, and counts from there.
+gives the direction.  The steering turns until the reading changes, and counts from there.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
-from thorvaldc.simulation.bus.canopen_device import CanopenDevice, DeviceDescription
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
+from thorvaldc.simulation.bus.device_description import DeviceDescription
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
 from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
 from thorvaldc.simulation.bus.roboteq_channel import DRIVE, STALL_RPM, Channel, ChannelSettings
