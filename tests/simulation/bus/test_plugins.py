@@ -68,7 +68,7 @@ def robot_with_acme_servo(folder: Path) -> Robot:
 def test_a_robot_drives_with_driver_and_simulated_device_of_a_package(acme: Path) -> None:
     rig = Rig(robot_with_acme_servo(acme))
     assert type(rig.simulated.devices["controller"]).__name__ == "AcmeServo"
-    assert type(rig.base.supervisor.controllers[0]).__name__ == "AcmeServoController"
+    assert type(rig.base.state_machine.controllers[0]).__name__ == "AcmeServoController"
     rig.drive()
     assert rig.speed() == pytest.approx(0.5, abs=0.01)
     rig.simulated.devices["controller"].muted = True
