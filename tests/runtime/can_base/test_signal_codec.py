@@ -1,4 +1,4 @@
-"""Frame codecs compared with cantools and our DBC; the queue of the frame receiver."""
+"""Frame codecs, compared with cantools and our DBC."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ import pytest
 
 from tests.robots import SPAN
 from tests.runtime.can_base.test_can_base import drives, four_wheels
-from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import FrameDefinition, Signal
-from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 
@@ -93,75 +91,6 @@ def test_signals_in_any_order_and_at_any_bit() -> None:
     odd = FrameCodec(frame(Signal("a", 3, 5, True), Signal("b", 8, 24), length=4))
     data = odd.encode([-3, 0x123456])
     assert odd.decode(data) == [-3, 0x123456]
-
-
-# -- the receiver -----------------------------------------------------------------------
-
-
-class FedInterface:
-    """A CAN interface that receives the frames it is given."""
-
-    now = 0.0
-    overruns = 0
-
-    def __init__(self) -> None:
-        self.waiting: list[ReceivedFrame] = []
-        self.broken = False
-
-    def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        if self.broken:
-            raise ConnectionError("unplugged")
-        return self.waiting.pop(0) if self.waiting else None
-
-    def feed(self, *frames: CanFrame, own: bool = False) -> None:
-        self.waiting += [ReceivedFrame(1_000_000 * i, f, own) for i, f in enumerate(frames)]
-
-
-def receiver(limit: int = 4) -> tuple[FrameReceiver, FedInterface]:
-    fed = FedInterface()
-    return FrameReceiver(fed, {0x181}, limit=limit), fed  # type: ignore[arg-type]
-
-
-def test_a_full_queue_drops_the_oldest() -> None:
-    """The original software kept the oldest and lost the new ones."""
-    frame_receiver, fed = receiver()
-    fed.feed(*(CanFrame(0x181, bytes([i])) for i in range(10)))
-    assert [data[0] for _, _, data in frame_receiver.drain()] == [6, 7, 8, 9]
-    assert frame_receiver.dropped == 6
-    assert frame_receiver.latest[0x181].data == b"\x09"
-    assert frame_receiver.latest[0x181].number == 10
-    assert frame_receiver.drain() == []
-
-
-def test_only_the_newest_report_is_kept() -> None:
-    frame_receiver, fed = receiver()
-    fed.feed(*(CanFrame(0x281, bytes([i])) for i in range(10)))
-    assert frame_receiver.drain() == []
-    assert frame_receiver.dropped == 0
-    assert frame_receiver.latest[0x281].data == b"\x09"
-    assert frame_receiver.latest[0x281].time == 0.009
-
-
-def test_extended_remote_and_own_frames_are_ignored() -> None:
-    frame_receiver, fed = receiver()
-    fed.feed(CanFrame(0x181, b"\1", extended=True), CanFrame(0x181, remote=True, requested=8))
-    fed.feed(CanFrame(0x181, b"\1"), own=True)
-    assert frame_receiver.drain() == []
-    assert frame_receiver.latest == {}
-    assert frame_receiver.ignored == 2
-
-
-@pytest.mark.parametrize("threaded", [False, True])
-def test_a_lost_interface_is_reported(threaded: bool) -> None:
-    frame_receiver, fed = receiver()
-    fed.broken = True
-    if threaded:
-        frame_receiver.start()
-        assert frame_receiver._thread is not None
-        frame_receiver._thread.join(2.0)
-    frame_receiver.drain()
-    assert frame_receiver.lost == "unplugged"
-    frame_receiver.stop()
 
 
 def test_codecs_share_no_state() -> None:

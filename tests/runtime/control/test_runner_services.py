@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 
 import pytest
 
@@ -13,7 +12,6 @@ from tests.simulation.bus.robots import compiled
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.can_base.foreign_frame_relay import QUEUE_LIMIT, Relay
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice, IoBoard, KcBattery
@@ -201,54 +199,6 @@ def test_no_other_frame_is_relayed(cob_id: int) -> None:
     rig.run(0.2)
     assert not [f for t, f in rig.frames if t / 1e9 > at and f.data == b"\xde\xad"]
     assert rig.runner.relay_drops() == {f"{cob_id:#05x} not allowed": 1}
-
-
-def make_relay() -> Relay:
-    return Relay(drives().buses[0])
-
-
-def test_the_mean_rate_is_limited() -> None:
-    """At 10 Hz a frame may be half a period early; more frequent frames are dropped."""
-    relay = make_relay()
-    jittery = [0.1 * i + (0.03 if i % 2 else 0.0) for i in range(20)]
-    assert [relay.offer(CanFrame(COMMAND, b""), t) for t in jittery] == [""] * 20
-    relay = make_relay()
-    reasons = [relay.offer(CanFrame(COMMAND, b""), 0.01 * i) for i in range(1000)]
-    assert 98 <= reasons.count("") <= 102 or reasons.count("queue full")
-    assert relay.dropped[COMMAND, "too often"] >= 890
-
-
-def test_of_a_burst_the_first_frames_pass_and_the_others_are_counted() -> None:
-    """The original software dropped all of a hundred frames in a cycle."""
-    relay = make_relay()
-    reasons = [relay.offer(CanFrame(COMMAND, bytes([i])), 1.0) for i in range(100)]
-    assert 1 <= reasons.count("") <= 2
-    assert relay.dropped[COMMAND, "too often"] == 100 - reasons.count("")
-    assert relay.next_outgoing() == CanFrame(COMMAND, b"\0")
-
-
-def test_a_full_queue_of_device_frames_drops_the_oldest() -> None:
-    relay = make_relay()
-    for i in range(QUEUE_LIMIT + 10):
-        relay.take(STATE, bytes([i]), 0.1 * i)
-    kept = relay.received()
-    assert [r.data[0] for r in kept] == list(range(10, QUEUE_LIMIT + 10))
-    assert relay.dropped[STATE, "queue full"] == 10
-    relay.take(0x1C1, b"", 0.0)
-    assert relay.received() == []
-
-
-def test_frames_that_are_too_long_or_cannot_be_sent() -> None:
-    bus = drives().buses[0]
-    short = [replace(f, length=2) if f.cob_id == COMMAND else f for f in bus.frames]
-    relay = Relay(replace(bus, frames=tuple(short)))
-    assert relay.offer(CanFrame(COMMAND, b"123"), 0.0) == "too long"
-    assert relay.offer(CanFrame(COMMAND, b"12"), 1.0) == ""
-    frame = relay.next_outgoing()
-    assert frame is not None
-    relay.count_sent(frame, False)
-    assert relay.dropped == {(COMMAND, "too long"): 1, (COMMAND, "not sent"): 1}
-    assert relay.passed[COMMAND] == 0
 
 
 # -- several buses ----------------------------------------------------------------------
