@@ -1,0 +1,93 @@
+"""The house rules of docs/contributing.md, as far as a program can check them."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "thorvaldc"
+FILES = sorted(PACKAGE.rglob("*.py"))
+LONGEST_FILE, LONGEST_FUNCTION = 600, 100  # lines
+
+# Names of acts, and pronouns: they do not say which thing a variable holds.
+VAGUE = frozenset(
+    "asked before done found given held its made one said that told wanted".split()
+)
+
+
+def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def bound_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and name of every local variable, parameter and caught exception."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.ExceptHandler) and node.name:
+            yield node.lineno, node.name
+
+
+@pytest.fixture(scope="module")
+def trees() -> dict[Path, ast.Module]:
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+
+
+def test_no_file_and_no_function_is_too_long(trees: dict[Path, ast.Module]) -> None:
+    long_files = [
+        str(path.relative_to(ROOT))
+        for path in FILES
+        if path.read_text(encoding="utf-8").count("\n") > LONGEST_FILE
+    ]
+    long_functions = [
+        f"{path.relative_to(ROOT)}:{function.lineno} {function.name}"
+        for path, tree in trees.items()
+        for function in functions(tree)
+        if (function.end_lineno or 0) - function.lineno + 1 > LONGEST_FUNCTION
+    ]
+    assert (long_files, long_functions) == ([], [])
+
+
+def test_every_file_of_the_package_has_its_own_name() -> None:
+    """A reader who looks for a subject finds one file; packages may repeat a name as a folder."""
+    names = Counter(
+        path.name
+        for path in FILES
+        if path.name not in ("__init__.py", "__main__.py") and path.parent != PACKAGE / "cli"
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_file_has_a_name_without_content() -> None:
+    empty = {"utils.py", "util.py", "helpers.py", "helper.py", "misc.py", "common.py", "base.py"}
+    assert [str(path) for path in FILES if path.name in empty] == []
+
+
+def test_variables_name_things(trees: dict[Path, ast.Module]) -> None:
+    vague = [
+        f"{path.relative_to(ROOT)}:{line} {name}"
+        for path, tree in trees.items()
+        for line, name in bound_names(tree)
+        if name in VAGUE
+    ]
+    assert vague == []
+
+
+def test_exceptions_are_errors(trees: dict[Path, ast.Module]) -> None:
+    """A fault is a state of the driver or of a device; a Python exception is an error."""
+    named_fault = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ExceptHandler) and node.name == "fault"
+    ]
+    assert named_fault == []
