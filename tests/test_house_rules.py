@@ -16,7 +16,21 @@ LONGEST_FILE, LONGEST_FUNCTION = 600, 100  # lines
 
 # Names of acts, and pronouns: they do not say which thing a variable holds.
 VAGUE = frozenset(
-    "asked before done found given held its made one said that told wanted".split()
+    [
+        "asked",
+        "before",
+        "done",
+        "found",
+        "given",
+        "held",
+        "its",
+        "made",
+        "one",
+        "said",
+        "that",
+        "told",
+        "wanted",
+    ]
 )
 
 

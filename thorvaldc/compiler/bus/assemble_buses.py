@@ -1,8 +1,7 @@
-"""From the robot's devices to its buses: ids, frames, signals and their scalings.
+"""Builds the buses of a robot from its devices: node ids, frames, signals and scalings.
 
-What a device says on the bus is data: the `can` section of its module, whose
-expressions know the id and the motors on its channels.  The checks of the
-result are in `bus_checks`.
+The frames of a device are data: the `can` section of its module.  Expressions there can use
+the node id and the motors on the device's channels.  `bus_checks` checks the result.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.bus.foreign_devices import foreign_devices
 from thorvaldc.compiler.bus.lock_file import Lock
-from thorvaldc.compiler.bus.node_ids import place
+from thorvaldc.compiler.bus.node_ids import assign_ids
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
@@ -38,7 +37,7 @@ from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
-# Bitrates of CiA 301 above the default, for a bus whose bitrate is not stated.
+# Bitrates of CiA 301 above the default (bit/s), tried for a bus without a stated bitrate.
 FASTER = (800_000, 1_000_000)
 
 NMT_COMMANDS = (
@@ -60,11 +59,11 @@ def build_buses(
     foreign: source.Node | None = None,
     lock: Lock | None = None,
 ) -> tuple[Bus, ...]:
-    """The buses with their nodes, frames and signals, checked.
+    """Return the buses with their nodes, frames and signals, after all checks.
 
-    ``specs`` in file order; a device that names no bus is on the first.
-    ``sync_period`` in s is the control cycle.  ``foreign`` is the robot's section of
-    foreign devices, ``lock`` holds the ids of the last build.  A robot without
+    ``specs`` are in file order; a device that names no bus is on the first one.
+    ``sync_period`` (s) is the control cycle.  ``foreign`` is the robot's section of
+    foreign devices.  ``lock`` contains the node ids of the last build.  A robot without
     devices has no buses.
     """
     for spec in specs:
@@ -80,7 +79,7 @@ def build_buses(
     present = [device for device in devices if _is_present(device, report)]
     check_wiring(present, actuators, report)
     others = foreign_devices(foreign, specs, report)
-    placed = place(present, others, specs, sync_period, lock or {}, report) + others
+    placed = assign_ids(present, others, specs, sync_period, lock or {}, report) + others
     if not placed:
         return ()
     check_serials(placed, report)
@@ -91,7 +90,7 @@ def build_buses(
 
 
 def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tuple[Actuator, ...]:
-    """The actuators with ``node`` and ``channel`` set to the controller that drives each."""
+    """Return the actuators with ``node`` and ``channel`` of the controller that drives each."""
     drives = {
         channel.actuator: (node.name, channel.name)
         for bus in buses
@@ -106,14 +105,14 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
 
 
 def _is_present(device: Device, report: Report) -> bool:
-    """Whether there is a device at all: an empty battery enclosure has none."""
+    """Whether the module contains a device: an empty battery enclosure contains none."""
     present = device.scope.boolean(device.can.get("when"), True)
     if not present and device.address is not None:
         report.add(
             "can-address-unused",
-            f"`{device.path}` has an address, but there is nothing on the bus in it",
+            f"`{device.path}` has an address, but with these parameters it contains no device",
             device.address.where,
-            hint="leave `can` out, or change the parameters so that the device is there",
+            hint="leave `can` out, or change the parameters so that there is a device",
         )
     return present
 
@@ -142,7 +141,10 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
 
 
 def _timed(bus: Bus) -> Bus:
-    """With load and response times, where no two frames have one identifier (reported)."""
+    """Return the bus with its load and response times.
+
+    They are undefined while two frames have one identifier, which is reported elsewhere.
+    """
     if len({frame.cob_id for frame in bus.frames}) < len(bus.frames):
         return bus
     times = frame_response_times(bus)
@@ -151,31 +153,31 @@ def _timed(bus: Bus) -> Bus:
 
 
 def _fast_enough(bus: Bus, report: Report) -> Bus:
-    """A bus whose bitrate nobody has stated: faster if that is what its frames need."""
-    chosen = bus
+    """Return a bus without stated bitrate, with a higher bitrate if its frames need one."""
+    faster_bus = bus
     for bitrate in FASTER:
-        if chosen.load <= LOAD_WARNING and not late_frames(chosen):
+        if faster_bus.load <= LOAD_WARNING and not late_frames(faster_bus):
             break
         if all(not node.bitrates or bitrate in node.bitrates for node in bus.nodes):
-            chosen = _timed(replace(bus, bitrate=bitrate))
-    if chosen is not bus and not late_frames(chosen):
-        why = f"take {100 * bus.load:.0f} % of"
+            faster_bus = _timed(replace(bus, bitrate=bitrate))
+    if faster_bus is not bus and not late_frames(faster_bus):
+        reason = f"use {100 * bus.load:.0f} % of"
         if late_frames(bus):
-            why = "come too late at"
+            reason = "arrive too late at"
         report.add(
             "can-bitrate-chosen",
-            f"the bus `{bus.name}` gets {chosen.bitrate / 1000:g} kbit/s: its frames would {why} "
-            f"{bus.bitrate / 1000:g} kbit/s",
+            f"the bus `{bus.name}` gets {faster_bus.bitrate / 1000:g} kbit/s: "
+            f"its frames would {reason} {bus.bitrate / 1000:g} kbit/s",
             bus.span,
             hint=f"state a bitrate: `buses: {{{bus.name}: {{bitrate: ..}}}}`",
         )
-    return chosen
+    return faster_bus
 
 
 def _master_frames(
     spec: BusSpec, placed: Sequence[Placed], sync_period: float
 ) -> Iterator[FrameDefinition]:
-    """What the master says to all, where there are CANopen nodes to hear it."""
+    """Yield the frames that the master sends to all CANopen nodes, if there are any."""
     nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
     if not nodes:
         return

@@ -1,6 +1,6 @@
-"""Checks of a bus: ids, COB-IDs over the full expansion, layouts, scalings, load.
+"""Checks of a whole bus: node ids, COB-IDs of all frames, names, heartbeats, load, deadlines.
 
-Every fault between two parties names both places.
+A diagnostic about two devices has the source spans of both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from thorvaldc.compiler.bus.device_sections import (
     entries,
     listed,
 )
-from thorvaldc.compiler.bus.object_dictionary import serial_number
+from thorvaldc.compiler.bus.node_objects import serial_number
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Bus, FrameDefinition
@@ -32,7 +32,7 @@ RESTRICTED = (
     (0x6E0, 0x6FF),
     (0x701, 0x7FF),
 )
-# Services of CANopen that no device needs to declare to have them spoil its frames.
+# COB-IDs of CANopen services that exist on every bus, although no device declares them.
 STANDARD = ((0x100, "TIME"), (0x7E4, "LSS response"), (0x7E5, "LSS request"))
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
@@ -41,7 +41,7 @@ LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 
 def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
-    """Each channel has one motor at most, each motor one channel, and the roles fit."""
+    """Check that each channel has at most one motor, and each motor one channel of its role."""
     owners: dict[str, tuple[Device, Wire]] = {}
     for device in devices:
         roles = _roles(device)
@@ -122,9 +122,9 @@ def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
-    """Report ids that occur twice; returns the nodes at fault, by name."""
+    """Report ids that occur twice; return the names of the nodes with such an id."""
     first: dict[tuple[str, int], Placed] = {}
-    at_fault: dict[str, None] = {}
+    duplicates: dict[str, None] = {}
     for device in placed:
         key = (device.node.id_space, device.node.id)
         if not device.node.id_space:
@@ -132,20 +132,20 @@ def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, 
         other = first.setdefault(key, device)
         if other is device:
             continue
-        at_fault[device.node.name] = None
+        duplicates[device.node.name] = None
         report.add(
             "can-id-duplicate",
-            f"`{device.path}` has the id {device.node.id} on the bus `{bus.name}`, "
-            f"as `{other.path}` has",
+            f"`{device.path}` and `{other.path}` both have the id "
+            f"{device.node.id} on the bus `{bus.name}`",
             device.span,
             labels=[Label(other.span, "first used here")],
-            hint="give each its own id, or leave `can` out to have one chosen",
+            hint="give each device its own id, or leave `can` out for an automatic id",
         )
-    return at_fault
+    return duplicates
 
 
 def check_serials(placed: Sequence[Placed], report: Report) -> None:
-    """One vendor gives a serial number once, on whatever bus the device is."""
+    """Check that a serial number occurs once per vendor, over all buses."""
     first: dict[tuple[int | None, int | str], Placed] = {}
     for device in placed:
         serial = device.node.serial
@@ -155,10 +155,10 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
         if device.node.lss and number is None:
             report.add(
                 "can-serial-format",
-                f"the serial number of `{device.path}` is `{serial}`; by LSS it is found by "
-                "a number of 32 bits",
+                f"the serial number of `{device.path}` is `{serial}`; LSS identifies a "
+                "device by a number of 32 bits",
                 device.serial_span,
-                labels=[Label(device.module_span, "it has LSS")],
+                labels=[Label(device.module_span, "LSS is stated here")],
                 hint='write it as in "0x12ab34cd"',
             )
         key = (device.node.vendor_id, serial if number is None else number)
@@ -166,7 +166,7 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
         if other is not device:
             report.add(
                 "can-serial-duplicate",
-                f"`{device.path}` has the serial number {serial}, as `{other.path}` has",
+                f"`{device.path}` and `{other.path}` both have the serial number {serial}",
                 device.serial_span,
                 labels=[Label(other.serial_span, "first used here")],
                 hint="read each device's own serial number from its label",
@@ -174,31 +174,31 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """One fault for the bus, whatever the number of devices that cannot follow it."""
-    choosy = [device for device in placed if device.node.bitrates]
-    unable = [device for device in choosy if bus.bitrate not in device.node.bitrates]
+    """Report one diagnostic per bus, for all devices that do not support its bitrate."""
+    limited = [device for device in placed if device.node.bitrates]
+    unable = [device for device in limited if bus.bitrate not in device.node.bitrates]
     if not unable:
         return
     first = unable[0]
     others = len(unable) - 1
-    who = f"`{first.path}`" + (f" and {others} more of its devices" if others else "")
+    names = f"`{first.path}`" + (f" and {others} more of its devices" if others else "")
     common = [
         rate
         for rate in first.node.bitrates
-        if all(rate in device.node.bitrates for device in choosy)
+        if all(rate in device.node.bitrates for device in limited)
     ]
     rates = ", ".join(f"{rate / 1000:g}" for rate in common)
     report.add(
         "can-bitrate",
-        f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s, which {who} cannot do",
+        f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s, which {names} cannot use",
         bus.span,
         labels=[
-            *(Label(device.span, "this device is on it") for device in unable[:2]),
-            Label(first.module_span, f"what `{first.path}` can do is said here"),
+            *(Label(device.span, "this device is on the bus") for device in unable[:2]),
+            Label(first.module_span, f"the bitrates of `{first.path}`"),
         ],
-        hint=f"all devices on it can do {rates} kbit/s"
+        hint=f"all devices on the bus support {rates} kbit/s"
         if rates
-        else "no bitrate suits all devices on it: put some on another bus",
+        else "no bitrate suits all devices: put some of them on another bus",
     )
 
 
@@ -212,9 +212,9 @@ def _check_restricted(placed: Sequence[Placed], report: Report) -> None:
                     report.add(
                         "can-cob-id-restricted",
                         f"the frame `{frame.name}` has the COB-ID {frame.cob_id:#05x}; "
-                        f"CANopen keeps {low:#05x} to {high:#05x} for itself",
+                        f"CANopen reserves {low:#05x} to {high:#05x}",
                         frame.span,
-                        labels=[Label(device.span, "this device has it")],
+                        labels=[Label(device.span, "of this device")],
                     )
 
 
@@ -280,7 +280,7 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
 
 
 def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Frames and producers are known by name: in the DBC, to the driver."""
+    """Check that names are unique: the DBC and the driver identify frames and nodes by name."""
     spans = {frame.name: device.span for device in placed for frame in device.frames}
     seen: dict[str, FrameDefinition] = {}
     named: dict[str, Placed] = {}
@@ -298,7 +298,7 @@ def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
         if device.node.name == MASTER:
             report.add(
                 "can-name-conflict",
-                f"a device named `{MASTER}` cannot be told from the bus's master",
+                f"a device has the name `{MASTER}`, which is that of the bus's master",
                 device.span,
                 hint="give the module another name",
             )
@@ -321,15 +321,15 @@ def _check_load(bus: Bus, report: Report) -> None:
     code, limit = ("can-overload", LOAD_LIMIT) if load > LOAD_LIMIT else ("can-load", LOAD_WARNING)
     report.add(
         code,
-        f"the periodic frames of the bus `{bus.name}` take {100 * load:.0f} % of its "
-        f"{bus.bitrate / 1000:g} kbit/s at worst; the limit is {100 * limit:.0f} %",
+        f"the periodic frames of the bus `{bus.name}` use up to {100 * load:.0f} % of its "
+        f"{bus.bitrate / 1000:g} kbit/s; the limit is {100 * limit:.0f} %",
         bus.span,
         hint="a higher bitrate, a lower rate of the driver, or a second bus",
     )
 
 
 def late_frames(bus: Bus) -> list[FrameDefinition]:
-    """The periodic frames that can come after their deadline."""
+    """Return the periodic frames whose worst-case response time is after their deadline."""
     return [
         frame
         for frame in bus.frames
@@ -340,27 +340,27 @@ def late_frames(bus: Bus) -> list[FrameDefinition]:
 
 
 def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Every frame must be there in time, also when all others come at the worst instant."""
+    """Check that every frame meets its deadline in the worst case."""
     owners = {frame.name: device for device in placed for frame in device.frames}
     late = late_frames(bus)
-    if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported
+    if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported as overload
         return
     worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
     named = ", ".join(f"`{frame.name}`" for frame in late[:3])
     if len(late) > 3:
         named += f" and {len(late) - 3} more"
     time = worst.response_time
-    takes = f"{time * 1000:.4g} ms" if time is not None else "any time"
+    takes = f"{time * 1000:.4g} ms" if time is not None else "unlimited time"
     labels = []
-    if worst.name in owners:  # not one of the master's, which are in no file
+    if worst.name in owners:  # frames of the master are in no file
         labels = [
             Label(worst.span, f"`{worst.name}`"),
-            Label(owners[worst.name].span, "this device has it"),
+            Label(owners[worst.name].span, "of this device"),
         ]
     report.add(
         "can-deadline",
-        f"on the bus `{bus.name}` {named} can come too late: `{worst.name}` takes {takes} at "
-        f"worst, its deadline is {(worst.deadline or 0.0) * 1000:.4g} ms",
+        f"on the bus `{bus.name}` {named} can arrive too late: `{worst.name}` takes up to {takes}, "
+        f"its deadline is {(worst.deadline or 0.0) * 1000:.4g} ms",
         bus.span,
         labels=labels,
         hint="a higher bitrate, a lower rate of the driver, or a second bus",
@@ -368,16 +368,16 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
 
 
 def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Who watches a heartbeat must let one go missing, and a drive must watch the master's."""
+    """Check heartbeat time-outs: two periods at least, and CiA 402 drives consume the master's."""
     for device in placed:
         node = device.node
         if node.is_cia402 and node.heartbeat_consumer_time is None:
             report.add(
                 "can-heartbeat-consumer",
-                f"`{device.path}` is a drive after CiA 402 and does not watch the master's "
-                "heartbeat (object 0x1016): it would drive on when the master is gone",
+                f"`{device.path}` is a CiA 402 drive and does not consume the master's "
+                "heartbeat (object 0x1016): it would keep driving after the master stops",
                 device.span,
-                labels=[Label(device.module_span, "what it has is said here")],
+                labels=[Label(device.module_span, "stated here")],
                 hint="give its module a `heartbeat_consumer_time`",
             )
         beats = [f.period for f in device.frames if f.kind == "heartbeat" and f.period is not None]
@@ -385,18 +385,18 @@ def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> Non
             (node.heartbeat_timeout, beats[0] if beats else None, f"`{device.path}`"),
             (node.heartbeat_consumer_time, MASTER_HEARTBEAT_PERIOD, "the master"),
         )
-        for patience, period, producer in watched:
-            if patience is None or period is None or patience >= 2 * period:
+        for timeout, period, producer in watched:
+            if timeout is None or period is None or timeout >= 2 * period:
                 continue
             watcher = "the master" if producer != "the master" else f"`{device.path}`"
             report.add(
                 "can-heartbeat-time",
-                f"{watcher} waits {patience * 1000:.6g} ms for a heartbeat of {producer}, which "
-                f"comes every {period * 1000:.6g} ms; one that is late would stop the robot",
+                f"the heartbeat time-out of {watcher} for {producer} is {timeout * 1000:.6g} ms, "
+                f"with a period of {period * 1000:.6g} ms; one late heartbeat would stop the robot",
                 device.span,
                 labels=[
-                    Label(device.module_span, "what it has is said here"),
+                    Label(device.module_span, "stated here"),
                     Label(bus.span, "the bus"),
                 ],
-                hint=f"wait {2000 * period:.6g} ms or more",
+                hint=f"use {2000 * period:.6g} ms or more",
             )

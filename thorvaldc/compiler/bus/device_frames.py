@@ -1,4 +1,4 @@
-"""The frames of a device: its module's, and the CANopen objects that it has."""
+"""The frames of a device: those of its module, and those of its CANopen services."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.model.robot import FrameDefinition, Signal
 
-HEARTBEAT_PERIOD = 0.1  # s, where the module does not say
+HEARTBEAT_PERIOD = 0.1  # s, default
 LAST_PDO = 512
 NMT_STATES = ((0, "boot_up"), (4, "stopped"), (5, "operational"), (127, "pre_operational"))
 
@@ -60,14 +60,14 @@ def frames_of(
         kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
         sends = scope.text(node.get("direction"), "report") == "command"
         if sends and signals and not kept:
-            period = None  # nothing to say: the motors that it is for are not there
+            period = None  # the frame has no content: its motors are not in this robot
         deadline = node.get("deadline")
         number, mapping = _pdo(device, node, length, report)
         synchronous = scope.boolean(node.get("synchronous"), False)
         if synchronous and (node.get("period") or node).value != "cycle":
             report.add(
                 "can-period",
-                f"the frame `{key}` comes with SYNC, once in a control cycle; its period differs",
+                f"the frame `{key}` is synchronous, so its period must be the control cycle",
                 (node.get("period") or node.get("synchronous") or node).span,
                 hint="write `period: cycle`",
             )
@@ -96,41 +96,44 @@ def frames_of(
 
 
 def _by_timer(cycle: float) -> float:
-    """A node's timer has whole milliseconds: rather a report too many than one too late."""
+    """Round a period down to whole milliseconds, the resolution of a node's event timer.
+
+    So a report may come early, but never after the control cycle that needs it.
+    """
     return max(math.floor(cycle * 1000 + 1e-6), 1) / 1000
 
 
 def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
-    """The least time in s between two frames that a `rate` allows."""
+    """Return the least time (s) between two frames that a `rate` allows."""
     node = frame.get("rate")
     if node is None:
         return None
     rate = scope.quantity(node, "frequency", math.nan)
     if rate > 0.0:
         return 1.0 / rate
-    if not math.isnan(rate):  # else its fault is reported
+    if not math.isnan(rate):  # NaN: reported already
         report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
     return None
 
 
 def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[FrameDefinition]:
     stated = device.can.get("heartbeat_period")
-    every = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
-    has = device.can.get("canopen")
-    yield from standard_frames(device.name, node_id, has, every or HEARTBEAT_PERIOD)
+    period = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
+    services = device.can.get("canopen")
+    yield from standard_frames(device.name, node_id, services, period or HEARTBEAT_PERIOD)
 
 
 def standard_frames(
-    name: str, node_id: int, has: Node | None, heartbeat_period: float
+    name: str, node_id: int, services: Node | None, heartbeat_period: float
 ) -> Iterator[FrameDefinition]:
-    """The CANopen objects that a device says it has (CiA 301, predefined connection set).
+    """Yield the frames of a device's CANopen services (CiA 301, predefined connection set).
 
-    ``has`` is its list of their names, ``heartbeat_period`` in s.
+    ``services`` is the list of their names in the document; ``heartbeat_period`` is in s.
     """
-    if has is None:
+    if services is None:
         return
-    here = has.where
-    for item in items(has):
+    here = services.where
+    for item in items(services):
         if item.value == "emcy":
             yield FrameDefinition(
                 f"{name}_emcy",
@@ -150,12 +153,12 @@ def standard_frames(
                 "Emergency: a fault has come or gone.",
             )
         elif item.value == "sdo":
-            for way, base, producer, consumer in (
+            for direction, base, producer, consumer in (
                 ("request", 0x600, MASTER, name),
                 ("response", 0x580, name, MASTER),
             ):
                 yield FrameDefinition(
-                    f"{name}_sdo_{way}",
+                    f"{name}_sdo_{direction}",
                     base + node_id,
                     "sdo",
                     producer,
@@ -170,7 +173,7 @@ def standard_frames(
                         Signal("data", 32, 32),
                     ),
                     here,
-                    f"Access to the object dictionary, {way}.",
+                    f"Access to the object dictionary, {direction}.",
                 )
         elif item.value == "heartbeat":
             yield heartbeat(name, 0x700 + node_id, name, (MASTER,), heartbeat_period, here)
@@ -195,7 +198,7 @@ def heartbeat(
 
 
 def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
-    """The signals of a frame, each with its channel."""
+    """Yield the signals of a frame, each with its channel."""
     scope = device.scope
     wires = {wire.channel: wire for wire in device.wires}
     commands = scope.text(frame.get("direction"), "report") == "command"
@@ -208,8 +211,10 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
 
         def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
             # The numbers of a channel without a motor have no meaning and are not evaluated.
-            found = get(key) if wired else None
-            return otherwise if found is None else scope.quantity(found, "ratio", otherwise or 0.0)
+            number = get(key) if wired else None
+            return (
+                otherwise if number is None else scope.quantity(number, "ratio", otherwise or 0.0)
+            )
 
         wire = wires.get(channel) if channel is not None else None
         signal = Signal(
@@ -234,11 +239,12 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
-    """An angle on the bus is the encoder's; the signal's value is the joint's position.
+    """Return the signal with the steering offset of the calibration in its own offset.
 
-    Here, and only here, the two are brought together: who uses the signal's offset sees positions.
-    A command is kept to what the controller allows by its encoder, which is the joint's range
-    moved by the offset.
+    The angle on the bus is that of the encoder; the signal's value is the position of the joint:
+    ``position = encoder + encoder_offset``.  Only this function applies the offset, so every
+    user of the signal reads and writes positions.  The limits of a command are those of the
+    encoder: the range of the joint, shifted by the offset.
     """
     offset = wire.actuator.encoder_offset
     low, high = signal.minimum, signal.maximum
@@ -256,45 +262,45 @@ def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
 def _pdo(
     device: Device, frame: Node, length: int, report: Report
 ) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
-    """Number and mapping of a CANopen PDO."""
-    place = frame.get("pdo")
-    if place is None:
+    """Return the number and the mapping of a CANopen PDO."""
+    pdo_node = frame.get("pdo")
+    if pdo_node is None:
         return None, ()
     scope = device.scope
-    number = integer(scope, place, 1)
+    number = integer(scope, pdo_node, 1)
     if not 1 <= number <= LAST_PDO:
         report.add(
-            "can-pdo-mapping", f"a PDO's number is 1 to {LAST_PDO}, not {number}", place.span
+            "can-pdo-mapping", f"a PDO's number is 1 to {LAST_PDO}, not {number}", pdo_node.span
         )
         return None, ()
     mapping: list[tuple[int, int, str]] = []
     for item in items(frame.get("mapping")):
         index, subindex, kind = items(item)
-        object_ = (integer(scope, index, 0), integer(scope, subindex, 0), scope.text(kind))
-        if object_[2] not in OBJECT_TYPES:
+        mapped_object = (integer(scope, index, 0), integer(scope, subindex, 0), scope.text(kind))
+        if mapped_object[2] not in OBJECT_TYPES:
             report.add(
                 "can-pdo-mapping",
-                f"`{object_[2]}` is no type of an object",
+                f"`{mapped_object[2]}` is not an object type",
                 kind.span,
-                hint=did_you_mean(object_[2], list(OBJECT_TYPES), listed(OBJECT_TYPES)),
+                hint=did_you_mean(mapped_object[2], list(OBJECT_TYPES), listed(OBJECT_TYPES)),
             )
             return None, ()
-        if not (0 <= object_[0] <= 0xFFFF and 0 <= object_[1] <= 0xFE):
+        if not (0 <= mapped_object[0] <= 0xFFFF and 0 <= mapped_object[1] <= 0xFE):
             report.add(
                 "can-pdo-mapping",
-                f"{object_[0]:#x}:{object_[1]} is no object; an index is 0 to 0xffff, "
-                "a subindex 0 to 254",
+                f"{mapped_object[0]:#x}:{mapped_object[1]} is not an object; "
+                "an index is 0 to 0xffff, a subindex 0 to 254",
                 item.span,
             )
             return None, ()
-        mapping.append(object_)
+        mapping.append(mapped_object)
     bits = sum(OBJECT_TYPES[kind][1] for _, _, kind in mapping)
     if bits != 8 * length:
         stated = frame.get("length") or frame
         report.add(
             "can-pdo-mapping",
-            f"the objects in the PDO have {bits} bits together, the frame {8 * length}"
-            + ("; a PDO has 64 at most" if bits > 64 else ""),
+            f"the objects of the PDO have {bits} bits, the frame has {8 * length}"
+            + ("; a PDO has at most 64" if bits > 64 else ""),
             (frame.get("mapping") or frame).span,
             labels=[Label(stated.span, "the frame's length")],
         )
@@ -311,7 +317,7 @@ def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None
     value = device.scope.quantity(node, "ratio", math.nan)
     if 0 <= value <= 0x7FF and value.is_integer():
         return int(value)
-    if not math.isnan(value):  # else its fault is reported
+    if not math.isnan(value):  # NaN: reported already
         report.add(
             "can-cob-id-range",
             f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
@@ -336,15 +342,15 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 
 
 def _time(device: Device, node: Node, report: Report) -> float | None:
-    """A time that is positive, or ``None`` with the fault reported."""
+    """Return a positive time (s), or ``None`` after reporting the error."""
     time = device.scope.quantity(node, "time", math.nan)
     if time > 0.0:
         return time
-    if not math.isnan(time):  # else its fault is reported
+    if not math.isnan(time):  # NaN: reported already
         report.add(
             "can-period",
             f"a frame of `{device.path}` has the period {time:g} s; it must be positive",
             node.span,
-            hint="give a time, `cycle`, or `on_demand` for a frame that is sent when asked for",
+            hint="give a time, `cycle`, or `on_demand` for a frame that is sent on request",
         )
     return None

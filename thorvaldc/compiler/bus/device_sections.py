@@ -1,4 +1,4 @@
-"""Devices of a robot as the elaboration hands them over, and readers of their sections."""
+"""The devices of a robot before their buses are built, and readers of their sections."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ CANOPEN = "canopen"
 
 
 class Wire(NamedTuple):
-    """A motor on a channel.  ``lower`` and ``upper`` (rad) limit its joint, if anything does.
+    """A motor on a channel.  ``lower`` and ``upper`` (rad) limit its joint; ``None``: no limit.
 
-    ``span`` is the place that connects the two.
+    ``span`` is that of the entry that connects the two.
     """
 
     channel: str
@@ -30,11 +30,11 @@ class Wire(NamedTuple):
 
 
 class Device(NamedTuple):
-    """A module with a `can` section in its place, as the elaboration found it.
+    """A module instance with a `can` section.
 
-    ``can`` and ``channels`` are those sections of the module; ``address`` is what
-    the robot says under `can` of the module (an id, ``auto``, a mapping, or
-    ``None``); ``span`` the module's place in the robot's file.
+    ``can`` and ``channels`` are these sections of the module type.  ``address`` is the `can` entry
+    of the module in the robot's file: an id, ``auto``, a mapping, or ``None``.  ``span`` is that of
+    the module in the robot's file.
     """
 
     path: str
@@ -48,10 +48,10 @@ class Device(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A device with its id: ``span`` is the place of its address in the robot's file.
+    """A device with its node id.
 
-    ``serial_span`` is that of its serial number; ``module_span`` is what says what
-    such a device is, its `can` section.
+    ``span`` is that of its address in the robot's file, ``serial_span`` that of its serial number,
+    ``module_span`` that of the `can` section of its module type.
     """
 
     path: str
@@ -64,7 +64,7 @@ class Placed(NamedTuple):
 
 
 class BusSpec(NamedTuple):
-    """A bus as the robot declares it: ``bitrate`` in bit/s, ``stated`` if the file gives it."""
+    """A bus in the robot's file.  ``bitrate`` is in bit/s; ``stated``: the file contains it."""
 
     name: str
     bitrate: int
@@ -73,29 +73,29 @@ class BusSpec(NamedTuple):
 
 
 def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    """The entries of a mapping, none where there is no mapping."""
+    """Return the entries of a mapping; none if the node is no mapping."""
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 
 def items(node: source.Node | None) -> tuple[source.Node, ...]:
-    """The items of a list, none where there is no list."""
+    """Return the items of a list; none if the node is no list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
 def integer(scope: Scope, node: source.Node | None, default: int) -> int:
-    """A whole number, or ``default`` where it is left out or at fault."""
+    """Return a whole number, or ``default`` if it is missing or invalid."""
     if node is None:
         return default
     if type(node.value) is int:
         return node.value
     value = scope.quantity(node, "ratio", float(default))
     if not value.is_integer():
-        scope.report.add("wrong-type", f"a whole number is wanted, not `{value:g}`", node.span)
+        scope.report.add("wrong-type", f"expected a whole number, found `{value:g}`", node.span)
         return default
     return int(value)
 
 
 def listed(known: Iterable[str]) -> str:
-    """A hint with all that could have been meant."""
+    """Return a hint that lists the known names."""
     names = ", ".join(f"`{name}`" for name in known)
     return f"there are {names}" if names else "there are none"

@@ -1,4 +1,4 @@
-"""Devices on a bus that are not the robot's own: their frames are passed on and no others."""
+"""Foreign devices on a robot's bus: the driver relays their declared frames, and no others."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ PROTOCOL = "foreign"
 def foreign_devices(
     section: source.Node | None, specs: Sequence[BusSpec], report: Report
 ) -> list[Placed]:
-    """The devices of `foreign_devices` with the frames that may pass."""
+    """Return the devices of the section `foreign_devices` with the frames that are relayed."""
     scope = Scope(None, {}, Library(), report, None)
-    found = []
+    devices = []
     for name, device in entries(section):
         id_node = device.get("id")
         node_id = id_node.value if id_node is not None and type(id_node.value) is int else None
-        has = device.get("canopen")
-        if has is not None and has.value and node_id is None:
+        services = device.get("canopen")
+        if services is not None and services.value and node_id is None:
             report.add(
                 "missing-key",
-                f"`{name}` has objects of CANopen, but no id that their frames would have",
-                has.where,
+                f"`{name}` has CANopen services, but no node id for their frames",
+                services.where,
                 hint="add `id: ...`",
             )
-            has = None
+            services = None
         frames = [
             *_relayed(name, device, scope, report),
-            *standard_frames(name, node_id or 0, has, HEARTBEAT_PERIOD),
+            *standard_frames(name, node_id or 0, services, HEARTBEAT_PERIOD),
         ]
         span = id_node.span if id_node is not None else device.where
-        found.append(
+        devices.append(
             Placed(
                 name,
                 bus_name(device.get("bus"), specs, report),
@@ -50,7 +50,7 @@ def foreign_devices(
                 device.where,
             )
         )
-    return found
+    return devices
 
 
 def _node(name: str, node_id: int | None, span: Span) -> Node:

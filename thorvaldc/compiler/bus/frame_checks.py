@@ -1,4 +1,4 @@
-"""Checks of one frame of a module: its layout, and whether its scalings reach far enough."""
+"""Checks of one frame of a module: its layout, and the range of its scaled signals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROUNDING = 1e-9
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
-    """A signal's channel must be one of the module's."""
+    """Check that the channel of every signal is one of the module's channels."""
     known = [name for name, _ in entries(device.channels)]
     for _, node in entries(frame.get("signals")):
         channel = node.get("channel")
@@ -33,13 +33,13 @@ def check_layout(
     signals: Sequence[tuple[Signal, str | None]],
     report: Report,
 ) -> bool:
-    """Whether the signals lie in the frame, apart from each other, and are selected rightly."""
+    """Check that the signals are inside the frame, do not overlap, and that selectors are valid."""
     if not 0 <= length <= 8:
-        place = frame.get("length") or frame
+        length_node = frame.get("length") or frame
         report.add(
             "can-frame-length",
             f"the frame has {length} bytes; a CAN frame has 0 to 8 (64 bits)",
-            place.span,
+            length_node.span,
         )
         return False
     span_of = {name: node.where for name, node in entries(frame.get("signals"))}
@@ -50,8 +50,8 @@ def check_layout(
         else:
             report.add(
                 "can-signal-bounds",
-                f"the signal `{signal.name}` starts at bit {signal.start} and has {signal.length}; "
-                f"the frame has the bits 0 to {8 * length - 1}",
+                f"the signal `{signal.name}` starts at bit {signal.start} and has "
+                f"{signal.length} bits; the frame has the bits 0 to {8 * length - 1}",
                 span_of[signal.name],
             )
     return all(
@@ -74,7 +74,7 @@ def _choices_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Re
                 report.add(
                     "can-choice-range",
                     f"`{choice}` is {raw}; the {signal.length} bits of `{signal.name}` "
-                    f"can say {low} to {high}",
+                    f"have the range {low} to {high}",
                     span_of[signal.name],
                 )
     return fits
@@ -109,14 +109,14 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
                 report.add(
                     "can-multiplexer",
                     f"`{signal.name}` is selected by {value}; `{selectors[0].name}` "
-                    f"can say {low} to {high}",
+                    f"has the range {low} to {high}",
                     span_of[signal.name],
                 )
     return fits
 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
-    """No two signals that are there at the same time have a bit in common."""
+    """Check that no two signals that occur at the same time share a bit."""
     if _masks_are_apart(signals):
         return True
     always: dict[int, Signal] = {}
@@ -124,14 +124,14 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
     pairs: dict[tuple[str, str], tuple[Signal, Signal]] = {}
     for signal in signals:
         for bit in range(signal.start, signal.start + signal.length):
-            there = selected.setdefault(bit, {})
+            selected_here = selected.setdefault(bit, {})
             others = [always[bit]] if bit in always else []
             if signal.selected_by:
-                others += [there[value] for value in signal.selected_by if value in there]
+                others += [selected_here[v] for v in signal.selected_by if v in selected_here]
                 for value in signal.selected_by:
-                    there.setdefault(value, signal)
+                    selected_here.setdefault(value, signal)
             else:
-                others += there.values()
+                others += selected_here.values()
                 always.setdefault(bit, signal)
             for other in others:
                 if other is not signal:
@@ -149,7 +149,7 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
 
 
 def _masks_are_apart(signals: Sequence[Signal]) -> bool:
-    """The same as a yes or no, quickly: which bits meet is worked out only where some do."""
+    """Whether no two signals overlap: a fast test with bit masks, without naming the signals."""
     always, selected = 0, dict[int, int]()
     for signal in signals:
         mask = ((1 << signal.length) - 1) << signal.start
@@ -166,7 +166,7 @@ def _masks_are_apart(signals: Sequence[Signal]) -> bool:
 
 
 def raw_range(signal: Signal) -> tuple[int, int]:
-    """Smallest and largest raw value of a field that lies in a frame."""
+    """Return the smallest and the largest raw value of a signal."""
     if signal.signed:
         return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
     return 0, (1 << signal.length) - 1
@@ -175,7 +175,7 @@ def raw_range(signal: Signal) -> tuple[int, int]:
 def check_scales(
     device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
 ) -> None:
-    """The full speed and the full angle of each joint must fit into its field."""
+    """Check that the signals of each joint cover its full speed and its full angle."""
     wires = {wire.channel: wire for wire in device.wires}
     nodes = dict(entries(frame.get("signals")))
     for signal, channel in signals:
@@ -185,27 +185,27 @@ def check_scales(
         if signal.scale == 0.0:
             report.add(
                 "can-scale",
-                f"the scale of `{signal.name}` is 0: every value would be the same",
+                f"the scale of `{signal.name}` is 0, so every raw value means the same",
                 (node.get("scale") or node).span,
             )
             continue
         if channel is None:
             continue
-        wanted = _joint_range(wires[channel], signal.unit)
-        if wanted is None:
+        joint_range = _joint_range(wires[channel], signal.unit)
+        if joint_range is None:
             continue
         low, high = _physical_range(signal)
-        slack = ROUNDING * max(abs(wanted[0]), abs(wanted[1]))
-        if low <= wanted[0] + slack and wanted[1] - slack <= high:
+        slack = ROUNDING * max(abs(joint_range[0]), abs(joint_range[1]))
+        if low <= joint_range[0] + slack and joint_range[1] - slack <= high:
             continue
         field = f"{signal.length} {'signed' if signal.signed else 'unsigned'} bits"
         report.add(
             "can-scale",
-            f"`{signal.name}` can say {low:.4g} to {high:.4g} {signal.unit}; the joint "
-            f"`{signal.joint}` has {wanted[0]:.4g} to {wanted[1]:.4g} {signal.unit}",
+            f"`{signal.name}` has the range {low:.4g} to {high:.4g} {signal.unit}; the joint "
+            f"`{signal.joint}` needs {joint_range[0]:.4g} to {joint_range[1]:.4g} {signal.unit}",
             device.span,
             labels=[
-                Label(node.where, f"{field}, {signal.scale:.4g} {signal.unit} a step"),
+                Label(node.where, f"{field}, {signal.scale:.4g} {signal.unit} per step"),
                 Label(wires[channel].actuator.span, "the motor"),
             ],
             hint="a wider field, a coarser scale, or lower limits of the motor or joint",
@@ -216,7 +216,7 @@ def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
     if unit == "rad/s":
         return -wire.actuator.max_velocity, wire.actuator.max_velocity
     if unit == "rad" and wire.lower is not None and wire.upper is not None:
-        # What the encoder reads over the joint's range, as the signal of a calibrated one says it.
+        # A calibrated steering's signal has the encoder's range: that of the joint, shifted.
         offset = wire.actuator.encoder_offset
         return wire.lower + offset, wire.upper + offset
     return None

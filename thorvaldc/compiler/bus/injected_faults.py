@@ -1,4 +1,4 @@
-"""A document of bus faults, of a robot that is compiled already, as a script."""
+"""Reads a document of injected faults for the buses of a compiled robot."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKi
 from thorvaldc.model.robot import Robot
 
 LONGEST = 86400.0
-"""A day: the latest fault (s)."""
+"""Latest time of an injected fault (s): a day."""
 _WHEN = ("fault", "bus", "at", "frame", "delay")
 _BATTERIES = "kc_battery"
 
 
 def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
-    """The script.  Faults of devices that the robot does not have are reported."""
+    """Return the injected faults, and report those of devices that the robot does not have."""
     scope = Scope(None, {}, Library(), report, None)
     quantities = BoundedQuantities(scope, report)
     seed = document.get("seed")
     return BusFaults(
-        tuple(_Reader(robot, quantities, report).faults(document.get("faults"))),
+        tuple(_Reader(robot, quantities, report).injected_faults(document.get("faults"))),
         seed.value if seed is not None and isinstance(seed.value, int) else 0,
         scope.text(document.get("description")),
     )
@@ -39,18 +39,18 @@ class _Reader:
         self.numbers = numbers
         self.report = report
 
-    def faults(self, listed: Node | None) -> Iterator[BusFault]:
-        items = listed.value if listed is not None else None
+    def injected_faults(self, fault_list: Node | None) -> Iterator[BusFault]:
+        items = fault_list.value if fault_list is not None else None
         for node in items if isinstance(items, tuple) else ():
-            named = node.get("fault")
-            if named is not None and isinstance(named.value, str) and named.value in FAULT_KINDS:
-                fault = self._fault(node, named.value)
-                if fault is not None:
-                    yield fault
+            kind = node.get("fault")
+            if kind is not None and isinstance(kind.value, str) and kind.value in FAULT_KINDS:
+                injected_fault = self._injected_fault(node, kind.value)
+                if injected_fault is not None:
+                    yield injected_fault
 
-    def _fault(self, node: Node, name: str) -> BusFault | None:
+    def _injected_fault(self, node: Node, name: str) -> BusFault | None:
         kind = FAULT_KINDS[name]
-        bus, device = self._place(node, kind)
+        bus, device = self._bus_and_device(node, kind)
         if not self._has_keys(node, name, kind) or bus is None:
             return None
         if device is not None and not self._suits(node, name, device):
@@ -77,30 +77,30 @@ class _Reader:
             numbers(node, "share", "number", least=0.0, most=1.0),
         )
 
-    def _place(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
-        """The bus, and the device if there is one; nothing where they are not the robot's."""
+    def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
+        """Return the bus, and the device if the fault has one; ``None`` if the robot lacks them."""
         buses = self.robot.buses
-        named, device = node.get("bus"), node.get("node")
-        if named is not None:
-            bus = next((b for b in buses if b.name == named.value), None)
+        bus_node, device = node.get("bus"), node.get("node")
+        if bus_node is not None:
+            bus = next((b for b in buses if b.name == bus_node.value), None)
             if bus is None:
                 known = [b.name for b in buses]
                 self.report.add(
                     "can-bus-unknown",
-                    f"{self.robot.name} has no bus `{named.value}`",
-                    named.span,
-                    hint=did_you_mean(str(named.value), known, f"its buses: {', '.join(known)}"),
+                    f"{self.robot.name} has no bus `{bus_node.value}`",
+                    bus_node.span,
+                    hint=did_you_mean(str(bus_node.value), known, f"its buses: {', '.join(known)}"),
                 )
                 return None, None
             buses = (bus,)
         if device is None:
             if kind.node != "yes":
                 return buses[0] if buses else None, None
-            return None, None  # reported as a key that is missing
+            return None, None  # reported as a missing key
         for bus in buses:
-            for found in bus.nodes:
-                if found.name == device.value:
-                    return bus, found
+            for candidate in bus.nodes:
+                if candidate.name == device.value:
+                    return bus, candidate
         names = [n.name for bus in buses for n in bus.nodes]
         self.report.add(
             "bus-fault-node",
@@ -111,21 +111,21 @@ class _Reader:
         return None, None
 
     def _has_keys(self, node: Node, name: str, kind: FaultKind) -> bool:
-        """Whether the fault has what it needs, and when it begins, and nothing else."""
+        """Check that the entry has its required keys and a start, and no unknown keys."""
         entries = node.value if isinstance(node.value, dict) else {}
         needs = (*(("node",) if kind.node == "yes" else ()), *kind.needs)
-        whole = True
+        complete = True
         for key in needs:
             if key not in entries:
                 self.report.add("missing-key", f"the fault `{name}` has no `{key}`", node.where)
-                whole = False
+                complete = False
         if ("at" in entries) == ("frame" in entries):
             code = "conflicting-keys" if "at" in entries else "missing-key"
             both = "both `at` and `frame`" if "at" in entries else "neither `at` nor `frame`"
             self.report.add(
-                code, f"the fault `{name}` has {both}", node.where, hint="say when it begins"
+                code, f"the fault `{name}` has {both}", node.where, hint="state when it begins"
             )
-            whole = False
+            complete = False
         may = (*_WHEN, *needs, *kind.may, *(("for",) if kind.lasts else ()))
         allowed = may if kind.node == "no" else (*may, "node")
         for key, entry in entries.items():
@@ -133,21 +133,21 @@ class _Reader:
                 self.report.add(
                     "conflicting-keys", f"the fault `{name}` has no `{key}`", entry.where
                 )
-        return whole
+        return complete
 
     def _suits(self, node: Node, name: str, device: Device) -> bool:
-        """Whether the device can have the fault at all."""
+        """Check that the device can have this fault."""
         frames = [f for bus in self.robot.buses for f in bus.frames if f.producer == device.name]
         kinds = {"heartbeat_stop": "heartbeat", "emcy": "emcy"}
-        what = ""
+        reason = ""
         if name in kinds and not any(f.kind == kinds[name] for f in frames):
-            what = "sends no heartbeat" if name == "heartbeat_stop" else "sends no emergencies"
+            reason = "sends no heartbeat" if name == "heartbeat_stop" else "sends no emergencies"
         elif name == "duplicate_id" and not device.id_space:
-            what = "has no id"
-        if what:
+            reason = "has no id"
+        if reason:
             self.report.add(
                 "bus-fault-unsuited",
-                f"`{device.name}` {what}, and so cannot have the fault `{name}`",
+                f"`{device.name}` {reason}, so it cannot have the fault `{name}`",
                 node.where,
             )
             return False
@@ -173,5 +173,5 @@ class _Reader:
 
 
 def _integer(node: Node, key: str) -> int | None:
-    found = node.get(key)
-    return found.value if found is not None and type(found.value) is int else None
+    number = node.get(key)
+    return number.value if number is not None and type(number.value) is int else None

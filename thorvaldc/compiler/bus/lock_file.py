@@ -1,7 +1,7 @@
-"""The lock file beside a robot: ids that were chosen once stay, whatever is added.
+"""The lock file beside a robot: an id that was chosen once does not change.
 
-`robot.lock.yaml` belongs to `robot.yaml`.  It is read by every command and
-written by `build`; `docs/language.md` describes it.
+`robot.lock.yaml` belongs to `robot.yaml`.  Every command reads it, and `build` writes
+it; `docs/language.md` describes it.
 """
 
 from __future__ import annotations
@@ -31,31 +31,33 @@ Lock = dict[tuple[str, str, str], Pin]  # by bus, id space and module
 
 
 def lock_path(robot: Path) -> Path:
-    """The lock file of a robot's file: `robot.lock.yaml` for `robot.yaml`."""
+    """Return the path of a robot's lock file: `robot.lock.yaml` for `robot.yaml`."""
     return robot.with_name(f"{robot.stem}.lock.yaml")
 
 
 def read_lock(document: Node, report: Report) -> Lock:
-    """The ids in a lock file; what is wrong with it is reported."""
+    """Return the ids in a lock file, and report its errors."""
 
-    def fault(message: str, node: Node) -> None:
+    def report_error(message: str, node: Node) -> None:
         report.add(
             "can-lock-invalid",
             message,
             node.span,
-            hint="take the file from version control, or delete it to have all ids chosen anew",
+            hint="restore the file from version control, or delete it to choose all ids again",
         )
 
     version = document.get(VERSION_KEY)
     if version is None or type(version.value) is not int or version.value != VERSION:
-        fault(f"this is no lock file with `{VERSION_KEY}: {VERSION}`", version or document)
+        report_error(
+            f"this is not a lock file with `{VERSION_KEY}: {VERSION}`", version or document
+        )
         return {}
 
     def entries(node: Node | None) -> Iterator[tuple[str, Node]]:
         if node is not None and isinstance(node.value, dict):
             yield from node.value.items()
         elif node is not None:
-            fault("a mapping is wanted here", node)
+            report_error("expected a mapping", node)
 
     lock: Lock = {}
     for bus, spaces in entries(document.get(ADDRESSES)):
@@ -64,12 +66,12 @@ def read_lock(document: Node, report: Report) -> Lock:
                 if type(node.value) is int:
                     lock[bus, id_space, module] = Pin(node.value, node.where)
                 else:
-                    fault(f"the id of `{module}` must be a whole number", node)
+                    report_error(f"the id of `{module}` must be a whole number", node)
     return lock
 
 
 def lock_text(robot: Robot, file: str) -> str:
-    """The lock file of a robot whose file is named ``file``."""
+    """Return the text of the lock file of a robot whose file is named ``file``."""
     lines = [HEAD.format(robot=file), f"{VERSION_KEY}: {VERSION}\n"]
     lines.append(f"{ADDRESSES}:\n" if has_pins(robot) else f"{ADDRESSES}: {{}}\n")
     for bus in robot.buses:
@@ -83,10 +85,10 @@ def lock_text(robot: Robot, file: str) -> str:
 
 
 def _key(name: str) -> str:
-    """A name as a key; names are lower-case, and three of those words are no text in YAML."""
+    """Quote a name that YAML would not read as text; names are lower-case, so there are three."""
     return f'"{name}"' if name in ("true", "false", "null") else name
 
 
 def has_pins(robot: Robot) -> bool:
-    """Whether any id of the robot was chosen by the compiler."""
+    """Whether the compiler chose any id of the robot."""
     return any(node.automatic for bus in robot.buses for node in bus.nodes)

@@ -1,4 +1,4 @@
-"""Devices get their ids: those that the robot's file gives, those that are pinned, free ones."""
+"""Assigns node ids: first those in the robot's file, then those in the lock file, then free."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from thorvaldc.compiler.bus.device_sections import (
     listed,
 )
 from thorvaldc.compiler.bus.lock_file import Lock, Pin
-from thorvaldc.compiler.bus.object_dictionary import objects_of
+from thorvaldc.compiler.bus.node_objects import objects_of
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.units import UnitError, parse_any
@@ -27,11 +27,11 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
-HEARTBEATS_MISSED = 3  # after which a node counts as lost, where its module does not say
+HEARTBEATS_MISSED = 3  # heartbeats after which a node counts as lost, if its module states no time
 
 
 class _Request(NamedTuple):
-    """What the robot says of a device's address; ``id`` is ``None`` for auto."""
+    """The address of a device in the robot's file; ``id`` is ``None`` for `auto`."""
 
     bus: str
     id: int | None
@@ -43,7 +43,7 @@ class _Request(NamedTuple):
 Taken = dict[tuple[str, str], dict[int, None]]  # ids in use by bus and id space
 
 
-def place(
+def assign_ids(
     devices: Sequence[Device],
     foreign: Sequence[Placed],
     specs: Sequence[BusSpec],
@@ -51,7 +51,7 @@ def place(
     lock: Lock,
     report: Report,
 ) -> list[Placed]:
-    """The devices with their ids and frames; the ``foreign`` ones have theirs already."""
+    """Return the devices with node ids and frames; ``foreign`` devices already have theirs."""
     requests = [(device, _request(device, specs, report)) for device in devices]
     taken: Taken = {}
     for other in foreign:
@@ -106,7 +106,7 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
 
 
 def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report) -> str:
-    """The bus that is named, the first where none is or there is no such bus."""
+    """Return the name of the bus; the first bus if none is named or the name is unknown."""
     known = [spec.name for spec in specs]
     if node is None:
         return known[0]
@@ -129,7 +129,7 @@ def _id(
     taken: Taken,
     report: Report,
 ) -> int | None:
-    """The device's id, or ``None`` with the reason reported."""
+    """Return the device's id, or ``None`` after reporting the reason."""
     id_space = _id_space(device)
     low, high = _id_range(device, "ids", (1, MASTER_ID))
     if request.id is not None:
@@ -137,9 +137,9 @@ def _id(
             return request.id
         report.add(
             "can-id-range",
-            f"`{device.path}` has the id {request.id}; this device can have {low} to {high}",
+            f"`{device.path}` has the id {request.id}; this device allows {low} to {high}",
             request.span,
-            labels=[Label((device.can.get("ids") or device.can).where, "said here")],
+            labels=[Label((device.can.get("ids") or device.can).where, "stated here")],
         )
         return None
     pin = pins.get((request.bus, id_space, device.path))
@@ -147,18 +147,18 @@ def _id(
         return pin.id
     first, last = _id_range(device, "auto_ids", (low, high))
     used = taken.setdefault((request.bus, id_space), {})
-    found = next((i for i in range(first, last + 1) if i not in used), None)
-    if found is None:
+    free_id = next((i for i in range(first, last + 1) if i not in used), None)
+    if free_id is None:
         report.add(
             "can-ids-exhausted",
-            f"no id is left for `{device.path}`: {first} to {last} are all taken",
+            f"no id is free for `{device.path}`: {first} to {last} are all in use",
             request.span,
-            labels=[Label((device.can.get("auto_ids") or device.can).where, "said here")],
+            labels=[Label((device.can.get("auto_ids") or device.can).where, "stated here")],
             hint=f"give it one of {low} to {high} with `can: ...`, or use another bus",
         )
         return None
-    used[found] = None
-    return found
+    used[free_id] = None
+    return free_id
 
 
 def _pinned(
@@ -167,7 +167,7 @@ def _pinned(
     lock: Lock,
     report: Report,
 ) -> dict[tuple[str, str, str], Pin]:
-    """The pins that hold; what speaks against the others is reported."""
+    """Return the valid pins of the lock file, and report the others."""
     if not lock:
         return {}
     owners: dict[tuple[str, str, int], tuple[str, Span]] = {}
@@ -190,8 +190,8 @@ def _pinned(
                     f"`{device.path}` has the id {request.id}; the lock file has {pin.id} for it",
                     request.span,
                     labels=[Label(pin.span, "pinned here")],
-                    hint="the robot's file counts, and the next build mends the lock file; "
-                    "a device that has its old id must be given the new one",
+                    hint="the id in the robot's file is used, and the next build updates the "
+                    "lock file; a device that still has the old id must be given the new one",
                 )
             continue
         low, high = _id_range(device, "ids", (1, MASTER_ID))
@@ -203,17 +203,17 @@ def _pinned(
                 f"{low} to {high}",
                 request.span,
                 labels=[Label(pin.span, "pinned here")],
-                hint="take the line out of the lock file to have an id chosen anew",
+                hint="remove the line from the lock file to choose another id",
             )
         elif owner[1] is not pin.span:
             report.add(
                 "can-lock-conflict",
-                f"the id {pin.id} on the bus `{request.bus}` is that of `{owner[0]}`, and the lock "
-                f"file has it for `{device.path}`",
+                f"`{owner[0]}` has the id {pin.id} on the bus `{request.bus}`, and the lock file "
+                f"gives the same id to `{device.path}`",
                 owner[1],
                 labels=[Label(pin.span, "pinned here"), Label(request.span, f"`{device.path}`")],
-                hint=f"give `{owner[0]}` another id, or take the line out of the lock file "
-                f"to have a new id chosen for `{device.path}`",
+                hint=f"give `{owner[0]}` another id, or remove the line from the lock file "
+                f"to choose a new id for `{device.path}`",
             )
         else:
             kept[request.bus, id_space, device.path] = pin
@@ -245,7 +245,7 @@ def _node(
             return value if node is not None else None
         scope.report.add(
             "can-object-range",
-            f"`{key}` is {value}; it is a number of 32 bits",
+            f"`{key}` is {value}; it must fit into 32 bits",
             node.span,
         )
         return None
@@ -289,7 +289,7 @@ def _node(
 
 
 def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
-    """A property: text with a unit in SI, other text as it is."""
+    """Return a property: a quantity in SI, other text unchanged."""
     value = scope.evaluate(node)
     if isinstance(value, str) and not node.quoted:
         try:

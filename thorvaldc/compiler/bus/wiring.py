@@ -1,4 +1,4 @@
-"""What the robot says of its buses and wires, handed to the bus pass."""
+"""Collects the buses, devices and motor connections of a robot for the bus pass."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ DEFAULT_BUS = "main"
 
 
 class Wiring(NamedTuple):
-    """Finds the devices of a robot and the motors on their channels.
+    """The devices of a robot and the motors on their channels.
 
-    ``actuators`` and ``joints`` by name, as the elaboration made them; ``scope``
-    is the robot document's, ``lock`` holds the ids of the last build.
+    ``actuators`` and ``joints`` are those of the model, by name.  ``scope`` is that of the
+    robot document.  ``lock`` contains the ids of the last build.
     """
 
     document: Node
@@ -33,7 +33,7 @@ class Wiring(NamedTuple):
     report: Report
 
     def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
-        """The robot's buses; ``period`` s is the control cycle."""
+        """Return the robot's buses; ``period`` (s) is the control cycle."""
         devices: list[Device] = []
         for leaf in robot.leaves():
             can = leaf.type.document.get("can") if leaf.type is not None else None

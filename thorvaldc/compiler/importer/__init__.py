@@ -20,9 +20,9 @@ from thorvaldc.compiler.importer.drives import (
     spot,
     supports,
 )
-from thorvaldc.compiler.importer.frame import read_beams, read_frame
 from thorvaldc.compiler.importer.original_file import Account, Entry, Fate, Key, read_original
 from thorvaldc.compiler.importer.robot_text import Module, Names, Robot, as_id, render
+from thorvaldc.compiler.importer.tube_frame import read_beams, read_frame
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 

@@ -1,7 +1,7 @@
-"""The object dictionary of a CANopen node, as far as the robot says what is in it.
+"""The entries of a CANopen node's object dictionary that the robot determines (CiA 301).
 
-Its module gives entries under `objects`; identity, heartbeats and PDOs follow
-from the rest (CiA 301).
+A module lists entries under `objects`; those of identity, heartbeats and PDOs follow from the
+other sections.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ AT_SYNC, ON_EVENT = 1, 255  # transmission types
 def objects_of(
     device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> tuple[ObjectValue, ...]:
-    """The entries in order, for a node whose object dictionary can be reached at all."""
+    """Return the entries in order of index; none for a node without SDO."""
     if node.id_space != CANOPEN or not any(f.kind == "sdo" for f in frames):
         return ()
-    found: dict[tuple[int, int], tuple[ObjectValue, Span]] = {}
+    objects: dict[tuple[int, int], tuple[ObjectValue, Span]] = {}
     for entry, span in (*_own(device, report), *_derived(device, node, frames, report)):
         key = (entry.index, entry.subindex)
-        other = found.setdefault(key, (entry, span))
+        other = objects.setdefault(key, (entry, span))
         if other[0] is not entry:
             report.add(
                 "can-object-duplicate",
                 f"the object {_shown(*key)} is both `{other[0].name}` and `{entry.name}`",
                 other[1],
-                labels=[Label(span, f"`{entry.name}` is it, too")],
-                hint="leave it out of `objects` where it follows from the rest",
+                labels=[Label(span, f"`{entry.name}` is the same object")],
+                hint="remove it from `objects` if another section already defines it",
             )
     for entry in _mapped(frames):
-        found.setdefault((entry.index, entry.subindex), (entry, device.can.where))
-    return tuple(found[key][0] for key in sorted(found))
+        objects.setdefault((entry.index, entry.subindex), (entry, device.can.where))
+    return tuple(objects[key][0] for key in sorted(objects))
 
 
 def type_range(name: str) -> tuple[int, int]:
-    """Smallest and largest value of a type of ``OBJECT_TYPES``."""
+    """Return the smallest and the largest value of a type of ``OBJECT_TYPES``."""
     bits = OBJECT_TYPES[name][1]
     if name.startswith("integer"):
         return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
@@ -62,7 +62,7 @@ def _shown(index: int, subindex: int) -> str:
 
 
 def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
-    """What the module says of its objects."""
+    """Yield the entries under `objects` of the module."""
     wired = {wire.channel for wire in device.wires}
     channels = [name for name, _ in entries(device.channels)]
     for name, node in entries(device.can.get("objects")):
@@ -80,23 +80,23 @@ def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
         subindex = integer(device.scope, node.get("subindex"), 0)
         if value is None or type_name not in OBJECT_TYPES:
             continue  # reported
-        place = next(
+        invalid = next(
             (
-                place
-                for place, number, last in (
+                key_node
+                for key_node, number, last in (
                     (node.get("index"), index, 0xFFFF),
                     (node.get("subindex"), subindex, 0xFE),
                 )
-                if place is not None and not 0 <= number <= last
+                if key_node is not None and not 0 <= number <= last
             ),
             None,
         )
-        if place is not None:
+        if invalid is not None:
             report.add(
                 "can-object-range",
                 f"`{name}` is the object {_shown(index, subindex)}; an index is 0 to 0xffff, "
                 "a subindex 0 to 254",
-                place.span,
+                invalid.span,
             )
             continue
         low, high = type_range(type_name)
@@ -104,10 +104,10 @@ def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
         if not low <= number <= high:
             report.add(
                 "can-object-range",
-                f"`{name}` of `{device.path}` is {number}; its type `{type_name}` has {low} to "
-                f"{high}",
+                f"`{name}` of `{device.path}` is {number}; its type `{type_name}` has the "
+                f"range {low} to {high}",
                 value.span,
-                labels=[Label(device.span, "this device has it")],
+                labels=[Label(device.span, "of this device")],
                 hint="another unit of the device, a wider type, or lower limits of the motor",
             )
             continue
@@ -160,7 +160,7 @@ def _derived(
 
 
 def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[ObjectValue]:
-    """Communication and mapping parameters of a PDO."""
+    """Yield the communication and mapping parameters of a PDO."""
     received = frame.producer == MASTER
     base = (RPDO if received else TPDO) + (frame.pdo or 1) - 1
     name = f"{'rpdo' if received else 'tpdo'}{frame.pdo}"
@@ -180,7 +180,7 @@ def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[Obj
 
 
 def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
-    """The objects in PDOs, named after the signals that lie just there."""
+    """Yield the objects mapped into PDOs, named after the signals at the same bits."""
     for frame in frames:
         start = 0
         for index, subindex, type_name in frame.mapping:
@@ -195,7 +195,7 @@ def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
 
 
 def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
-    """A time of the object dictionary: whole milliseconds in 16 bits."""
+    """Return a time as the object dictionary stores it: whole milliseconds in 16 bits."""
     number = round(time * 1000)
     if not 1 <= number <= LONGEST_TIME or abs(time * 1000 - number) > 1e-6 * number:
         report.add(
@@ -203,13 +203,13 @@ def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
             f"`{key}` of `{device.path}` is {time * 1000:.6g} ms; CANopen has whole milliseconds "
             f"from 1 to {LONGEST_TIME}",
             device.span,
-            labels=[Label(device.can.where, "what it has is said here")],
+            labels=[Label(device.can.where, "stated here")],
         )
     return max(1, min(number, LONGEST_TIME))
 
 
 def serial_number(text: str | None) -> int | None:
-    """The 32 bits of object 0x1018:4 that a serial number is, where it is such a number."""
+    """Return a serial number as object 0x1018:4 (32 bits), or ``None`` if it is no number."""
     if text is None:
         return None
     try:
