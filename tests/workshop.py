@@ -1,4 +1,4 @@
-"""A folder to build robots in: documents as text in, what the compiler makes of them out."""
+"""A folder for test robots: writes documents and compiles them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
 
-# Modules with round numbers, for results that can be worked out by hand.  A wheel and
-# what carries it have their mass in one point each (small spheres).
+# Modules with round numbers, for results that can be computed by hand.  The masses of a wheel and
+# of the links above it are small spheres, nearly point masses.
 MODULES = {
     "t/plate": """
-        description: A body of 100 kg, its mass in the middle, with free places.
+        description: A body of 100 kg with its centre of mass in the middle and a free mount.
         params:
           mass: {quantity: mass, default: 100 kg, description: Of it., source: "chosen: round"}
         links:
@@ -29,7 +29,7 @@ MODULES = {
         free_mount: {kind: clamp, link: body}
     """,
     "t/leg": """
-        description: A wheel below a clamp, its axle to the left and behind if need be.
+        description: A wheel below a clamp; its axle may be offset to the left and behind.
         category: leg
         params:
           radius: {quantity: length, default: 0.2, description: Wheel., source: "chosen: round"}
@@ -115,7 +115,7 @@ MODULES = {
           source: "chosen: round"
     """,
     "t/block": """
-        description: A box that may lie anywhere.
+        description: A box that can be mounted at any pose.
         params:
           mass: {quantity: mass, default: 10 kg, description: Of it., source: "chosen: round"}
           size:
@@ -158,7 +158,7 @@ class Workshop:
         return file
 
     def module(self, name: str, text: str) -> None:
-        """A module document under its type's name; version and description may be left out."""
+        """Writes a module document; adds version and description if they are missing."""
         text = textwrap.dedent(text).lstrip("\n")
         if "description:" not in text.split("params:")[0].split("links:")[0]:
             text = "description: For a test.\n" + text
@@ -176,37 +176,39 @@ class Workshop:
         return compile_file(self.robot_file(modules, head))
 
     def robot(self, modules: str, head: str = "", warned: tuple[str, ...] = ()) -> Robot:
-        """The model, of a robot without errors and warned only of what is ``warned``."""
-        done = self.compile(modules, head)
-        assert isinstance(done.model, Robot), "\n".join(said(done))
-        others = {d.code.name for d in done.report} - {*EXPECTED, *warned}
-        assert not others, "\n".join(said(done))
-        return done.model
+        """Returns the model; fails on errors and on warnings other than ``warned``."""
+        compilation = self.compile(modules, head)
+        assert isinstance(compilation.model, Robot), "\n".join(format_report(compilation))
+        unexpected = {d.code.name for d in compilation.report} - {*EXPECTED, *warned}
+        assert not unexpected, "\n".join(format_report(compilation))
+        return compilation.model
 
     def part(self, module: str, params: str = "") -> Robot:
-        """A cart that carries ``part``, of the module document in ``module``."""
+        """Returns a cart that carries `part`, whose module document is ``module``."""
         self.module("t/part", module)
-        given = f", params: {{{params}}}" if params else ""
-        return self.robot(f"{CART}    part: {{type: t/part, mount: body.front{given}}}")
+        params_text = f", params: {{{params}}}" if params else ""
+        return self.robot(f"{CART}    part: {{type: t/part, mount: body.front{params_text}}}")
 
-    def faults(self, modules: str, head: str = "") -> list[Diagnostic]:
+    def diagnostics(self, modules: str, head: str = "") -> list[Diagnostic]:
         return list(self.compile(modules, head).report)
 
-    def part_faults(self, module: str, params: str = "", mount: str = "body.front") -> list[str]:
-        """The codes that ``part`` gives rise to, without those of weight and drive."""
+    def part_codes(self, module: str, params: str = "", mount: str = "body.front") -> list[str]:
+        """Returns the codes that `part` causes, without those of every cart."""
         self.module("t/part", module)
-        given = f", params: {{{params}}}" if params else ""
-        found = self.faults(f"{CART}    part: {{type: t/part, mount: {mount}{given}}}")
-        return [d.code.name for d in found if d.code.name not in EXPECTED]
+        params_text = f", params: {{{params}}}" if params else ""
+        diagnostics = self.diagnostics(
+            f"{CART}    part: {{type: t/part, mount: {mount}{params_text}}}"
+        )
+        return [d.code.name for d in diagnostics if d.code.name not in EXPECTED]
 
 
-# What a cart of fixed wheels without controllers, or without motors, is told anyway.
+# Warnings of every cart with fixed wheels and without controllers or motors.
 EXPECTED = ("robot-without-controller", "motor-without-controller", "skid-steering", "no-drive")
 
 
-def said(done: Compilation) -> list[str]:
-    return [f"{d.span}: {d.code.name}: {d.message}" for d in done.report]
+def format_report(compilation: Compilation) -> list[str]:
+    return [f"{d.span}: {d.code.name}: {d.message}" for d in compilation.report]
 
 
-# A mesh file of the least size.
+# The smallest mesh file.
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"

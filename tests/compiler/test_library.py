@@ -1,4 +1,4 @@
-"""Module folders: which one a type's name leads to, and what is kept between compilations."""
+"""Library folders: their priority, and caching between compilations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def folder(path: Path, *types: str, mass: str = "1 kg") -> Path:
     return path
 
 
-def test_a_types_name_is_its_folders_path(tmp_path: Path) -> None:
+def test_type_name_is_the_folder_path(tmp_path: Path) -> None:
     mine = folder(tmp_path / "mine", "a/one", "a/b/two", "flat")
     library = Library([(mine, "mine")])
     assert {"a/one", "a/b/two", "flat", "drive/standard"} <= set(library.names())
@@ -50,7 +50,7 @@ def test_a_types_name_is_its_folders_path(tmp_path: Path) -> None:
     assert list(report) == []
 
 
-def test_the_users_type_comes_before_ours_and_the_first_before_the_next(tmp_path: Path) -> None:
+def test_priority_of_library_folders(tmp_path: Path) -> None:
     first = folder(tmp_path / "first", "drive/standard", "x/y", mass="2 kg")
     second = folder(tmp_path / "second", "x/y", "x/z", mass="3 kg")
     library = Library([(first, "first"), (second, "second")])
@@ -67,7 +67,7 @@ def test_the_users_type_comes_before_ours_and_the_first_before_the_next(tmp_path
     }
 
 
-def test_ours_is_there_again_without_the_users(workshop: Workshop) -> None:
+def test_built_in_type_is_used_again_without_that_of_the_user(workshop: Workshop) -> None:
     cart = CART.replace("t/plate", "frame/tube_rectangular").replace("t/leg", "caster/fixed")
     ours = workshop.robot(cart).inertial.mass
     workshop.module(
@@ -106,12 +106,12 @@ def test_ours_is_there_again_without_the_users(workshop: Workshop) -> None:
         "Drive/Standard",
     ],
 )
-def test_names_that_are_no_types(name: str) -> None:
+def test_invalid_type_names(name: str) -> None:
     report = Report()
     assert Library().load(name, ASKED, report) is None
-    (fault,) = report
-    assert fault.code.name == "module-type-unknown"
-    assert fault.span == ASKED.span
+    (diagnostic,) = report
+    assert diagnostic.code.name == "module-type-unknown"
+    assert diagnostic.span == ASKED.span
 
 
 def test_a_misspelt_name_has_a_hint(tmp_path: Path) -> None:
@@ -129,11 +129,11 @@ def test_a_module_that_changed_is_read_again(workshop: Workshop) -> None:
     assert heavy.inertial.mass == light.inertial.mass + 15
 
 
-def test_a_fault_in_a_module_is_said_at_every_compilation(workshop: Workshop) -> None:
+def test_error_in_a_module_is_reported_at_every_compilation(workshop: Workshop) -> None:
     workshop.module("t/part", "links: {a: {}}\nnonsense: 3\n")
     for _ in range(2):
-        found = workshop.faults(CART + "    part: {type: t/part, mount: body.front}")
-        assert [d.code.name for d in found if d.severity.value == "error"] == ["unknown-key"]
+        diagnostics = workshop.diagnostics(CART + "    part: {type: t/part, mount: body.front}")
+        assert [d.code.name for d in diagnostics if d.severity.value == "error"] == ["unknown-key"]
 
 
 def test_a_broken_module_that_is_not_used_is_not_read(workshop: Workshop) -> None:
@@ -141,7 +141,7 @@ def test_a_broken_module_that_is_not_used_is_not_read(workshop: Workshop) -> Non
     workshop.robot(CART)
 
 
-def test_folders_from_outside_come_after_the_files_own(tmp_path: Path) -> None:
+def test_folders_of_the_caller_come_after_those_of_the_file(tmp_path: Path) -> None:
     outside = folder(tmp_path / "outside", "x/y", "x/z", mass="3 kg")
     workshop = Workshop(tmp_path / "robot")
     folder(workshop.folder / "my_modules", "x/y", mass="2 kg")
@@ -154,7 +154,7 @@ def test_folders_from_outside_come_after_the_files_own(tmp_path: Path) -> None:
     assert [m.mass for m in masses if m is not None] == [2.0, 3.0]
 
 
-def test_a_relative_folder_is_found_from_anywhere(
+def test_relative_library_folder_does_not_depend_on_the_current_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     workshop = Workshop(tmp_path / "deep" / "down")
@@ -172,20 +172,20 @@ def test_a_relative_folder_is_found_from_anywhere(
     for n, start in enumerate((tmp_path, tmp_path / "deep", workshop.folder)):
         workshop.robot_file(cart % n)
         monkeypatch.chdir(start)
-        done = compile_file(os.path.relpath(workshop.folder / "robot.yaml"))
-        assert isinstance(done.model, Robot), list(done.report)
+        compilation = compile_file(os.path.relpath(workshop.folder / "robot.yaml"))
+        assert isinstance(compilation.model, Robot), list(compilation.report)
 
 
 @pytest.mark.parametrize("text", ["- red", "tyre: [1, 2]", "tyre: 3", "tyre: ["])
-def test_a_broken_palette_is_said_at_its_place(workshop: Workshop, text: str) -> None:
+def test_error_in_a_palette_has_its_line(workshop: Workshop, text: str) -> None:
     workshop.write("my_modules/palette.yaml", text + "\n")
     for _ in range(2):
-        (fault,) = [d for d in workshop.faults(CART) if d.severity.value == "error"]
-        assert fault.span is not None
-        assert fault.span.file == str(workshop.folder / "my_modules/palette.yaml")
+        (diagnostic,) = [d for d in workshop.diagnostics(CART) if d.severity.value == "error"]
+        assert diagnostic.span is not None
+        assert diagnostic.span.file == str(workshop.folder / "my_modules/palette.yaml")
 
 
-def test_the_projects_library_is_sound() -> None:
+def test_built_in_library_has_no_errors() -> None:
     library, report = Library(), Report()
     for name in library.names():
         assert library.load(name, ASKED, report) is not None

@@ -1,4 +1,4 @@
-"""From a file to a model and outputs: places, hashes, fleets, the same bytes everywhere."""
+"""Compilation of files: spans, hashes, fleets, reproducible outputs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ ROOT = FOLDER.parent
 
 
 def compiled(path: Path | str) -> Compilation:
-    done = compile_file(path)
-    assert done.model is not None, [d.message for d in done.report]
-    return done
+    compilation = compile_file(path)
+    assert compilation.model is not None, [d.message for d in compilation.report]
+    return compilation
 
 
-# -- places -----------------------------------------------------------------------------
+# -- spans ------------------------------------------------------------------------------
 
 
 def test_reports_show_paths_as_the_user_gave_them(
@@ -36,29 +36,31 @@ def test_reports_show_paths_as_the_user_gave_them(
 ) -> None:
     file = workshop.robot_file(CART.replace("fl: {type: t/leg", "fl: {type: t/lag"))
     monkeypatch.chdir(workshop.folder.parent)
-    for given in (str(file), os.path.relpath(file), f"./{os.path.relpath(file)}"):
-        (fault,) = [d for d in compile_file(given).report if d.code.name == "module-type-unknown"]
-        assert fault.span is not None
-        assert Path(fault.span.file) == Path(given)
-        assert (fault.span.line, fault.span.column) == (6, 14)
+    for path in (str(file), os.path.relpath(file), f"./{os.path.relpath(file)}"):
+        (diagnostic,) = [
+            d for d in compile_file(path).report if d.code.name == "module-type-unknown"
+        ]
+        assert diagnostic.span is not None
+        assert Path(diagnostic.span.file) == Path(path)
+        assert (diagnostic.span.line, diagnostic.span.column) == (6, 14)
 
 
-def test_every_place_in_a_report_leads_to_a_file(workshop: Workshop) -> None:
+def test_every_span_in_a_report_has_a_source_file(workshop: Workshop) -> None:
     workshop.module(
         "t/part", "links: {a: {}}\nports: {p: {kind: clamp, link: b}}\nmount: {kinds: [clamp]}\n"
     )
-    done = workshop.compile(
+    compilation = workshop.compile(
         CART + "    part: {type: t/part, mount: body.front}\n"
         "    odd: {type: battery/enclosure, mount: body.front}"
     )
-    places = {d.span.file for d in done.report if d.span}
-    places |= {label.span.file for d in done.report for label in d.labels}
+    places = {d.span.file for d in compilation.report if d.span}
+    places |= {label.span.file for d in compilation.report for label in d.labels}
     assert len(places) >= 2
     for place in places:
-        assert done.sources[place].is_file(), place
+        assert compilation.sources[place].is_file(), place
 
 
-def test_what_is_said_later_is_located_as_well(workshop: Workshop) -> None:
+def test_diagnostics_of_backends_are_located(workshop: Workshop) -> None:
     workshop.write("xacro/x.xacro", "<robot name='x'><link name='a'/><gazebo/><gazebo/></robot>")
     for name in ("one", "two"):
         workshop.robot_file(CART, "extras: [{xacro: ../xacro/x.xacro}]\n", f"{name}/robot.yaml")
@@ -72,22 +74,22 @@ def test_what_is_said_later_is_located_as_well(workshop: Workshop) -> None:
           b: {robot: ../two/robot.yaml, xyz: [0, 5, 0]}
         """,
     )
-    for file, wanted in (
+    for file, folders in (
         (workshop.folder / "one/robot.yaml", ["one"]),
         (fleet, ["one", "two"]),
     ):
-        done = compiled(file)
-        assert done.model is not None
-        found = Report()
-        emit(done.model, ["mjcf"], found)
-        (note, *_) = found
+        compilation = compiled(file)
+        assert compilation.model is not None
+        report = Report()
+        emit(compilation.model, ["mjcf"], report)
+        (note, *_) = report
         assert note.message.endswith(": 2 x <gazebo>")
-        places = [d.span.file for d in done.located(found) if d.span is not None]
-        assert places == [str(workshop.folder / name / "robot.yaml") for name in wanted]
-        assert all(place in done.sources for place in places)
+        places = [d.span.file for d in compilation.located(report) if d.span is not None]
+        assert places == [str(workshop.folder / name / "robot.yaml") for name in folders]
+        assert all(place in compilation.sources for place in places)
 
 
-def test_places_in_a_model_do_not_depend_on_where_it_lies(tmp_path: Path) -> None:
+def test_spans_in_a_model_do_not_depend_on_its_folder(tmp_path: Path) -> None:
     models = []
     for name in ("here", "over there/deep"):
         workshop = Workshop(tmp_path / name)
@@ -101,7 +103,7 @@ def test_places_in_a_model_do_not_depend_on_where_it_lies(tmp_path: Path) -> Non
 # -- hashes -----------------------------------------------------------------------------
 
 
-def test_the_hash_follows_every_document_that_was_read(workshop: Workshop) -> None:
+def test_hash_depends_on_every_document_that_was_read(workshop: Workshop) -> None:
     text = CART + "    part: {type: t/block, mount: body.front}"
     first = compiled(workshop.robot_file(text)).source_sha256
     assert compiled(workshop.robot_file(text)).source_sha256 == first
@@ -112,16 +114,16 @@ def test_the_hash_follows_every_document_that_was_read(workshop: Workshop) -> No
     third = compiled(workshop.robot_file(text)).source_sha256
     fourth = compiled(workshop.robot_file(text + "\n    # robot")).source_sha256
     assert len({first, second, third, fourth}) == 4
-    # A module that the robot does not use does not count.
+    # Modules that the robot does not use do not change the hash.
     workshop.module("t/other", "links: {a: {}}")
     assert compiled(workshop.robot_file(text + "\n    # robot")).source_sha256 == fourth
 
 
-# -- names of every kind ----------------------------------------------------------------
+# -- unusual names ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["with spaces", "måneåker", "農場", "a'b\"c", "-o", "%s {x} ${y}"])
-def test_folders_may_have_any_name(tmp_path: Path, name: str) -> None:
+def test_unusual_folder_names(tmp_path: Path, name: str) -> None:
     workshop = Workshop(tmp_path / name)
     workshop.write("my_modules/t/part/a mesh ü.obj", MESH)
     workshop.module(
@@ -130,10 +132,10 @@ def test_folders_may_have_any_name(tmp_path: Path, name: str) -> None:
         'source: "chosen: for a test"}]}}\n',
     )
     file = workshop.robot_file(CART + "    part: {type: t/part, mount: body.front}")
-    done = compiled(file)
-    assert isinstance(done.model, Robot)
-    assert done.model.meshes[0].name.isascii()
-    files = emit(done.model, DEFAULT_TARGETS, Report())
+    compilation = compiled(file)
+    assert isinstance(compilation.model, Robot)
+    assert compilation.model.meshes[0].name.isascii()
+    files = emit(compilation.model, DEFAULT_TARGETS, Report())
     assert name.encode() not in b"".join(files.values())
 
 
@@ -180,25 +182,25 @@ for path in sys.argv[1:]:
 """
 
 
-def test_the_same_bytes_whatever_the_hash_seed(workshop: Workshop) -> None:
+def test_output_does_not_depend_on_the_hash_seed(workshop: Workshop) -> None:
     mine = str(workshop.robot_file(CART))
     examples = [
         str(FOLDER / name) for name in ("4wd4ws_wide/robot.yaml", "fleet_of_four/fleet.yaml")
     ]
     outputs = []
     for seed in ("0", "1", "7"):
-        done = subprocess.run(
+        compilation = subprocess.run(
             [sys.executable, "-c", SCRIPT, mine, *examples],
             check=True,
             capture_output=True,
             env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)},
         )
-        outputs.append(done.stdout)
+        outputs.append(compilation.stdout)
     assert outputs[0] == outputs[1] == outputs[2]
     assert len(outputs[0].splitlines()) > 20
 
 
-def test_a_compilation_leaves_no_trace_in_the_next(workshop: Workshop) -> None:
+def test_compilations_do_not_affect_each_other(workshop: Workshop) -> None:
     example = FOLDER / "4wd4ws_wide/robot.yaml"
     alone = emit(compiled(example).model, DEFAULT_TARGETS, Report())  # type: ignore[arg-type]
     workshop.write("my_modules/palette.yaml", 'tyre: "#ff0000"\n')
@@ -208,7 +210,7 @@ def test_a_compilation_leaves_no_trace_in_the_next(workshop: Workshop) -> None:
     assert emit(compiled(example).model, DEFAULT_TARGETS, Report()) == alone  # type: ignore[arg-type]
 
 
-def test_emit_gives_the_model_and_each_target_once(workshop: Workshop) -> None:
+def test_emit_returns_the_model_and_each_target_once(workshop: Workshop) -> None:
     robot = workshop.robot(CART)
     files = emit(robot, ["urdf", "urdf"], Report())
     assert list(files) == [MODEL_FILE, "urdf/robot.urdf"]
@@ -218,11 +220,11 @@ def test_emit_gives_the_model_and_each_target_once(workshop: Workshop) -> None:
         emit(robot, ["nothing"], Report())
 
 
-def test_no_model_where_there_is_an_error(workshop: Workshop) -> None:
-    done = workshop.compile(CART + "    part: {type: t/block}")
-    assert done.report.has_errors
-    assert done.model is None
-    assert done.source_sha256 != ""
+def test_no_model_with_errors(workshop: Workshop) -> None:
+    compilation = workshop.compile(CART + "    part: {type: t/block}")
+    assert compilation.report.has_errors
+    assert compilation.model is None
+    assert compilation.source_sha256 != ""
 
 
 # -- fleets -----------------------------------------------------------------------------
@@ -232,58 +234,58 @@ def fleet(workshop: Workshop, robots: str) -> Compilation:
     return compile_file(workshop.write("fleet.yaml", f"thorvaldc: 1\nname: f\nrobots:\n{robots}"))
 
 
-def test_a_fleet_places_robots_in_name_spaces_of_their_own(workshop: Workshop) -> None:
+def test_each_robot_of_a_fleet_has_its_own_namespace(workshop: Workshop) -> None:
     workshop.robot_file(CART, "namespace: own\n", "robots/one.yaml")
-    done = fleet(
+    compilation = fleet(
         workshop,
         "  a: {robot: robots/one.yaml}\n"
         "  b: {robot: robots/one.yaml, xyz: [3 m, 0, 0.1], yaw: 450 deg}\n",
     )
-    assert isinstance(done.model, Fleet), [d.message for d in done.report]
-    first, second = done.model.placements
+    assert isinstance(compilation.model, Fleet), [d.message for d in compilation.report]
+    first, second = compilation.model.placements
     assert (first.name, first.robot.namespace, second.robot.namespace) == ("a", "a", "b")
     assert second.pose.xyz == (3.0, 0.0, 0.1)
     assert second.pose.rpy()[2] == pytest.approx(math.pi / 2)
     assert first.robot.links == second.robot.links
 
 
-def test_faults_of_a_robot_are_said_once_and_in_its_file(workshop: Workshop) -> None:
+def test_errors_of_a_robot_are_reported_once_in_its_file(workshop: Workshop) -> None:
     workshop.robot_file(CART + "    part: {type: t/blok, mount: body.front}", "", "robots/one.yaml")
-    done = fleet(workshop, "  a: {robot: robots/one.yaml}\n  b: {robot: robots/one.yaml}\n")
-    (fault,) = [d for d in done.report if d.code.name == "module-type-unknown"]
-    assert fault.span is not None
-    assert Path(fault.span.file) == workshop.folder / "robots/one.yaml"
-    assert done.model is None
+    compilation = fleet(workshop, "  a: {robot: robots/one.yaml}\n  b: {robot: robots/one.yaml}\n")
+    (diagnostic,) = [d for d in compilation.report if d.code.name == "module-type-unknown"]
+    assert diagnostic.span is not None
+    assert Path(diagnostic.span.file) == workshop.folder / "robots/one.yaml"
+    assert compilation.model is None
 
 
-def test_all_faults_of_all_robots_of_a_fleet(workshop: Workshop) -> None:
+def test_errors_of_all_robots_of_a_fleet_are_reported(workshop: Workshop) -> None:
     workshop.robot_file(CART + "    part: {type: t/blok, mount: body.front}", "", "robots/one.yaml")
     workshop.robot_file(CART + "    part: {type: t/block}", "", "robots/two.yaml")
-    done = fleet(
+    compilation = fleet(
         workshop,
         "  a: {robot: robots/one.yaml}\n  b: {robot: robots/two.yaml}\n  c: {robot: no.yaml}\n",
     )
-    names = [d.code.name for d in done.report]
+    names = [d.code.name for d in compilation.report]
     assert {"module-type-unknown", "root-ambiguous", "fleet-robot-missing"} <= set(names)
 
 
-def test_a_fleets_hash_follows_its_robots(workshop: Workshop) -> None:
+def test_hash_of_a_fleet_depends_on_its_robots(workshop: Workshop) -> None:
     file = workshop.robot_file(CART, "", "robots/one.yaml")
-    before = fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256
+    first_hash = fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256
     file.write_text(file.read_text(encoding="utf-8") + "# more\n", encoding="utf-8")
-    assert fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256 != before
+    assert fleet(workshop, "  a: {robot: robots/one.yaml}\n").source_sha256 != first_hash
 
 
 def test_a_grid_places_equal_robots_row_by_row(workshop: Workshop) -> None:
     workshop.robot_file(CART, "", "robots/one.yaml")
-    done = fleet(
+    compilation = fleet(
         workshop,
         "  a:\n    robot: robots/one.yaml\n    xyz: [1 m, 2 m, 0]\n    yaw: 90 deg\n"
         "    grid: {rows: 2, columns: 3, spacing: 1500 mm}\n"
         "  b: {robot: robots/one.yaml, xyz: [-5 m, 0, 0], grid: {spacing: 1 m}}\n",
     )
-    assert isinstance(done.model, Fleet), [d.message for d in done.report]
-    *grid, alone = done.model.placements
+    assert isinstance(compilation.model, Fleet), [d.message for d in compilation.report]
+    *grid, alone = compilation.model.placements
     assert [p.name for p in grid] == [f"a_{k}" for k in range(1, 7)]
     assert [p.robot.namespace for p in grid] == [p.name for p in grid]
     assert [p.pose.xyz[:2] for p in grid] == [(x, y) for x in (1.0, 2.5) for y in (2.0, 3.5, 5.0)]
@@ -291,15 +293,17 @@ def test_a_grid_places_equal_robots_row_by_row(workshop: Workshop) -> None:
     assert (alone.name, alone.pose.xyz[0]) == ("b_1", -5.0)
 
 
-def test_a_grid_too_narrow_is_said_once(workshop: Workshop) -> None:
+def test_narrow_grid_is_reported_once(workshop: Workshop) -> None:
     workshop.robot_file(CART, "", "robots/one.yaml")
-    done = fleet(
+    compilation = fleet(
         workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, columns: 3, spacing: 1 mm}}\n"
     )
-    said = [d.message for d in done.report if d.code.name == "fleet-overlap"]
-    assert said == ["`a_2` overlaps `a_1`"]
-    done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, spacing: -1 m}}\n")
-    assert [d.code.name for d in done.report.errors] == ["out-of-range"]
-    assert "fleet-overlap" not in [d.code.name for d in done.report]
-    done = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 1000, spacing: 1 m}}\n")
-    assert [d.code.name for d in done.report.errors] == ["out-of-range"]
+    messages = [d.message for d in compilation.report if d.code.name == "fleet-overlap"]
+    assert messages == ["`a_2` overlaps `a_1`"]
+    compilation = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, spacing: -1 m}}\n")
+    assert [d.code.name for d in compilation.report.errors] == ["out-of-range"]
+    assert "fleet-overlap" not in [d.code.name for d in compilation.report]
+    compilation = fleet(
+        workshop, "  a: {robot: robots/one.yaml, grid: {rows: 1000, spacing: 1 m}}\n"
+    )
+    assert [d.code.name for d in compilation.report.errors] == ["out-of-range"]

@@ -1,4 +1,4 @@
-"""A build is written whole or not at all, and never over what is not ours."""
+"""A build is written completely or not at all, and never replaces files of the user."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def is_whole(folder: Path) -> bool:
-    """What the manifest says is what is there."""
-    head = json.loads((folder / "manifest.json").read_text())
-    there = {path: sha256(data).hexdigest() for path, data in contents(folder).items()}
-    return bool(head["complete"]) and there == head["files"]
+    """Whether the files in the folder are those of the manifest."""
+    manifest = json.loads((folder / "manifest.json").read_text())
+    hashes = {path: sha256(data).hexdigest() for path, data in contents(folder).items()}
+    return bool(manifest["complete"]) and hashes == manifest["files"]
 
 
 def leftovers(folder: Path) -> list[str]:
@@ -57,7 +57,7 @@ def test_a_build_replaces_the_last_one(tmp_path: Path) -> None:
     assert leftovers(tmp_path / "deep") == []
 
 
-def test_the_manifest_says_what_is_there(tmp_path: Path) -> None:
+def test_manifest_lists_the_files(tmp_path: Path) -> None:
     write(ONE, tmp_path / "out")
     head = json.loads((tmp_path / "out/manifest.json").read_text())
     assert head["compiler"] == "thorvaldc 1"
@@ -68,11 +68,11 @@ def test_the_manifest_says_what_is_there(tmp_path: Path) -> None:
 
 def test_permissions_follow_the_umask_and_stay(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    before = os.umask(0o027)
+    old_umask = os.umask(0o027)
     try:
         write(ONE, out)
     finally:
-        os.umask(before)
+        os.umask(old_umask)
     assert stat.S_IMODE(out.stat().st_mode) == 0o750
     assert stat.S_IMODE((out / "model.json").stat().st_mode) == 0o640
     out.chmod(0o700)
@@ -80,7 +80,7 @@ def test_permissions_follow_the_umask_and_stay(tmp_path: Path) -> None:
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
 
 
-def test_files_of_others_in_a_build_folder_stay(tmp_path: Path) -> None:
+def test_files_of_the_user_in_a_build_folder_are_kept(tmp_path: Path) -> None:
     out = tmp_path / "out"
     write(ONE, out)
     (out / "mjcf/MUJOCO_LOG.TXT").write_text("mine")
@@ -95,20 +95,20 @@ def test_files_of_others_in_a_build_folder_stay(tmp_path: Path) -> None:
     assert leftovers(out) == []
 
 
-def test_a_folder_of_somebody_else_is_refused(tmp_path: Path) -> None:
+def test_folder_with_other_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(WriteError, match=r"thesis\.tex.*-o"):
         write(ONE, tmp_path)
     assert contents(tmp_path) == {"thesis.tex": b"years of work"}
 
 
-def test_a_manifest_of_another_program_does_not_make_the_folder_ours(tmp_path: Path) -> None:
+def test_folder_with_manifest_of_another_program_is_refused(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text('{"files": ["a"]}')
     with pytest.raises(WriteError, match=r"manifest\.json"):
         write(ONE, tmp_path)
 
 
-def test_a_file_in_the_way_is_refused_and_kept(tmp_path: Path) -> None:
+def test_file_of_the_user_with_the_name_of_an_output_is_kept(tmp_path: Path) -> None:
     write(ONE, tmp_path / "out")
     (tmp_path / "out/urdf").mkdir()
     (tmp_path / "out/urdf/robot.urdf").write_text("by hand")
@@ -117,14 +117,14 @@ def test_a_file_in_the_way_is_refused_and_kept(tmp_path: Path) -> None:
     assert contents(tmp_path / "out") == {**ONE, "urdf/robot.urdf": b"by hand"}
 
 
-def test_a_manifest_cannot_point_outside(tmp_path: Path) -> None:
+def test_manifest_with_paths_outside_the_folder(tmp_path: Path) -> None:
     out = tmp_path / "out"
     write(ONE, out)
     (tmp_path / "precious").write_text("x")
     head = json.loads((out / "manifest.json").read_text())
     head["files"]["../precious"] = ""
     (out / "manifest.json").write_text(json.dumps(head))
-    (out / "other.txt").write_text("")  # so that files are moved one by one
+    (out / "other.txt").write_text("")  # prevents the exchange: files are moved one by one
     write(TWO, out)
     assert (tmp_path / "precious").read_text() == "x"
 
@@ -132,13 +132,13 @@ def test_a_manifest_cannot_point_outside(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "path", ["../a", "/a", "a/../b", "", "a\\b", "./a", "a//b", "manifest.json"]
 )
-def test_a_backend_cannot_write_outside(path: str, tmp_path: Path) -> None:
+def test_output_outside_the_folder_is_refused(path: str, tmp_path: Path) -> None:
     with pytest.raises(WriteError, match="a build cannot contain"):
         write({path: b""}, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_the_path_is_a_file(tmp_path: Path) -> None:
+def test_build_path_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("x")
     with pytest.raises(WriteError, match="it is a file, not a folder"):
         write(ONE, tmp_path / "out")
@@ -148,20 +148,20 @@ def test_the_path_is_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("deeper", ["", "deeper", "still/deeper"])
-def test_a_read_only_folder_is_refused_and_left_alone(tmp_path: Path, deeper: str) -> None:
+def test_read_only_folder_is_refused_and_unchanged(tmp_path: Path, deeper: str) -> None:
     locked = tmp_path / "locked"
     if deeper == "":
         write(ONE, locked)
     else:
         locked.mkdir()
-    before = contents(locked)
+    old_contents = contents(locked)
     locked.chmod(0o555)
     try:
         with pytest.raises(WriteError, match="is read-only"):
             write(TWO, locked / deeper)
     finally:
         locked.chmod(0o755)
-    assert contents(locked) == before
+    assert contents(locked) == old_contents
 
 
 def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_without_the_exchange_call(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("at", range(1, 12))
-def test_a_fault_while_moving_one_by_one_rolls_back(
+def test_error_while_moving_files_rolls_back(
     at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_place(monkeypatch)
@@ -218,12 +218,12 @@ def test_a_fault_while_moving_one_by_one_rolls_back(
     except WriteError:
         assert contents(out) == ONE
     else:
-        assert at > 8  # it took no more calls than that
+        assert at > 8  # moving needs no more calls
         assert contents(out) == TWO
     assert is_whole(out)
 
 
-def test_a_build_killed_while_moving_can_be_built_over(
+def test_build_after_a_build_that_was_killed_while_moving(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
@@ -263,7 +263,7 @@ while True:
 
 
 @pytest.mark.parametrize("round_", range(8))
-def test_kill_9_at_any_moment_leaves_a_whole_build(round_: int, tmp_path: Path) -> None:
+def test_kill_9_at_any_moment_leaves_a_complete_build(round_: int, tmp_path: Path) -> None:
     out = tmp_path / "out"
     write(ONE, out)
     with subprocess.Popen(
@@ -278,7 +278,7 @@ def test_kill_9_at_any_moment_leaves_a_whole_build(round_: int, tmp_path: Path) 
     assert leftovers(tmp_path) == []
 
 
-def test_ctrl_c_leaves_a_whole_build_and_nothing_else(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_only_a_complete_build(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with subprocess.Popen(
         [sys.executable, "-c", WRITE_MANY, str(out)],
@@ -293,7 +293,7 @@ def test_ctrl_c_leaves_a_whole_build_and_nothing_else(tmp_path: Path) -> None:
     assert leftovers(tmp_path) == []
 
 
-def test_two_builds_at_a_time(tmp_path: Path) -> None:
+def test_two_concurrent_builds(tmp_path: Path) -> None:
     out = tmp_path / "out"
     both = [
         subprocess.Popen(
@@ -314,16 +314,16 @@ def test_two_builds_at_a_time(tmp_path: Path) -> None:
     assert is_whole(out)
 
 
-def test_a_full_disk_leaves_the_last_build(tmp_path: Path) -> None:
+def test_full_disk_keeps_the_last_build(tmp_path: Path) -> None:
     out = tmp_path / "out"
     write(ONE, out)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    old_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, old_limits[1]))
     try:
         with pytest.raises(WriteError, match="File too large"):
             write({**TWO, "big": b"x" * 2000}, out)
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, old_limits)
     assert contents(out) == ONE
     assert is_whole(out)
     assert leftovers(tmp_path) == []

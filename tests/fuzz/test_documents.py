@@ -27,12 +27,12 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics.render import FORMATS, render
 
 ROOT = Path(__file__).parents[2]
-LIMIT = 5.0  # s for one document; the usual one takes hundredths
+LIMIT = 5.0  # s per document; most take some 10 ms
 
 ROBOTS = [
     path.read_text(encoding="utf-8")
     for path in sorted((ROOT / "examples").glob("*/robot.yaml"))
-    if "extras:" not in path.read_text(encoding="utf-8")  # a process for each is too slow here
+    if "extras:" not in path.read_text(encoding="utf-8")  # a process per document is too slow here
 ]
 MODULES = [
     (path.parent.relative_to(ROOT / "modules").as_posix(), path.read_text(encoding="utf-8"))
@@ -49,7 +49,7 @@ modules:
   part: {type: TYPE, mount: {parent: frame}}
 """
 
-# What goes wrong in YAML, in units, in references, in expressions.
+# Texts that cause errors in YAML, units, references and expressions.
 PIECES = [
     *("", " ", "\n", "\t", ":", ": ", "- ", "{", "}", "[", "]", ",", '"', "'", "#", "&a ", "*a"),
     *("|", ">", "!x ", "%", "@", "?", "---\n", "\x00", "\ufeff", "\u2028", "é", "日本", "\r\n"),
@@ -93,16 +93,16 @@ def compile_and_show(robot: bytes, module: tuple[str, bytes] | None = None) -> N
         path = folder / "robot.yaml"
         path.write_bytes(robot)
         if module is not None:
-            own = folder / "lib" / module[0] / "module.yaml"
-            own.parent.mkdir(parents=True)
-            own.write_bytes(module[1])
+            module_file = folder / "lib" / module[0] / "module.yaml"
+            module_file.parent.mkdir(parents=True)
+            module_file.write_bytes(module[1])
         with no_hang():
-            done = compile_file(path)
-            assert done.model is not None or done.report.has_errors
-            if done.model is not None:
-                emit(done.model, DEFAULT_TARGETS, done.report)
+            compilation = compile_file(path)
+            assert compilation.model is not None or compilation.report.has_errors
+            if compilation.model is not None:
+                emit(compilation.model, DEFAULT_TARGETS, compilation.report)
             for form in FORMATS:
-                render(done.report, form, done.sources)
+                render(compilation.report, form, compilation.sources)
     finally:
         shutil.rmtree(folder)
 
@@ -190,23 +190,23 @@ changes = st.lists(
 
 
 def holders(tree: Any) -> list[tuple[Any, Any]]:
-    """Every value in a tree, as the mapping or list that holds it and its key there."""
-    found: list[tuple[Any, Any]] = []
+    """Returns every value in a tree as its mapping or list and its key or index."""
+    all_holders: list[tuple[Any, Any]] = []
     entries = tree.items() if isinstance(tree, dict) else enumerate(tree)
     for key, value in list(entries):
-        found.append((tree, key))
+        all_holders.append((tree, key))
         if isinstance(value, dict | list):
-            found.extend(holders(value))
-    return found
+            all_holders.extend(holders(value))
+    return all_holders
 
 
 def change_tree(tree: Any, operations: list[tuple[str, float, float, Any]]) -> bytes:
     for operation, where, other, drawn in operations:
         value = copy.deepcopy(drawn)
-        found = holders(tree)
-        if not found:
+        all_holders = holders(tree)
+        if not all_holders:
             break
-        holder, key = found[int(where * len(found))]
+        holder, key = all_holders[int(where * len(all_holders))]
         if operation == "set":
             holder[key] = value
         elif operation == "remove":
@@ -215,8 +215,8 @@ def change_tree(tree: Any, operations: list[tuple[str, float, float, Any]]) -> b
             holder[value if isinstance(value, str) else "renamed"] = holder.pop(key)
         elif operation == "add" and isinstance(holder, dict):
             holder[PIECES[int(other * len(PIECES))]] = value
-        else:  # copied, since what contains itself cannot be written
-            source, name = found[int(other * len(found))]
+        else:  # copied, because a cyclic tree cannot be written
+            source, name = all_holders[int(other * len(all_holders))]
             holder[key] = json.loads(json.dumps(source[name]))
     return json.dumps(tree, ensure_ascii=False).encode("utf-8", "surrogatepass")
 
@@ -238,5 +238,5 @@ def test_trees_of_modules(
 
 
 @pytest.mark.parametrize("text", ["", "thorvaldc: 1\n", "[]", "1", "{}", "null", "a: b\n", "\x00"])
-def test_hardly_anything(text: str) -> None:
+def test_nearly_empty_documents(text: str) -> None:
     compile_and_show(text.encode())

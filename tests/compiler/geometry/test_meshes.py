@@ -1,4 +1,4 @@
-"""Mesh files: what passes, what is converted, what is refused and why."""
+"""Mesh files: copied, converted and refused ones."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def test_binary_stl_passes_through_unchanged(tmp_path: Path) -> None:
     assert len(report) == 0
 
 
-def test_two_files_of_one_name_do_not_meet(tmp_path: Path) -> None:
+def test_two_files_of_one_name_have_different_mesh_names(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
-    one, _ = load(write(tmp_path / "a.stl", binary_stl(TETRAHEDRON)))
+    first_mesh, _ = load(write(tmp_path / "a.stl", binary_stl(TETRAHEDRON)))
     two, _ = load(write(tmp_path / "b" / "a.stl", binary_stl(TETRAHEDRON[::-1])))
-    assert one is not None
+    assert first_mesh is not None
     assert two is not None
-    assert one.name != two.name
+    assert first_mesh.name != two.name
 
 
 def test_text_stl_becomes_binary(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ OBJ = "mtllib a.mtl\no a\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in P)
 OBJ += "usemtl red\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def test_obj_loses_only_its_reference_to_a_material_file(tmp_path: Path) -> None:
+def test_obj_without_references_to_material_files(tmp_path: Path) -> None:
     mesh, report = load(write(tmp_path / "a.obj", OBJ))
     assert mesh is not None
     assert len(report) == 0
@@ -161,19 +161,19 @@ struct.pack_into("<f", NAN, 84 + 50 + 12 + 20, float("nan"))
         ("a.ply", b"ply\nwhat", "mesh-invalid", "ply"),
     ],
 )
-def test_what_is_not_a_mesh_is_refused(
+def test_invalid_mesh_is_refused(
     tmp_path: Path, name: str, data: bytes, code: str, words: str
 ) -> None:
     mesh, report = load(write(tmp_path / name, data))
     assert mesh is None
     assert names(report) == [code]
-    (found,) = report
-    assert words in found.message
-    assert name in found.message
-    assert found.span == ASKED
+    (diagnostic,) = report
+    assert words in diagnostic.message
+    assert name in diagnostic.message
+    assert diagnostic.span == ASKED
 
 
-def test_a_missing_file_names_it_and_who_asked(tmp_path: Path) -> None:
+def test_missing_file_is_reported_at_the_span_that_names_it(tmp_path: Path) -> None:
     mesh, report = load(tmp_path / "meshes" / "none.stl")
     assert mesh is None
     assert names(report) == ["mesh-missing"]
@@ -182,7 +182,7 @@ def test_a_missing_file_names_it_and_who_asked(tmp_path: Path) -> None:
     assert names(load(tmp_path / "folder.stl")[1]) == ["mesh-missing"]
 
 
-def test_a_mesh_in_millimetres_is_noticed_unless_scaled(tmp_path: Path) -> None:
+def test_mesh_in_millimetres_is_reported_unless_scaled(tmp_path: Path) -> None:
     big = [tuple((x * 240, y, z) for x, y, z in t) for t in TETRAHEDRON]
     path = write(tmp_path / "mm.stl", binary_stl(big))  # type: ignore[arg-type]
     mesh, report = load(path)
@@ -197,10 +197,10 @@ def test_a_mesh_in_millimetres_is_noticed_unless_scaled(tmp_path: Path) -> None:
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     path = write(tmp_path / "a.stl", binary_stl(TETRAHEDRON))
-    one, _ = load(path)
+    first_mesh, _ = load(path)
     write(path, binary_stl(TETRAHEDRON[:3]))
     two, _ = load(path)
-    assert one != two
+    assert first_mesh != two
 
 
 def test_stl_needs_neither_numpy_nor_trimesh(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_stl_needs_neither_numpy_nor_trimesh(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
-def test_an_interrupt_is_not_taken_for_a_package_that_is_missing(tmp_path: Path) -> None:
+def test_interrupt_during_conversion_is_not_a_missing_package(tmp_path: Path) -> None:
     write(
         tmp_path / "trimesh.py",
         "import os, signal, time\n"
@@ -241,18 +241,18 @@ def test_an_interrupt_is_not_taken_for_a_package_that_is_missing(tmp_path: Path)
     assert done.stderr.endswith("KeyboardInterrupt\n")
 
 
-def test_what_a_download_left_in_place_of_a_mesh(tmp_path: Path) -> None:
+def test_git_lfs_pointer_in_place_of_a_mesh(tmp_path: Path) -> None:
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:abc\nsize 123456\n"
     for name in ("a.stl", "a.dae"):
         _, report = load(write(tmp_path / name, pointer))
-        (fault,) = report
-        assert fault.message == f"mesh file `{name}` is a Git LFS pointer, not the mesh"
+        (diagnostic,) = report
+        assert diagnostic.message == f"mesh file `{name}` is a Git LFS pointer, not the mesh"
     _, report = load(write(tmp_path / "b.dae", "<html><body>404 not found</body></html>"))
-    (fault,) = report
-    assert fault.message == "mesh file `b.dae` is not a dae file, or has no triangles"
+    (diagnostic,) = report
+    assert diagnostic.message == "mesh file `b.dae` is not a dae file, or has no triangles"
 
 
-def test_a_sensor_in_millimetres_is_noticed(tmp_path: Path) -> None:
+def test_sensor_mesh_in_millimetres_is_reported(tmp_path: Path) -> None:
     for largest, noticed in ((80.0, True), (20.5, True), (19.5, False)):
         corners = [tuple(tuple(largest / 3 * n for n in p) for p in t) for t in TETRAHEDRON]
         _, report = load(write(tmp_path / f"{largest}.stl", binary_stl(corners)))  # type: ignore[arg-type]

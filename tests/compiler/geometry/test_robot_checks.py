@@ -1,4 +1,4 @@
-"""Checks of a whole robot: what they say of good ones, and how far their judgement reaches."""
+"""Checks of a complete robot, on valid robots and at their limits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def codes(robot: Robot, design: DesignRequirements | None = None) -> list[str]:
 
 
 def on(*kinds: str) -> Robot:
-    """A box on four wheels in a square, front left and right, rear left and right."""
+    """Returns a box on four wheels in a square: front left, front right, rear left, rear right."""
     return make_robot([(x, y, kind) for (x, y), kind in zip(SQUARE, kinds, strict=True)])
 
 
@@ -35,13 +35,15 @@ def with_mass_at(robot: Robot, x: float, y: float, z: float) -> Robot:
     return replace(robot, inertial=replace(robot.inertial, com=(x, y, z)))
 
 
-# -- robots that are right --------------------------------------------------------------
+# -- valid robots -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_nothing_is_said_of_the_examples(name: str) -> None:
-    done = compile_file(FOLDER / name / "robot.yaml")
-    assert [(d.code.name, d.message) for d in done.report if d.severity.value != "note"] == []
+def test_examples_have_no_diagnostics(name: str) -> None:
+    compilation = compile_file(FOLDER / name / "robot.yaml")
+    assert [
+        (d.code.name, d.message) for d in compilation.report if d.severity.value != "note"
+    ] == []
 
 
 @pytest.mark.parametrize(
@@ -54,7 +56,7 @@ def test_nothing_is_said_of_the_examples(name: str) -> None:
         ("swivel", "steered", "passive", "passive"),
     ],
 )
-def test_bases_that_can_be_controlled(kinds: tuple[str, ...]) -> None:
+def test_controllable_bases(kinds: tuple[str, ...]) -> None:
     assert codes(on(*kinds)) == []
 
 
@@ -71,7 +73,7 @@ def test_bases_that_can_be_controlled(kinds: tuple[str, ...]) -> None:
         (("swivel", "swivel", "swivel", "fixed"), 2),
     ],
 )
-def test_twists_that_fixed_wheels_leave(kinds: tuple[str, ...], twists: int) -> None:
+def test_number_of_feasible_twists(kinds: tuple[str, ...], twists: int) -> None:
     assert feasible_twists(on(*kinds)) == twists
 
 
@@ -83,15 +85,15 @@ def test_twists_that_fixed_wheels_leave(kinds: tuple[str, ...], twists: int) -> 
         (("fixed",) * 4, ["skid-steering"]),
     ],
 )
-def test_bases_that_cannot(kinds: tuple[str, ...], expected: list[str]) -> None:
+def test_uncontrollable_bases(kinds: tuple[str, ...], expected: list[str]) -> None:
     assert codes(on(*kinds)) == expected
 
 
-def test_one_wheel_askew_blocks_the_rest() -> None:
+def test_one_misaligned_wheel_blocks_motion() -> None:
     robot = on("fixed", "fixed", "fixed", "fixed")
     turned = replace(robot.wheels[0], heading=0.2)
     assert "no-free-motion" in codes(replace(robot, wheels=(turned, *robot.wheels[1:])))
-    # All about one point: the robot turns on the spot, and that is all.
+    # All axles meet in one point: the robot can only turn on the spot.
     tangents = tuple(replace(w, heading=math.atan2(w.x, -w.y)) for w in robot.wheels)
     round_robot = replace(robot, wheels=tangents)
     assert feasible_twists(round_robot) == 1
@@ -116,7 +118,7 @@ def test_the_tip_over_angle_is_that_of_the_nearest_edge(
     assert "tip-over" in codes(robot, DesignRequirements(tip_over_angle=angle + 1e-6))
 
 
-def test_a_wheel_in_the_middle_changes_no_edge() -> None:
+def test_inner_wheel_does_not_change_the_hull() -> None:
     four = make_robot(FOUR_STEERED)
     five = make_robot([*FOUR_STEERED, (0.0, 0.0, "steered")])
     for robot in (four, five):
@@ -127,13 +129,17 @@ def test_a_wheel_in_the_middle_changes_no_edge() -> None:
 
 
 @pytest.mark.parametrize(("x", "stands"), [(0.4999, True), (0.5001, False), (-0.6, False)])
-def test_a_robot_stands_while_its_mass_is_above_its_wheels(x: float, stands: bool) -> None:
-    found = codes(with_mass_at(on("steered", "steered", "steered", "steered"), x, 0.0, 0.4))
-    assert ("unstable" not in found) is stands
+def test_robot_is_stable_while_its_centre_of_mass_is_inside_the_hull(
+    x: float, stands: bool
+) -> None:
+    codes_of_robot = codes(
+        with_mass_at(on("steered", "steered", "steered", "steered"), x, 0.0, 0.4)
+    )
+    assert ("unstable" not in codes_of_robot) is stands
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_wheels_on_a_line_carry_no_robot(count: int) -> None:
+def test_wheels_on_a_line_are_unstable(count: int) -> None:
     robot = make_robot([(0.0, y, "steered") for y in (0.0, 0.5, -0.5)[:count]])
     assert "unstable" in codes(robot)
 
@@ -159,7 +165,7 @@ def test_wheels_are_rectangles_from_above(dx: float, dy: float, overlap: bool) -
         assert ("wheels-overlap" in codes(make_robot(order))) is overlap
 
 
-def test_far_apart_and_many() -> None:
+def test_overlap_check_of_many_wheels() -> None:
     wheels = [(float(i), float(j), "steered") for i in range(-5, 6) for j in range(-5, 6)]
     assert "wheels-overlap" not in codes(make_robot(wheels))
     assert "wheels-overlap" in codes(make_robot([*wheels, (3.1, 3.1, "steered")]))
@@ -181,13 +187,13 @@ def test_the_slope_that_motors_can_climb(workshop: Workshop, driven: int) -> Non
     grip = math.degrees(math.atan(0.8 * driven / 4 - 0.01))
     limit = min(limit, grip)
     for slope, steep in ((limit - 0.01, False), (limit + 0.01, True)):
-        found = workshop.faults(cart, f"design: {{slope: {slope:.6f} deg}}\n")
-        assert ("slope-too-steep" in [d.code.name for d in found]) is steep
+        diagnostics = workshop.diagnostics(cart, f"design: {{slope: {slope:.6f} deg}}\n")
+        assert ("slope-too-steep" in [d.code.name for d in diagnostics]) is steep
 
 
-def test_no_slope_is_asked_for_by_default(workshop: Workshop) -> None:
-    found = workshop.faults(CART.replace("t/leg,", "t/leg, params: {torque: 0.01},"))
-    assert "slope-too-steep" not in [d.code.name for d in found]
+def test_no_slope_is_required_by_default(workshop: Workshop) -> None:
+    diagnostics = workshop.diagnostics(CART.replace("t/leg,", "t/leg, params: {torque: 0.01},"))
+    assert "slope-too-steep" not in [d.code.name for d in diagnostics]
 
 
 # -- inertia ----------------------------------------------------------------------------
@@ -204,10 +210,12 @@ def test_no_slope_is_asked_for_by_default(workshop: Workshop) -> None:
         ((-1, -1, -1, 0, 0, 0), False),
     ],
 )
-def test_the_triangle_of_moments(inertia: tuple[float, ...], possible: bool) -> None:
+def test_triangle_inequality_of_principal_moments(
+    inertia: tuple[float, ...], possible: bool
+) -> None:
     robot = make_robot(FOUR_STEERED)
     body = robot.links[1]
     assert body.inertial is not None
     odd = replace(body, inertial=replace(body.inertial, inertia=tuple(map(float, inertia))))
-    found = codes(replace(robot, links=(robot.links[0], odd, *robot.links[2:])))
-    assert ("inertia-impossible" not in found) is possible
+    codes_of_robot = codes(replace(robot, links=(robot.links[0], odd, *robot.links[2:])))
+    assert ("inertia-impossible" not in codes_of_robot) is possible

@@ -1,4 +1,4 @@
-"""Static loads, springs and contact points, against other ways to find them."""
+"""Static loads, springs and contact points, compared with independent computations."""
 
 from __future__ import annotations
 
@@ -25,45 +25,45 @@ def body(x: float, y: float, mass: float = 100.0) -> Inertial:
 # -- static loads -----------------------------------------------------------------------
 
 
-def test_three_wheels_carry_what_the_lever_says() -> None:
+def test_loads_of_three_wheels_follow_from_the_levers() -> None:
     loads = static_loads([(1.0, 0.5), (1.0, -0.5), (-1.0, 0.0)], body(0.5, 0.0))
     assert loads == pytest.approx([0.375 * 981, 0.375 * 981, 0.25 * 981])
 
 
-def test_four_wheels_share_by_the_plane_of_equal_springs() -> None:
+def test_loads_of_four_wheels_are_in_a_plane() -> None:
     corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
     loads = static_loads(corners, body(0.2, 0.1))
     assert loads == pytest.approx([981 / 4 * (1 + 0.2 * x + 0.1 * y) for x, y in corners])
 
 
-def test_one_wheel_carries_everything() -> None:
+def test_single_wheel_carries_the_whole_weight() -> None:
     assert static_loads([(0.3, 0.2)], body(0.0, 0.0)) == pytest.approx([981.0])
 
 
-def test_two_wheels_share_along_their_line() -> None:
+def test_two_wheels_balance_the_moment_along_their_line() -> None:
     loads = static_loads([(1.0, 1.0), (-1.0, -1.0)], body(0.25, 0.25))
     assert loads == pytest.approx([0.625 * 981, 0.375 * 981])
 
 
-def test_wheels_in_one_place_share_equally() -> None:
+def test_wheels_at_the_same_point_share_the_load() -> None:
     assert static_loads([(0.5, 0.5)] * 3, body(0.0, 0.0)) == pytest.approx([327.0] * 3)
 
 
-def test_a_wheel_that_would_have_to_pull_carries_nothing() -> None:
+def test_wheel_with_negative_load_carries_nothing() -> None:
     points = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0), (-4.0, 0.0)]
     loads = static_loads(points, body(0.8, 0.0))
     assert loads[4] == 0.0
     assert loads[:4] == pytest.approx(static_loads(points[:4], body(0.8, 0.0)))
 
 
-def test_wheels_of_a_rocker_are_in_balance_about_its_pivot() -> None:
+def test_wheels_of_a_rocker_balance_about_its_pivot() -> None:
     points = [(1.0, 0.5), (1.0, -0.5), (-0.8, 0.0), (-1.4, 0.0)]
     pivot = Pivot((0.0, 0.0, -0.2, 0.4), 0.0)  # about y at x = -1
     loads = static_loads(points, body(0.0, 0.1), [pivot])
     assert loads == pytest.approx([0.35 * 981, 0.15 * 981, 981 / 3, 981 / 6])
 
 
-def test_a_pivot_changes_nothing_where_its_wheels_are_in_balance_anyway() -> None:
+def test_pivot_of_balanced_wheels_changes_no_load() -> None:
     points = [(1.0, 0.5), (1.0, -0.5), (-1.0, 0.5), (-1.0, -0.5)]
     tractor = Pivot((0.5, -0.5, 0.0, 0.0), 0.0)  # a front axle that rolls about x
     assert static_loads(points, body(0.3, 0.0), [tractor]) == pytest.approx(
@@ -73,22 +73,22 @@ def test_a_pivot_changes_nothing_where_its_wheels_are_in_balance_anyway() -> Non
 
 @settings(deadline=None, max_examples=100)
 @given(st.lists(point, min_size=3, max_size=12, unique=True), st.data())
-def test_loads_are_those_of_equal_springs_under_a_stiff_body(
+def test_loads_equal_those_of_equal_springs_under_a_rigid_body(
     points: list[tuple[float, float]], data: st.DataObject
 ) -> None:
-    """Least energy in equal springs, subject to the balance of force and moments."""
+    """The loads have the least energy of equal springs under the balance of force and moments."""
     matrix = np.array([[1.0, x, y] for x, y in points])
     assume(np.linalg.cond(matrix) < 1e4)
     shares = np.array(data.draw(st.tuples(*[st.floats(0.05, 1.0)] * len(points))))
     shares /= shares.sum()
     x, y = shares @ matrix[:, 1:]
     loads = static_loads(points, body(x, y))
-    wanted = 981.0 * np.array([1.0, x, y])
-    least, *_ = np.linalg.lstsq(matrix.T, wanted, rcond=None)
+    balance = 981.0 * np.array([1.0, x, y])
+    least, *_ = np.linalg.lstsq(matrix.T, balance, rcond=None)
     if least.min() > 1e-6:
         np.testing.assert_allclose(loads, least, rtol=1e-6, atol=1e-6)
     assert min(loads) >= 0.0
-    np.testing.assert_allclose(matrix.T @ loads, wanted, rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(matrix.T @ loads, balance, rtol=1e-6, atol=1e-5)
 
 
 @settings(deadline=None, max_examples=50)
@@ -98,7 +98,7 @@ def test_loads_are_those_of_equal_springs_under_a_stiff_body(
     coordinate,
     st.floats(-math.pi, math.pi),
 )
-def test_loads_do_not_depend_on_where_the_origin_is(
+def test_loads_do_not_depend_on_the_origin(
     points: list[tuple[float, float]], dx: float, dy: float, turn: float
 ) -> None:
     matrix = np.array([[1.0, x, y] for x, y in points])
@@ -109,9 +109,9 @@ def test_loads_do_not_depend_on_where_the_origin_is(
     def moved(px: float, py: float) -> tuple[float, float]:
         return (c * px - s * py + dx, s * px + c * py + dy)
 
-    before = static_loads(points, body(x, y))
-    after = static_loads([moved(*p) for p in points], body(*moved(x, y)))
-    assert after == pytest.approx(before, rel=1e-6, abs=1e-6)
+    loads_at_origin = static_loads(points, body(x, y))
+    loads_elsewhere = static_loads([moved(*p) for p in points], body(*moved(x, y)))
+    assert loads_elsewhere == pytest.approx(loads_at_origin, rel=1e-6, abs=1e-6)
 
 
 # -- contact ------------------------------------------------------------------------------
@@ -129,11 +129,11 @@ def test_the_lowest_point_is_on_the_middle_circle(yaw: float, camber: float, rad
         math.cos(yaw) * math.cos(camber),
         math.sin(camber),
     )
-    found = np.array(lowest_point((1.0, 2.0, 3.0), axis, radius)) - [1.0, 2.0, 3.0]
-    assert np.linalg.norm(found) == pytest.approx(radius)
-    assert found @ np.array(axis) == pytest.approx(0.0, abs=1e-9)
+    lowest = np.array(lowest_point((1.0, 2.0, 3.0), axis, radius)) - [1.0, 2.0, 3.0]
+    assert np.linalg.norm(lowest) == pytest.approx(radius)
+    assert lowest @ np.array(axis) == pytest.approx(0.0, abs=1e-9)
     # No other point of the circle is lower.
-    across = np.cross(axis, found)
+    across = np.cross(axis, lowest)
     for angle in np.linspace(0, 2 * math.pi, 60):
-        other = math.cos(angle) * found + math.sin(angle) * across
-        assert other[2] >= found[2] - 1e-9
+        point_of_circle = math.cos(angle) * lowest + math.sin(angle) * across
+        assert point_of_circle[2] >= lowest[2] - 1e-9

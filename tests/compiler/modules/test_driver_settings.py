@@ -1,4 +1,4 @@
-"""What the driver goes by, and the sets of it, from the file to the model."""
+"""Driver settings and parameter sets in the model."""
 
 from __future__ import annotations
 
@@ -32,36 +32,38 @@ def compiled(folder: Path, text: str) -> Compilation:
 
 
 def robot(folder: Path, text: str) -> Robot:
-    done = compiled(folder, text)
-    assert isinstance(done.model, Robot), [d.message for d in done.report]
-    return done.model
+    compilation = compiled(folder, text)
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
+    return compilation.model
 
 
-def test_a_set_is_the_robots_settings_with_what_it_changes(tmp_path: Path) -> None:
-    made = robot(
+def test_parameter_set_is_driver_settings_with_its_changes(tmp_path: Path) -> None:
+    model = robot(
         tmp_path,
         "driver: {max_linear_velocity: 0.6 m/s, noise: {angle: 1 deg, speed_ratio: 0.02}}\n"
         "parameter_sets:\n"
         "  rail: {radii: rail, max_angular_velocity: 20 deg/s, noise: {speed_ratio: 0.03}}\n"
         "  slow: {max_linear_velocity: 0.1 m/s}\n",
     )
-    rail, slow = made.parameter_sets
+    rail, slow = model.parameter_sets
     assert (rail.name, rail.radii, slow.name, slow.radii) == ("rail", "rail", "slow", None)
     assert rail.driver.max_linear_velocity == 0.6
     assert rail.driver.max_angular_velocity == pytest.approx(0.349066, abs=1e-6)
     assert dict(rail.driver.noise) == pytest.approx({"angle": 0.0174533, "speed_ratio": 0.03})
-    assert dict(made.driver.noise) == pytest.approx({"angle": 0.0174533, "speed_ratio": 0.02})
-    assert slow.driver == dataclasses.replace(made.driver, max_linear_velocity=0.1)
-    assert from_json(to_json(made)) == made
+    assert dict(model.driver.noise) == pytest.approx({"angle": 0.0174533, "speed_ratio": 0.02})
+    assert slow.driver == dataclasses.replace(model.driver, max_linear_velocity=0.1)
+    assert from_json(to_json(model)) == model
 
 
-def test_smaller_radii_allow_less(tmp_path: Path) -> None:
-    made = robot(tmp_path, "parameter_sets: {rail: {radii: rail}}\n")
-    (rail,) = made.parameter_sets
+def test_smaller_radii_lower_the_limits(tmp_path: Path) -> None:
+    model = robot(tmp_path, "parameter_sets: {rail: {radii: rail}}\n")
+    (rail,) = model.parameter_sets
     share = 90 / 125
-    assert rail.driver.max_linear_velocity == pytest.approx(share * made.driver.max_linear_velocity)
+    assert rail.driver.max_linear_velocity == pytest.approx(
+        share * model.driver.max_linear_velocity
+    )
     assert rail.driver.max_angular_acceleration == pytest.approx(
-        share * made.driver.max_angular_acceleration
+        share * model.driver.max_angular_acceleration
     )
 
 
@@ -77,15 +79,17 @@ def test_smaller_radii_allow_less(tmp_path: Path) -> None:
         ("driver:\n  noise: {speed: 1}\n", "unknown-key", 4),
     ],
 )
-def test_faults_of_a_set_are_told_where_they_are(
+def test_errors_of_a_parameter_set_have_its_lines(
     tmp_path: Path, text: str, code: str, line: int
 ) -> None:
-    done = compiled(tmp_path, text)
-    found = [(d.code.name, d.span.line) for d in done.report if d.span]
-    assert (code, line) in found
-    assert (done.model is None) == any(d.code.severity == "error" for d in done.report)
+    compilation = compiled(tmp_path, text)
+    lines_by_code = [(d.code.name, d.span.line) for d in compilation.report if d.span]
+    assert (code, line) in lines_by_code
+    assert (compilation.model is None) == any(
+        d.code.severity == "error" for d in compilation.report
+    )
 
 
-def test_names_are_those_of_the_runtime() -> None:
+def test_setting_names_equal_those_of_the_runtime() -> None:
     assert tuple(NOISE) == tuple(field.name for field in dataclasses.fields(Noise))
     assert tuple(LIMITS) == parameters.LIMITS

@@ -1,4 +1,4 @@
-"""The model as a whole: kinematics, names, motors, settings, where things come from."""
+"""The complete model: kinematics, names, motors, settings, spans."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ SOURCE = 'source: "chosen: for a test"'
 
 
 def leg(name: str, mount: str, params: str = "") -> str:
-    given = f", params: {{{params}}}" if params else ""
-    return f"{name}: {{type: t/leg, mount: {{parent: body, {mount}}}{given}}}"
+    params_text = f", params: {{{params}}}" if params else ""
+    return f"{name}: {{type: t/leg, mount: {{parent: body, {mount}}}{params_text}}}"
 
 
 def on_plate(*lines: str, params: str = "") -> str:
-    """A plate with these legs; ``params`` for all that have none of their own."""
-    given = f", params: {{{params}}}}}" if params else "}"
-    lines = tuple(x if "params:" in x else x.removesuffix("}") + given for x in lines)
+    """Returns a plate with these legs; ``params`` are those of all legs without own ones."""
+    params_text = f", params: {{{params}}}}}" if params else "}"
+    lines = tuple(x if "params:" in x else x.removesuffix("}") + params_text for x in lines)
     return "\n".join(["body: {type: t/plate}", *lines])
 
 
 def wheel(robot: Robot, module: str) -> Wheel:
-    (found,) = [w for w in robot.wheels if w.module == module]
-    return found
+    (wheel_of_module,) = [w for w in robot.wheels if w.module == module]
+    return wheel_of_module
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray[Any, Any]:
-    """By fixed axes, written out from the three matrices."""
+    """Returns the matrix of roll, pitch and yaw about fixed axes, multiplied out."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -43,11 +43,11 @@ def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray[Any, Any]:
 
 
 def frames(robot: Robot) -> dict[str, np.ndarray[Any, Any]]:
-    """All links in base_link as 4x4 matrices, from the joints alone."""
-    found = {"base_link": np.eye(4)}
+    """Returns the poses of all links in base_link as 4x4 matrices, computed from the joints."""
+    frames_by_link = {"base_link": np.eye(4)}
     waiting = list(robot.joints)
     while waiting:
-        joint = next(j for j in waiting if j.parent in found)
+        joint = next(j for j in waiting if j.parent in frames_by_link)
         waiting.remove(joint)
         w, x, y, z = joint.pose.quat
         step = np.eye(4)
@@ -57,8 +57,8 @@ def frames(robot: Robot) -> dict[str, np.ndarray[Any, Any]]:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
         step[:3, 3] = joint.pose.xyz
-        found[joint.child] = found[joint.parent] @ step
-    return found
+        frames_by_link[joint.child] = frames_by_link[joint.parent] @ step
+    return frames_by_link
 
 
 THREE = (
@@ -68,7 +68,7 @@ THREE = (
 )
 
 
-# -- where the wheels are ---------------------------------------------------------------
+# -- wheel geometry --------------------------------------------------------------------
 
 
 def test_a_wheel_stands_below_its_mount_and_the_frame_at_its_height(workshop: Workshop) -> None:
@@ -84,35 +84,35 @@ def test_a_wheel_stands_below_its_mount_and_the_frame_at_its_height(workshop: Wo
 
 
 @pytest.mark.parametrize("degrees", [0, 30, 90, 135, 180, -90, -179])
-def test_a_mount_that_is_turned_turns_the_heading(workshop: Workshop, degrees: int) -> None:
+def test_rotated_mount_rotates_the_heading(workshop: Workshop, degrees: int) -> None:
     turned = leg("a", f"xyz: [0.5, 0.4, 0], rpy: [0, 0, {degrees} deg]")
     robot = workshop.robot(on_plate(turned, *THREE[1:], params="turns: steers"))
-    found = wheel(robot, "a")
-    assert (found.x, found.y) == (0.5, 0.4)
-    difference = math.remainder(found.heading - math.radians(degrees), 2 * math.pi)
+    left_wheel = wheel(robot, "a")
+    assert (left_wheel.x, left_wheel.y) == (0.5, 0.4)
+    difference = math.remainder(left_wheel.heading - math.radians(degrees), 2 * math.pi)
     assert difference == pytest.approx(0.0, abs=1e-9)
-    assert found.steering_sign == 1.0
+    assert left_wheel.steering_sign == 1.0
 
 
 @pytest.mark.parametrize("yaw", [0, 40, 180, 270])
-def test_the_axle_beside_and_behind_the_axis(workshop: Workshop, yaw: int) -> None:
+def test_trail_and_lateral_offset_of_an_offset_axle(workshop: Workshop, yaw: int) -> None:
     mount = f"xyz: [0.5, 0.4, 0], rpy: [0, 0, {yaw} deg]"
     caster = leg("a", mount, "turns: swivels, trail: 0.07, aside: 0.03")
     robot = workshop.robot(on_plate(caster, *THREE[1:]))
-    found = wheel(robot, "a")
-    assert (found.x, found.y) == (0.5, 0.4)
-    assert (found.trail, found.lateral_offset) == pytest.approx((-0.07, 0.03))
-    assert found.swivel_joint == "a_swivel"
-    assert found.steering_joint is None
+    left_wheel = wheel(robot, "a")
+    assert (left_wheel.x, left_wheel.y) == (0.5, 0.4)
+    assert (left_wheel.trail, left_wheel.lateral_offset) == pytest.approx((-0.07, 0.03))
+    assert left_wheel.swivel_joint == "a_swivel"
+    assert left_wheel.steering_joint is None
 
 
-def test_a_wheel_that_does_not_turn_has_its_contact_as_place(workshop: Workshop) -> None:
+def test_position_of_a_fixed_wheel_is_its_contact_point(workshop: Workshop) -> None:
     robot = workshop.robot(on_plate(leg("a", "xyz: [0.5, 0.4, 0]", "trail: 0.07"), *THREE[1:]))
-    found = wheel(robot, "a")
-    assert (found.x, found.y, found.trail) == (0.43, 0.4, 0.0)
+    left_wheel = wheel(robot, "a")
+    assert (left_wheel.x, left_wheel.y, left_wheel.trail) == (0.43, 0.4, 0.0)
 
 
-def test_an_axle_the_other_way_round_rolls_backwards(workshop: Workshop) -> None:
+def test_reversed_axle_reverses_the_heading(workshop: Workshop) -> None:
     workshop.module(
         "t/back",
         f"""
@@ -130,7 +130,7 @@ def test_an_axle_the_other_way_round_rolls_backwards(workshop: Workshop) -> None
     assert robot.joint("a_axle").axis == (0.0, -1.0, 0.0)
 
 
-def test_a_steering_that_hangs_upside_down_turns_the_other_way(workshop: Workshop) -> None:
+def test_inverted_steering_axis_has_negative_sign(workshop: Workshop) -> None:
     workshop.module(
         "t/below",
         f"""
@@ -157,13 +157,13 @@ def test_a_wheel_with_camber_stands_on_its_lowest_point(workshop: Workshop, degr
     mount = f"xyz: [0.5, 0.4, {-down:.12f}], rpy: [{degrees} deg, 0, 0]"
     robot = workshop.robot(on_plate(leg("a", mount), *THREE[1:]), warned=("tip-over",))
     rim = np.array([0.5, 0.4, 0.6 - down]) + rotation(roll, 0, 0) @ np.array([0, 0, -0.6])
-    found = wheel(robot, "a")
-    assert (found.x, found.y) == pytest.approx((rim[0], rim[1]))
-    assert found.heading == pytest.approx(0.0)
-    assert found.contact_height == pytest.approx(rim[2], abs=1e-9)
+    left_wheel = wheel(robot, "a")
+    assert (left_wheel.x, left_wheel.y) == pytest.approx((rim[0], rim[1]))
+    assert left_wheel.heading == pytest.approx(0.0)
+    assert left_wheel.contact_height == pytest.approx(rim[2], abs=1e-9)
 
 
-def test_the_lowest_wheel_carries_the_frame(workshop: Workshop) -> None:
+def test_frame_height_follows_from_the_lowest_wheel(workshop: Workshop) -> None:
     def robot(drop: float) -> Robot:
         return workshop.robot(
             on_plate(
@@ -194,7 +194,7 @@ def test_the_lowest_wheel_carries_the_frame(workshop: Workshop) -> None:
         "xyz: [0.2, -0.4, -0.1], rpy: [0.3, 0.1, 2.5]",
     ],
 )
-def test_links_are_where_matrices_put_them(workshop: Workshop, mount: str) -> None:
+def test_link_poses_agree_with_matrices(workshop: Workshop, mount: str) -> None:
     numbers = [float(n) for n in mount.translate(str.maketrans("xyzrp:[],", " " * 9)).split()]
     xyz, rpy = numbers[:3], numbers[3:] or [0.0, 0.0, 0.0]
     robot = workshop.robot(CART + f"    part: {{type: t/block, mount: {{parent: body, {mount}}}}}")
@@ -204,14 +204,14 @@ def test_links_are_where_matrices_put_them(workshop: Workshop, mount: str) -> No
     np.testing.assert_allclose(frames(robot)["part_box"], expected, atol=1e-11)
 
 
-def test_a_turned_port_is_followed_by_what_hangs_on_it(workshop: Workshop) -> None:
+def test_rotated_port_rotates_the_mounted_module(workshop: Workshop) -> None:
     robot = workshop.robot(
         CART + "    part: {type: t/block, mount: {port: body.rear, xyz: [0.2, 0.1, 0]}}"
     )
     np.testing.assert_allclose(frames(robot)["part_box"][:3, 3], [-0.7, -0.1, 0.6], atol=1e-12)
 
 
-def test_the_wheel_touches_with_its_own_cylinder(workshop: Workshop) -> None:
+def test_wheel_link_has_a_collision_cylinder(workshop: Workshop) -> None:
     robot = workshop.robot(on_plate(*THREE))
     (collision,) = robot.link("a_tyre").collisions
     assert collision.shape == Cylinder(0.2, 0.1)
@@ -222,7 +222,7 @@ def test_the_wheel_touches_with_its_own_cylinder(workshop: Workshop) -> None:
 # -- masses --------------------------------------------------------------------------------
 
 
-def test_the_whole_mass_by_the_parallel_axes_of_numpy(workshop: Workshop) -> None:
+def test_robot_inertia_agrees_with_parallel_axis_theorem_in_numpy(workshop: Workshop) -> None:
     robot = workshop.robot(
         CART
         + """
@@ -241,23 +241,23 @@ def test_the_whole_mass_by_the_parallel_axes_of_numpy(workshop: Workshop) -> Non
     for link in robot.links:
         if link.inertial is None:
             continue
-        own, turn = link.inertial, placed[link.name][:3, :3]
-        r = (placed[link.name] @ np.array([*own.com, 1.0]))[:3]
-        xx, yy, zz, xy, xz, yz = own.inertia
+        inertial, turn = link.inertial, placed[link.name][:3, :3]
+        r = (placed[link.name] @ np.array([*inertial.com, 1.0]))[:3]
+        xx, yy, zz, xy, xz, yz = inertial.inertia
         tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
-        mass += own.mass
-        first += own.mass * r
-        about_origin += tensor + own.mass * (r @ r * np.eye(3) - np.outer(r, r))
+        mass += inertial.mass
+        first += inertial.mass * r
+        about_origin += tensor + inertial.mass * (r @ r * np.eye(3) - np.outer(r, r))
     com = first / mass
     about_com = about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com))
     assert robot.inertial.mass == pytest.approx(mass, rel=1e-11)
     np.testing.assert_allclose(robot.inertial.com, com, atol=1e-11)
     xx, yy, zz, xy, xz, yz = robot.inertial.inertia
-    found = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    np.testing.assert_allclose(found, about_com, rtol=1e-9, atol=1e-10)
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    np.testing.assert_allclose(inertia, about_com, rtol=1e-9, atol=1e-10)
 
 
-def test_wheel_loads_carry_the_whole_weight(workshop: Workshop) -> None:
+def test_wheel_loads_add_up_to_the_weight(workshop: Workshop) -> None:
     robot = workshop.robot(
         CART + "    p: {type: t/block, mount: {parent: body, xyz: [0.2, 0.1, 0]}}"
     )
@@ -294,9 +294,7 @@ ports:
 
 
 @pytest.mark.parametrize("up", [1, -1])
-def test_a_spring_rests_where_the_static_load_leaves_it_at_zero(
-    workshop: Workshop, up: int
-) -> None:
+def test_spring_joint_is_at_zero_under_static_load(workshop: Workshop, up: int) -> None:
     workshop.module("t/sprung", SPRUNG)
     text = ["body: {type: t/plate}"]
     for name, x, y in (("fl", 0.5, 0.4), ("fr", 0.5, -0.4), ("rl", -0.5, 0.4), ("rr", -0.5, -0.4)):
@@ -306,7 +304,7 @@ def test_a_spring_rests_where_the_static_load_leaves_it_at_zero(
         )
         text.append(f"{name}: {{type: t/leg, mount: s{name}.carriage}}")
     robot = workshop.robot("\n".join(text))
-    # 100 kg + 4 (1 + 1 + 8) kg; each spring carries the body's quarter and its own guide.
+    # 100 kg + 4 (1 + 1 + 8) kg; each spring carries a quarter of the body and its own guide.
     force = (100 / 4 + 1) * 9.81
     for name in ("fl", "fr", "rl", "rr"):
         joint = robot.joint(f"s{name}_travel")
@@ -335,7 +333,7 @@ def test_limits_at_the_joint_follow_from_motor_and_gear(workshop: Workshop) -> N
     assert wheel(robot, "a").steered
 
 
-def test_the_driver_keeps_to_the_slowest_module(workshop: Workshop) -> None:
+def test_slowest_module_limits_the_driver(workshop: Workshop) -> None:
     text = on_plate(leg("a", "xyz: [0.5, 0.4, 0]", "radius: 0.1, drop: 0.5"), *THREE[1:])
     settings = workshop.robot(text).driver
     assert (settings.rate, settings.command_timeout) == (50.0, 0.5)
@@ -354,7 +352,7 @@ def test_a_calculator_with_options(workshop: Workshop) -> None:
     assert workshop.robot(CART).calculator.name == "general"
 
 
-def test_sensors_and_batteries_give_their_properties_in_si(workshop: Workshop) -> None:
+def test_properties_of_sensors_and_batteries_are_in_si(workshop: Workshop) -> None:
     body = f"""
     mount: {{kinds: [clamp], link: box}}
     links:
@@ -373,15 +371,15 @@ def test_sensors_and_batteries_give_their_properties_in_si(workshop: Workshop) -
     assert (battery.node, battery.properties) == (None, (("capacity", 36000.0), ("cells", 14)))
 
 
-# -- names and places in the source ---------------------------------------------------------------
+# -- names and spans ----------------------------------------------------------------------------
 
 
 def test_names_are_stable_when_modules_are_added_or_moved(workshop: Workshop) -> None:
-    before = workshop.robot(on_plate(*THREE))
+    first_robot = workshop.robot(on_plate(*THREE))
     after = workshop.robot(on_plate(leg("d", "xyz: [-0.5, 0.45, 0]"), *reversed(THREE)))
-    assert {x.name for x in before.links} < {x.name for x in after.links}
-    assert {x.name for x in before.joints} < {x.name for x in after.joints}
-    assert {x.name for x in before.actuators} < {x.name for x in after.actuators}
+    assert {x.name for x in first_robot.links} < {x.name for x in after.links}
+    assert {x.name for x in first_robot.joints} < {x.name for x in after.joints}
+    assert {x.name for x in first_robot.actuators} < {x.name for x in after.actuators}
 
 
 def test_model_order_is_file_order_depth_first(workshop: Workshop) -> None:
@@ -399,7 +397,7 @@ def test_model_order_is_file_order_depth_first(workshop: Workshop) -> None:
     assert [w.module for w in robot.wheels] == ["rr.wheel", "fl.wheel", "fr.wheel"]
 
 
-def test_every_element_says_where_in_the_robots_file_it_comes_from(workshop: Workshop) -> None:
+def test_every_element_has_the_span_of_its_robot_file_entry(workshop: Workshop) -> None:
     robot = workshop.robot(on_plate(*THREE))
     lines = {"body": 5, "a": 6, "b": 7, "c": 8}
     elements = [*robot.links[1:], *robot.joints, *robot.wheels, *robot.actuators]
@@ -408,7 +406,7 @@ def test_every_element_says_where_in_the_robots_file_it_comes_from(workshop: Wor
     assert robot.links[0].span.line == 2
 
 
-def test_two_modules_of_one_type_share_nothing_that_differs(workshop: Workshop) -> None:
+def test_modules_of_one_type_have_their_own_parameters(workshop: Workshop) -> None:
     text = on_plate(leg("a", "xyz: [0.5, 0.4, 0]", "radius: 0.1, drop: 0.5"), *THREE[1:])
     robot = workshop.robot(text)
     tyres = {x.name: x.collisions[0].shape for x in robot.links if x.name.endswith("tyre")}
@@ -420,7 +418,7 @@ def test_two_modules_of_one_type_share_nothing_that_differs(workshop: Workshop) 
 
 
 @pytest.mark.parametrize("count", [5, 7, 12])
-def test_robots_of_any_number_of_wheels(workshop: Workshop, count: int) -> None:
+def test_robots_with_various_numbers_of_wheels(workshop: Workshop, count: int) -> None:
     placed = []
     for i in range(count):
         angle = 2 * math.pi * i / count
@@ -429,16 +427,18 @@ def test_robots_of_any_number_of_wheels(workshop: Workshop, count: int) -> None:
     robot = workshop.robot(on_plate(*placed, params="turns: steers"))
     assert len(robot.wheels) == count
     assert robot.inertial.mass == pytest.approx(100 + 8 * count)
-    for i, found in enumerate(robot.wheels):
+    for i, wheel_of_robot in enumerate(robot.wheels):
         angle = 2 * math.pi * i / count
-        assert (found.x, found.y) == pytest.approx(
+        assert (wheel_of_robot.x, wheel_of_robot.y) == pytest.approx(
             (1.5 * math.cos(angle), 1.5 * math.sin(angle)), abs=1e-6
         )
-        assert math.remainder(found.heading - angle, 2 * math.pi) == pytest.approx(0, abs=1e-6)
-        assert found.load == pytest.approx(robot.inertial.mass * 9.81 / count, rel=1e-4)
+        assert math.remainder(wheel_of_robot.heading - angle, 2 * math.pi) == pytest.approx(
+            0, abs=1e-6
+        )
+        assert wheel_of_robot.load == pytest.approx(robot.inertial.mass * 9.81 / count, rel=1e-4)
 
 
-def test_height_of_a_frame_that_states_it(workshop: Workshop) -> None:
+def test_stated_frame_height_is_compared_with_the_wheels(workshop: Workshop) -> None:
     plate = f"""
     params:
       height: {{quantity: length, default: none, description: Of it., {SOURCE}}}
@@ -451,5 +451,5 @@ def test_height_of_a_frame_that_states_it(workshop: Workshop) -> None:
     assert workshop.robot(on_plate(*THREE)).joint("body_mount").pose.xyz[2] == 0.6
     stated = on_plate(*THREE).replace("t/plate}", "t/plate, params: {height: %s}}")
     assert workshop.robot(stated % "0.6").joint("body_mount").pose.xyz[2] == 0.6
-    found = [d.code.name for d in workshop.faults(stated % "0.602")]
-    assert "frame-height" in found
+    codes = [d.code.name for d in workshop.diagnostics(stated % "0.602")]
+    assert "frame-height" in codes

@@ -1,4 +1,4 @@
-"""What a module's document makes: masses and shapes of links, joints, motors, meshes."""
+"""Hardware of a module document: masses and shapes of links, joints, motors, meshes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOUNT = "mount: {kinds: [clamp], link: body}\n"
 
 
 def body(parts: str, more: str = "") -> str:
-    """A module whose one link `body` has these parts."""
+    """Returns a module document whose only link `body` has these parts."""
     return f"{MOUNT}links:\n  body:\n    parts:\n{parts}\n{more}"
 
 
@@ -25,9 +25,9 @@ def part(text: str) -> str:
 
 
 def inertial(robot: Robot, link: str = "part_body") -> Inertial:
-    found = robot.link(link).inertial
-    assert found is not None
-    return found
+    computed = robot.link(link).inertial
+    assert computed is not None
+    return computed
 
 
 def tensor(inertia: Inertial) -> np.ndarray[Any, Any]:
@@ -35,7 +35,7 @@ def tensor(inertia: Inertial) -> np.ndarray[Any, Any]:
 
 
 def points_of(shape: str, count: int = 40) -> np.ndarray[Any, Any]:
-    """A fine grid of points that fill a shape, to integrate over."""
+    """Returns a fine grid of points in a shape, for numerical integration."""
     steps = (np.arange(count) + 0.5) / count - 0.5
     x, y, z = (v.ravel() for v in np.meshgrid(steps, steps, steps, indexing="ij"))
     if shape == "box":
@@ -60,39 +60,41 @@ def points_of(shape: str, count: int = 40) -> np.ndarray[Any, Any]:
         ("sphere", "shape: {sphere: {radius: 0.2}}"),
     ],
 )
-def test_a_solid_has_the_inertia_of_its_points(workshop: Workshop, shape: str, text: str) -> None:
-    found = inertial(workshop.part(body(part(f"{text}, mass: 6"))))
+def test_inertia_of_a_solid_agrees_with_numerical_integration(
+    workshop: Workshop, shape: str, text: str
+) -> None:
+    computed = inertial(workshop.part(body(part(f"{text}, mass: 6"))))
     points = points_of(shape)
     expected = 6 * np.mean([p @ p * np.eye(3) - np.outer(p, p) for p in points], axis=0)
-    assert found.mass == 6.0
-    assert found.com == (0.0, 0.0, 0.0)
-    np.testing.assert_allclose(tensor(found), expected, rtol=0.01, atol=1e-6)
+    assert computed.mass == 6.0
+    assert computed.com == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(tensor(computed), expected, rtol=0.01, atol=1e-6)
 
 
-def test_parts_add_up_about_their_common_centre(workshop: Workshop) -> None:
+def test_parts_are_combined_about_their_centre_of_mass(workshop: Workshop) -> None:
     parts = part("shape: {sphere: {radius: 0.001}}, xyz: [1, 0, 0], mass: 1")
     parts += part("shape: {sphere: {radius: 0.001}}, xyz: [-1, 0, 2], mass: 3")
-    found = inertial(workshop.part(body(parts)))
-    assert found.mass == 4.0
-    assert found.com == pytest.approx((-0.5, 0.0, 1.5))
-    # Two points at distance d of reduced mass 3/4: m d^2 across, nothing along.
-    moments = sorted(np.linalg.eigvalsh(tensor(found)))
+    computed = inertial(workshop.part(body(parts)))
+    assert computed.mass == 4.0
+    assert computed.com == pytest.approx((-0.5, 0.0, 1.5))
+    # Two point masses at distance d with reduced mass 3/4: m d^2 across the line, 0 along it.
+    moments = sorted(np.linalg.eigvalsh(tensor(computed)))
     assert moments == pytest.approx([0.0, 0.75 * 8, 0.75 * 8], abs=1e-5)
     along = np.array([2.0, 0.0, -2.0]) / math.sqrt(8)
-    assert along @ tensor(found) @ along == pytest.approx(0.0, abs=1e-5)
+    assert along @ tensor(computed) @ along == pytest.approx(0.0, abs=1e-5)
 
 
-def test_an_inertia_given_is_about_the_centre_and_turns_with_its_part(workshop: Workshop) -> None:
+def test_stated_inertia_rotates_with_its_part(workshop: Workshop) -> None:
     text = "mass: 2, com: [0.1, 0, 0], inertia: [1, 2, 2.5, 0.1, 0.2, 0.3], rpy: [0, 0, 90 deg]"
-    found = inertial(workshop.part(body(part(text))))
-    assert found.com == pytest.approx((0.0, 0.1, 0.0))
-    assert found.inertia == pytest.approx((2.0, 1.0, 2.5, -0.1, -0.3, 0.2))
+    computed = inertial(workshop.part(body(part(text))))
+    assert computed.com == pytest.approx((0.0, 0.1, 0.0))
+    assert computed.inertia == pytest.approx((2.0, 1.0, 2.5, -0.1, -0.3, 0.2))
 
 
-def test_a_part_without_a_mass_is_only_seen(workshop: Workshop) -> None:
+def test_part_without_mass_is_only_visual(workshop: Workshop) -> None:
     parts = part("shape: {box: [1, 1, 1]}") + part("shape: {sphere: {radius: 0.1}}, mass: 2")
-    found = workshop.part(body(parts)).link("part_body")
-    assert [v.shape for v in found.visuals] == [Box((1.0, 1.0, 1.0)), Sphere(0.1)]
+    link = workshop.part(body(parts)).link("part_body")
+    assert [v.shape for v in link.visuals] == [Box((1.0, 1.0, 1.0)), Sphere(0.1)]
     assert inertial(workshop.part(body(parts))).mass == 2.0
 
 
@@ -104,30 +106,30 @@ def test_a_link_without_parts_has_no_mass(workshop: Workshop) -> None:
 # -- parts ------------------------------------------------------------------------------
 
 
-def test_what_is_seen_and_what_touches(workshop: Workshop) -> None:
+def test_show_and_collide_select_visuals_and_collisions(workshop: Workshop) -> None:
     parts = part("shape: {box: [1, 2, 3]}, color: '#ff8000'")
     parts += part("shape: {sphere: {radius: 0.5}}, show: false, collide: true")
     parts += part("shape: {cylinder: {radius: 0.5, length: 2}}, collide: true, rpy: [90 deg, 0, 0]")
-    found = workshop.part(body(parts)).link("part_body")
-    assert [v.shape for v in found.visuals] == [Box((1.0, 2.0, 3.0)), Cylinder(0.5, 2.0)]
-    assert [c.shape for c in found.collisions] == [Sphere(0.5), Cylinder(0.5, 2.0)]
-    assert found.visuals[0].color == (1.0, 0.502, 0.0, 1.0)
-    assert found.visuals[1].pose == found.collisions[1].pose
+    link = workshop.part(body(parts)).link("part_body")
+    assert [v.shape for v in link.visuals] == [Box((1.0, 2.0, 3.0)), Cylinder(0.5, 2.0)]
+    assert [c.shape for c in link.collisions] == [Sphere(0.5), Cylinder(0.5, 2.0)]
+    assert link.visuals[0].color == (1.0, 0.502, 0.0, 1.0)
+    assert link.visuals[1].pose == link.collisions[1].pose
 
 
-def test_a_part_for_each_value_of_a_list(workshop: Workshop) -> None:
+def test_for_repeats_a_part_for_each_value(workshop: Workshop) -> None:
     text = "shape: {box: [0.1, 0.1, '${0.1 * n}']}, xyz: ['${x}', 0, 0], "
     text += "for: {x: [0, 200 mm], n: [1, 2, 3]}, mass: 1"
-    found = workshop.part(body(part(text))).link("part_body")
-    shown = [(v.pose.xyz[0], v.shape.size[2]) for v in found.visuals if isinstance(v.shape, Box)]
+    link = workshop.part(body(part(text))).link("part_body")
+    shown = [(v.pose.xyz[0], v.shape.size[2]) for v in link.visuals if isinstance(v.shape, Box)]
     assert [x for x, _ in shown] == [0.0, 0.0, 0.0, 0.2, 0.2, 0.2]
     assert [z for _, z in shown] == pytest.approx([0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
-    assert found.inertial is not None
-    assert found.inertial.mass == 6.0
+    assert link.inertial is not None
+    assert link.inertial.mass == 6.0
 
 
 @pytest.mark.parametrize(("lid", "count"), [("true", 2), ("false", 1)])
-def test_a_part_is_there_when_its_condition_holds(workshop: Workshop, lid: str, count: int) -> None:
+def test_when_selects_a_part(workshop: Workshop, lid: str, count: int) -> None:
     params = f"params: {{lid: {{type: boolean, description: With it., default: true, {SOURCE}}}}}\n"
     parts = part("shape: {box: [1, 1, 1]}, mass: 1")
     parts += part("shape: {box: [1, 1, 0.1]}, mass: 1, when: '${lid}'")
@@ -135,7 +137,7 @@ def test_a_part_is_there_when_its_condition_holds(workshop: Workshop, lid: str, 
     assert len(robot.link("part_body").visuals) == count
 
 
-def test_colours_by_name_the_users_before_ours(workshop: Workshop) -> None:
+def test_palette_of_the_user_has_priority(workshop: Workshop) -> None:
     workshop.write("my_modules/palette.yaml", 'mine: "#000000"\ntyre: "#ffffff80"\n')
     parts = "".join(part(f"shape: {{sphere: {{radius: 1}}}}, color: {c}") for c in ("mine", "tyre"))
     black, white = workshop.part(body(parts)).link("part_body").visuals
@@ -143,7 +145,7 @@ def test_colours_by_name_the_users_before_ours(workshop: Workshop) -> None:
     assert white.color == (1.0, 1.0, 1.0, 0.502)
 
 
-def test_a_palette_of_one_robot_colours_no_other(workshop: Workshop) -> None:
+def test_palette_of_one_robot_does_not_affect_another(workshop: Workshop) -> None:
     palette = workshop.write("my_modules/palette.yaml", 'tyre: "#ff0000"\n')
     cart = CART.replace("t/leg", "caster/fixed").replace("t/plate", "frame/open")
     cart = cart.replace("body: {type: frame/open}", "body: {type: frame/tube_rectangular}")
@@ -158,7 +160,7 @@ def test_a_palette_of_one_robot_colours_no_other(workshop: Workshop) -> None:
 # -- meshes -------------------------------------------------------------------------------
 
 
-def test_a_mesh_lies_beside_its_module(workshop: Workshop) -> None:
+def test_mesh_path_is_relative_to_the_module(workshop: Workshop) -> None:
     workshop.write("my_modules/t/part/meshes/cover.obj", TETRAHEDRON)
     parts = part(
         "shape: {mesh: {file: meshes/cover.obj, scale: 0.5}}, mass: 2, "
@@ -174,7 +176,7 @@ def test_a_mesh_lies_beside_its_module(workshop: Workshop) -> None:
     assert inertial(robot).inertia[0] == pytest.approx(2 / 6)
 
 
-def test_one_mesh_for_modules_that_share_it(workshop: Workshop) -> None:
+def test_modules_share_one_mesh(workshop: Workshop) -> None:
     workshop.write("my_modules/t/part/cover.obj", TETRAHEDRON)
     workshop.module("t/part", body(part("shape: {mesh: {file: cover.obj}}")))
     more = "".join(f"    p{i}: {{type: t/part, mount: body.front}}\n" for i in range(3))
@@ -240,7 +242,7 @@ motors:
     ("stated", "at_the_joint"),
     [("", 5 * math.pi), ("max_velocity: 4", 4.0), ("max_velocity: 40", 5 * math.pi)],
 )
-def test_a_joint_is_no_faster_than_its_motor(
+def test_motor_limits_the_speed_of_its_joint(
     workshop: Workshop, stated: str, at_the_joint: float
 ) -> None:
     robot = workshop.part(two_links("type: continuous", MOTOR % (30, stated)))
@@ -252,7 +254,7 @@ def test_a_joint_is_no_faster_than_its_motor(
 
 
 @pytest.mark.parametrize(("effort", "at_the_joint"), [("", 30.0), (", effort: 20", 20.0)])
-def test_the_weaker_of_motor_and_joint_counts(
+def test_effort_is_the_lower_of_motor_and_joint(
     workshop: Workshop, effort: str, at_the_joint: float
 ) -> None:
     robot = workshop.part(two_links(f"type: continuous{effort}", MOTOR % (30, "")))
@@ -260,13 +262,13 @@ def test_the_weaker_of_motor_and_joint_counts(
     assert [a.max_torque for a in robot.actuators if a.module == "part"] == [at_the_joint]
 
 
-def test_the_slower_of_motor_and_joint_counts(workshop: Workshop) -> None:
+def test_velocity_is_the_lower_of_motor_and_joint(workshop: Workshop) -> None:
     robot = workshop.part(two_links("type: continuous, velocity: 3", MOTOR % (30, "")))
     assert robot.joint("part_j").velocity == 3.0
     assert [a.max_velocity for a in robot.actuators if a.module == "part"] == [3.0]
 
 
-# -- what is wrong --------------------------------------------------------------------------
+# -- errors ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -298,22 +300,24 @@ def test_the_slower_of_motor_and_joint_counts(workshop: Workshop) -> None:
         (body(part("shape: {box: [1, 1, 1]}, mass: 1, for: {x: '${3}'}")), "wrong-type"),
     ],
 )
-def test_each_fault_is_one_and_stands_in_the_module(
+def test_each_error_is_reported_once_in_the_module(
     workshop: Workshop, module: str, code: str
 ) -> None:
     workshop.module("t/part", module)
-    found = workshop.faults(CART + "    part: {type: t/part, mount: body.front}")
-    errors = [d for d in found if d.severity.value == "error"]
+    diagnostics = workshop.diagnostics(CART + "    part: {type: t/part, mount: body.front}")
+    errors = [d for d in diagnostics if d.severity.value == "error"]
     assert [d.code.name for d in errors if d.code.name != "mount-without-hardware"] == [code]
-    (fault,) = [d for d in errors if d.code.name == code]
-    assert fault.span is not None
-    assert fault.span.file.endswith("my_modules/t/part/module.yaml")
-    assert [(x.span.line, x.text) for x in fault.labels][-1] == (10, "`part` uses it")
+    (diagnostic,) = [d for d in errors if d.code.name == code]
+    assert diagnostic.span is not None
+    assert diagnostic.span.file.endswith("my_modules/t/part/module.yaml")
+    assert [(x.span.line, x.text) for x in diagnostic.labels][-1] == (10, "`part` uses it")
 
 
-def test_a_fault_in_our_own_library_is_put_to_the_users_line(workshop: Workshop) -> None:
-    found = workshop.faults("frame: {type: frame/tube_rectangular, params: {wall: 100 mm}}")
-    (fault, *_) = [d for d in found if d.code.name == "mass-negative"]
-    assert fault.span is not None
-    assert (fault.span.file, fault.span.line) == (str(workshop.folder / "robot.yaml"), 5)
-    assert fault.labels[0].span.file.startswith("<library>/")
+def test_error_in_the_built_in_library_points_at_the_users_line(workshop: Workshop) -> None:
+    diagnostics = workshop.diagnostics(
+        "frame: {type: frame/tube_rectangular, params: {wall: 100 mm}}"
+    )
+    (diagnostic, *_) = [d for d in diagnostics if d.code.name == "mass-negative"]
+    assert diagnostic.span is not None
+    assert (diagnostic.span.file, diagnostic.span.line) == (str(workshop.folder / "robot.yaml"), 5)
+    assert diagnostic.labels[0].span.file.startswith("<library>/")

@@ -1,4 +1,4 @@
-"""How modules find one another: mounts, ports, assemblies, defaults, channels."""
+"""Resolution of modules: mounts, ports, assemblies, defaults, channels."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tests.workshop import CART, EXPECTED, Workshop, said
+from tests.workshop import CART, EXPECTED, Workshop, format_report
 from thorvaldc.compiler.modules.library_check import check_library
 from thorvaldc.model import Robot
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -22,7 +22,7 @@ ports:
 
 
 def place(robot: Robot, link: str) -> tuple[float, float, float]:
-    """Where a link's origin is in base_link, rounded to a micrometre."""
+    """Returns the origin of a link in base_link (m), rounded to a micrometre."""
     x, y, z = JointTree(robot.links, robot.joints).pose[link].xyz
     return (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0)
 
@@ -30,7 +30,7 @@ def place(robot: Robot, link: str) -> tuple[float, float, float]:
 # -- mounts ---------------------------------------------------------------------------
 
 
-def test_a_port_and_an_offset_are_put_one_after_the_other(workshop: Workshop) -> None:
+def test_mount_pose_is_port_pose_times_offset(workshop: Workshop) -> None:
     workshop.module("t/arm", ARM)
     robot = workshop.robot(
         CART
@@ -40,20 +40,20 @@ def test_a_port_and_an_offset_are_put_one_after_the_other(workshop: Workshop) ->
     c: {type: t/block, mount: b.tip}
     """
     )
-    # a looks ahead from x 0.5; its tip looks left; b looks back from half a metre along.
+    # a points forward from x = 0.5, its tip points left, and b points back from 0.5 m along it.
     assert place(robot, "a_base") == (0.5, 0.0, 0.6)
     assert place(robot, "b_base") == (1.5, 0.5, 0.7)
     assert place(robot, "c_box") == (0.5, 0.5, 0.7)
 
 
-def test_where_a_module_is_held_counts(workshop: Workshop) -> None:
+def test_mount_pose_of_the_module_is_inverted(workshop: Workshop) -> None:
     workshop.module(
         "t/hook",
         ARM.replace("link: base}", "link: base, xyz: [0.2, 0, 0], rpy: [0, 0, 90 deg]}", 1),
     )
     robot = workshop.robot(CART + "    hook: {type: t/hook, mount: body.front}")
     pose = JointTree(robot.links, robot.joints).pose["hook_base"]
-    # Held at (0.2, 0, 0), where its x points to the frame's -y.
+    # Its mount is at (0.2, 0, 0); there its x axis is the frame's -y axis.
     assert place(robot, "hook_base") == (0.5, 0.2, 0.6)
     assert pose.rpy()[2] == pytest.approx(-math.pi / 2)
 
@@ -62,15 +62,15 @@ def test_the_order_in_the_file_does_not_matter(workshop: Workshop) -> None:
     workshop.module("t/arm", ARM)
     lines = CART.strip().splitlines()
     lines += ["    a: {type: t/arm, mount: body.front}", "    b: {type: t/arm, mount: a.tip}"]
-    one = workshop.robot("\n".join(line.strip() for line in lines))
-    other = workshop.robot("\n".join(line.strip() for line in reversed(lines)))
-    assert {x.name for x in one.links} == {x.name for x in other.links}
-    for link in one.links:
-        assert place(one, link.name) == pytest.approx(place(other, link.name))
-    assert [x.name for x in other.links][1] == "b_base"
+    in_order = workshop.robot("\n".join(line.strip() for line in lines))
+    reversed_order = workshop.robot("\n".join(line.strip() for line in reversed(lines)))
+    assert {x.name for x in in_order.links} == {x.name for x in reversed_order.links}
+    for link in in_order.links:
+        assert place(in_order, link.name) == pytest.approx(place(reversed_order, link.name))
+    assert [x.name for x in reversed_order.links][1] == "b_base"
 
 
-def test_a_free_place_on_an_assembly_is_on_its_first_part(workshop: Workshop) -> None:
+def test_free_mount_on_an_assembly_is_on_its_root(workshop: Workshop) -> None:
     workshop.module(
         "t/tower",
         """
@@ -92,7 +92,7 @@ def test_a_free_place_on_an_assembly_is_on_its_first_part(workshop: Workshop) ->
     assert place(robot, "on_top_box") == (0.1, 0.0, 1.6)
 
 
-def test_free_places_are_measured_from_where_the_module_says(workshop: Workshop) -> None:
+def test_free_mount_is_relative_to_its_stated_pose(workshop: Workshop) -> None:
     workshop.module(
         "t/shelf",
         ARM + "free_mount: {kind: clamp, link: base, xyz: [0, 0, 1], rpy: [0, 0, 90 deg]}\n",
@@ -107,11 +107,11 @@ def test_free_places_are_measured_from_where_the_module_says(workshop: Workshop)
     assert place(robot, "box_box") == (0.5, 0.2, 1.6)
 
 
-def test_a_module_fits_ports_of_its_kinds_only(workshop: Workshop) -> None:
+def test_module_fits_only_ports_of_its_kinds(workshop: Workshop) -> None:
     workshop.module("t/arm", ARM.replace("kind: clamp", "kind: tool"))
     arm = CART + "    arm: {type: t/arm, mount: body.front}\n"
     assert "port-kind" in [
-        d.code.name for d in workshop.faults(f"{arm}    b: {{type: t/block, mount: arm.tip}}")
+        d.code.name for d in workshop.diagnostics(f"{arm}    b: {{type: t/block, mount: arm.tip}}")
     ]
     block = "links:\n  box: {}\nmount: {kinds: [clamp, tool]}\n"
     workshop.module("t/any", block)
@@ -120,7 +120,7 @@ def test_a_module_fits_ports_of_its_kinds_only(workshop: Workshop) -> None:
     )
 
 
-def test_ports_are_offered_through_assemblies(workshop: Workshop) -> None:
+def test_ports_of_nested_assemblies(workshop: Workshop) -> None:
     workshop.module("t/arm", ARM)
     workshop.module(
         "t/two",
@@ -148,7 +148,7 @@ def test_ports_are_offered_through_assemblies(workshop: Workshop) -> None:
     inside: {type: t/block, mount: arm.near.first.tip}
     """
     )
-    # Four steps of a metre, a quarter turn after each, lead back to the start.
+    # Four steps of 1 m, each followed by a quarter turn, lead back to the start.
     assert place(robot, "block_box") == (0.5, 0.0, 0.6)
     assert place(robot, "inside_box") == (1.5, 0.0, 0.6)
     names = [x.name for x in robot.links if x.name.startswith("arm")]
@@ -156,7 +156,7 @@ def test_ports_are_offered_through_assemblies(workshop: Workshop) -> None:
     assert {x.module for x in robot.links} >= {"arm.near.first", "arm.far.second"}
 
 
-def test_a_device_may_go_without_a_mount_and_is_then_on_the_bus_only(workshop: Workshop) -> None:
+def test_device_without_mount_is_only_on_the_bus(workshop: Workshop) -> None:
     cart = CART + "    board: {type: io/board%s}"
     unmounted = workshop.robot(cart % "")
     assert [x.name for x in unmounted.links if "board" in x.name] == []
@@ -180,10 +180,10 @@ def workshop_plate(kind: str) -> str:
     """
 
 
-# -- what the robot says, what defaults say ---------------------------------------------
+# -- params and defaults ----------------------------------------------------------------
 
 
-def test_the_modules_own_word_comes_before_the_defaults(workshop: Workshop) -> None:
+def test_params_of_a_module_have_priority_over_defaults(workshop: Workshop) -> None:
     robot = workshop.robot(
         CART.replace("[0.5, 0.4, 0]}", "[0.5, 0.4, 0]}, params: {torque: 7}"),
         "defaults: {leg: {torque: 60, radius: 0.2}}\n",
@@ -192,7 +192,7 @@ def test_the_modules_own_word_comes_before_the_defaults(workshop: Workshop) -> N
     assert torque == {"fl": 7.0, "fr": 60.0, "rl": 60.0, "rr": 60.0}
 
 
-def test_defaults_reach_only_types_that_know_them(workshop: Workshop) -> None:
+def test_defaults_apply_only_to_types_with_the_parameter(workshop: Workshop) -> None:
     cart = CART.replace(
         "rl: {type: t/leg, mount: {parent: body, xyz: [-0.5, 0.4, 0]}}",
         "rl: {type: t/other, mount: {parent: body, xyz: [-0.5, 0.4, 0]}}",
@@ -247,7 +247,7 @@ def test_a_default_may_choose_a_module(workshop: Workshop) -> None:
 
 
 @pytest.mark.parametrize("how", ["default: none", 'default: "none"'])
-def test_what_hangs_on_a_part_that_is_left_out_is_at_fault(workshop: Workshop, how: str) -> None:
+def test_mount_on_a_part_that_is_left_out_is_an_error(workshop: Workshop, how: str) -> None:
     workshop.module(
         "t/stand",
         f"""
@@ -259,10 +259,10 @@ def test_what_hangs_on_a_part_that_is_left_out_is_at_fault(workshop: Workshop, h
           lamp: {{type: t/block, mount: {{parent: post}}}}
         """,
     )
-    found = workshop.faults(CART + "    stand: {type: t/stand, mount: body.front}")
-    faults = [d for d in found if d.code.name not in EXPECTED]
-    assert [d.code.name for d in faults] == ["module-unknown"]
-    assert "left out" in faults[0].message
+    diagnostics = workshop.diagnostics(CART + "    stand: {type: t/stand, mount: body.front}")
+    unexpected = [d for d in diagnostics if d.code.name not in EXPECTED]
+    assert [d.code.name for d in unexpected] == ["module-unknown"]
+    assert "left out" in unexpected[0].message
     whole = CART + "    stand: {type: t/stand, mount: body.front, params: {post: t/block}}"
     assert "stand_lamp_box" in [x.name for x in workshop.robot(whole).links]
 
@@ -289,7 +289,7 @@ def test_one_controller_may_serve_two_drives(workshop: Workshop) -> None:
     assert (node.name, node.id) == ("box", 9)
 
 
-def test_the_address_of_an_assembly_is_its_controllers(workshop: Workshop) -> None:
+def test_address_of_an_assembly_is_that_of_its_controller(workshop: Workshop) -> None:
     robot = workshop.robot(
         """
     frame: {type: frame/tube_rectangular}
@@ -305,7 +305,7 @@ def test_the_address_of_an_assembly_is_its_controllers(workshop: Workshop) -> No
     assert len(set(ids.values())) == 4
 
 
-# -- faults that lead to no more faults ------------------------------------------------------
+# -- errors without further errors -----------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -328,24 +328,28 @@ def test_the_address_of_an_assembly_is_its_controllers(workshop: Workshop) -> No
         ),
     ],
 )
-def test_one_mistake_is_one_fault(workshop: Workshop, modules: str, codes: list[str]) -> None:
-    found = workshop.faults(f"{CART}    {modules}")
-    assert [d.code.name for d in found if d.code.name not in EXPECTED] == codes
+def test_one_mistake_causes_one_diagnostic(
+    workshop: Workshop, modules: str, codes: list[str]
+) -> None:
+    diagnostics = workshop.diagnostics(f"{CART}    {modules}")
+    assert [d.code.name for d in diagnostics if d.code.name not in EXPECTED] == codes
 
 
 def test_a_frame_of_an_unknown_type_hides_nothing_else(workshop: Workshop) -> None:
-    done = workshop.compile(
+    compilation = workshop.compile(
         """
     body: {type: t/plaet}
     fl: {type: t/leg, mount: {parent: body}, params: {radius: 3 kg}}
     fr: {type: t/leg, mount: {parent: boddy}}
     """
     )
-    names = [d.code.name for d in done.report]
-    assert names == ["module-type-unknown", "wrong-dimension", "module-unknown"], said(done)
+    names = [d.code.name for d in compilation.report]
+    assert names == ["module-type-unknown", "wrong-dimension", "module-unknown"], format_report(
+        compilation
+    )
 
 
-def test_hints_name_what_is_near(workshop: Workshop) -> None:
+def test_hints_contain_the_nearest_name(workshop: Workshop) -> None:
     workshop.module("t/arm", ARM)
     arm = CART + "    arm: {type: t/arm, mount: body.front}\n"
     hints = {
@@ -356,11 +360,11 @@ def test_hints_name_what_is_near(workshop: Workshop) -> None:
         "{type: t/block, mount: arm.tip, params: {maas: 1}}": "`mass`",
     }
     for text, near in hints.items():
-        found = workshop.faults(f"{arm}    block: {text}")
-        assert near in str(found[0].hint), (text, found[0])
+        diagnostics = workshop.diagnostics(f"{arm}    block: {text}")
+        assert near in str(diagnostics[0].hint), (text, diagnostics[0])
 
 
-def test_what_an_assembly_offers_is_checked_in_the_library(workshop: Workshop) -> None:
+def test_ports_motors_and_can_of_an_assembly_are_checked_in_the_library(workshop: Workshop) -> None:
     workshop.module(
         "t/pair",
         """
@@ -375,8 +379,8 @@ def test_what_an_assembly_offers_is_checked_in_the_library(workshop: Workshop) -
         ports: {top: past.top, side: post.side, far: extra.top}
         """,
     )
-    found = check_library(workshop.folder / "my_modules").report
-    assert [(d.code.name, d.span.line if d.span else 0) for d in found.sorted()] == [
+    diagnostics = check_library(workshop.folder / "my_modules").report
+    assert [(d.code.name, d.span.line if d.span else 0) for d in diagnostics.sorted()] == [
         ("module-unknown", 9),
         ("motor-unknown", 10),
         ("module-unknown", 11),

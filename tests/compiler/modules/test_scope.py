@@ -1,4 +1,4 @@
-"""Parameters and expressions, seen in the size of a box that depends on them."""
+"""Parameters and expressions, tested by the size of a box that depends on them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_kinds_of_parameters(
     assert size(workshop, module, f"e: {given}")[0] == pytest.approx(value)
 
 
-def test_a_default_holds_where_nothing_is_given(workshop: Workshop) -> None:
+def test_default_applies_without_argument(workshop: Workshop) -> None:
     module = document(f"  e: {{quantity: length, default: 20 mm, {PARAM}}}", '["${e}", 1, 1]')
     assert size(workshop, module)[0] == 0.02
 
@@ -66,7 +66,7 @@ def test_a_default_may_be_an_expression_over_other_parameters(workshop: Workshop
     assert size(workshop, module, "outer: 50 mm")[:2] == (0.05, 0.03)
 
 
-def test_let_values_stand_in_any_order_and_know_units(workshop: Workshop) -> None:
+def test_let_values_in_any_order_and_with_units(workshop: Workshop) -> None:
     let = """let:
   third: ${second + first}
   second: ${first * 2}
@@ -79,7 +79,7 @@ def test_let_values_stand_in_any_order_and_know_units(workshop: Workshop) -> Non
     assert size(workshop, document(params, sizes, let)) == pytest.approx((0.3, 0.02, 1.0))
 
 
-def test_a_list_may_give_the_whole_size(workshop: Workshop) -> None:
+def test_list_parameter_as_a_vector(workshop: Workshop) -> None:
     params = f"  e: {{type: list, quantity: length, default: [1, 20 mm, 3], {PARAM}}}"
     assert size(workshop, document(params, '"${e}"')) == (1.0, 0.02, 3.0)
 
@@ -103,38 +103,40 @@ def test_a_list_may_give_the_whole_size(workshop: Workshop) -> None:
         ("type: module", "[t/block]"),
     ],
 )
-def test_a_value_of_the_wrong_kind_is_one_fault(workshop: Workshop, kind: str, given: str) -> None:
+def test_value_of_wrong_type_causes_one_diagnostic(
+    workshop: Workshop, kind: str, given: str
+) -> None:
     default = {"boolean": "false", "text": "a", "list": "[]", "module": "none"}
     written = default.get(kind.split(",")[0].removeprefix("type: "), "1")
     module = document(
         f"  e: {{{kind}, default: {written}, {PARAM}}}",
         '["${1 if e else 2}", 1, 1]',
     )
-    found = workshop.part_faults(module, f"e: {given}")
-    assert len(found) == 1, found
-    assert found[0] in ("wrong-type", "wrong-dimension", "bad-quantity")
+    codes = workshop.part_codes(module, f"e: {given}")
+    assert len(codes) == 1, codes
+    assert codes[0] in ("wrong-type", "wrong-dimension", "bad-quantity")
 
 
-def test_limits_hold_at_their_value_and_may_be_expressions(workshop: Workshop) -> None:
+def test_limits_are_inclusive_and_may_be_expressions(workshop: Workshop) -> None:
     params = f"""
   wall: {{quantity: length, default: 5 mm, minimum: 1 mm, maximum: "${{edge / 2}}", {PARAM}}}
   edge: {{quantity: length, default: 100 mm, {PARAM}}}"""
     module = document(params, '["${edge}", 1, 1]')
-    assert workshop.part_faults(module, "wall: 1 mm") == []
-    assert workshop.part_faults(module, "wall: 50 mm") == []
-    assert workshop.part_faults(module, "wall: 0.9 mm") == ["param-range"]
-    assert workshop.part_faults(module, "wall: 51 mm") == ["param-range"]
-    assert workshop.part_faults(module, "wall: 51 mm, edge: 102 mm") == []
+    assert workshop.part_codes(module, "wall: 1 mm") == []
+    assert workshop.part_codes(module, "wall: 50 mm") == []
+    assert workshop.part_codes(module, "wall: 0.9 mm") == ["param-range"]
+    assert workshop.part_codes(module, "wall: 51 mm") == ["param-range"]
+    assert workshop.part_codes(module, "wall: 51 mm, edge: 102 mm") == []
 
 
 def test_choices_are_compared_as_values(workshop: Workshop) -> None:
     params = f"  e: {{quantity: length, default: 20 mm, choices: [20 mm, 5 cm], {PARAM}}}"
     module = document(params, '["${e}", 1, 1]')
     assert size(workshop, module, "e: 50 mm")[0] == 0.05
-    assert workshop.part_faults(module, "e: 50") == ["param-range"]
+    assert workshop.part_codes(module, "e: 50") == ["param-range"]
 
 
-def test_what_was_computed_is_shown_with_its_value(workshop: Workshop) -> None:
+def test_message_shows_the_value_of_an_expression(workshop: Workshop) -> None:
     workshop.module(
         "t/outer",
         f"""
@@ -148,16 +150,16 @@ def test_what_was_computed_is_shown_with_its_value(workshop: Workshop) -> None:
         "t/inner",
         document(f"  e: {{quantity: length, minimum: 0.3, {PARAM}}}", '["${e}", 1, 1]'),
     )
-    (fault,) = [
+    (diagnostic,) = [
         d
-        for d in workshop.faults(f"{CART}    part: {{type: t/outer, mount: body.front}}")
+        for d in workshop.diagnostics(f"{CART}    part: {{type: t/outer, mount: body.front}}")
         if d.code.name == "param-range"
     ]
-    assert "0.25" in fault.message
-    assert [label.span.file.rsplit("/", 1)[-1] for label in fault.labels][-1] == "robot.yaml"
+    assert "0.25" in diagnostic.message
+    assert [label.span.file.rsplit("/", 1)[-1] for label in diagnostic.labels][-1] == "robot.yaml"
 
 
-def test_none_is_handed_on_as_left_out(workshop: Workshop) -> None:
+def test_none_from_an_assembly_selects_the_default(workshop: Workshop) -> None:
     workshop.module(
         "t/outer",
         f"""
@@ -173,40 +175,40 @@ def test_none_is_handed_on_as_left_out(workshop: Workshop) -> None:
     )
     robot = workshop.robot(f"{CART}    part: {{type: t/outer, mount: body.front}}")
     assert robot.link("part_inner_box").visuals[0].shape == Box((0.04, 1.0, 1.0))
-    given = f"{CART}    part: {{type: t/outer, mount: body.front, params: {{e: 50 mm}}}}"
-    assert workshop.robot(given).link("part_inner_box").visuals[0].shape == Box((0.05, 1.0, 1.0))
+    modules = f"{CART}    part: {{type: t/outer, mount: body.front, params: {{e: 50 mm}}}}"
+    assert workshop.robot(modules).link("part_inner_box").visuals[0].shape == Box((0.05, 1.0, 1.0))
 
 
-def test_no_value_is_no_number(workshop: Workshop) -> None:
+def test_null_is_not_a_number(workshop: Workshop) -> None:
     module = document(f"  e: {{quantity: length, default: none, {PARAM}}}", '["${e}", 1, 1]')
-    assert workshop.part_faults(module) == ["wrong-type"]
+    assert workshop.part_codes(module) == ["wrong-type"]
 
 
-def test_a_fault_in_a_value_is_said_once(workshop: Workshop) -> None:
+def test_error_in_a_value_is_reported_once(workshop: Workshop) -> None:
     let = 'let: {a: "${b + 1}", b: "${sqrt(0 - 4)}", c: "${a + b}"}'
     params = f"  e: {{quantity: length, default: 1, {PARAM}}}"
     module = document(params, '["${a}", "${b}", "${c}"]', let)
-    assert workshop.part_faults(module) == ["expression-value"]
+    assert workshop.part_codes(module) == ["expression-value"]
 
 
-def test_a_value_that_needs_itself_shows_the_way(workshop: Workshop) -> None:
+def test_cyclic_value_is_reported_with_its_chain(workshop: Workshop) -> None:
     let = 'let: {a: "${b}", b: "${c * 2}", c: "${b + 1}"}'
     workshop.module(
         "t/part", document(f"  e: {{type: integer, default: 1, {PARAM}}}", '["${a}", 1, 1]', let)
     )
-    found = workshop.faults(f"{CART}    part: {{type: t/part, mount: body.front}}")
-    (fault,) = [d for d in found if d.code.name == "expression-cycle"]
-    assert "b -> c -> b" in fault.message
+    diagnostics = workshop.diagnostics(f"{CART}    part: {{type: t/part, mount: body.front}}")
+    (diagnostic,) = [d for d in diagnostics if d.code.name == "expression-cycle"]
+    assert "b -> c -> b" in diagnostic.message
 
 
-def test_a_chain_of_values_has_an_end(workshop: Workshop) -> None:
+def test_length_of_a_chain_of_values_is_limited(workshop: Workshop) -> None:
     def chain(length: int) -> str:
         steps = "".join(f"  a{i}: ${{a{i + 1}}}\n" for i in range(length))
         let = f"let:\n{steps}  a{length}: 1\n"
         return document(f"  e: {{type: integer, default: 1, {PARAM}}}", '["${a0}", 1, 1]', let)
 
-    assert workshop.part_faults(chain(29)) == []
-    assert workshop.part_faults(chain(2000)) == ["expression-cycle"]
+    assert workshop.part_codes(chain(29)) == []
+    assert workshop.part_codes(chain(2000)) == ["expression-cycle"]
 
 
 def test_a_module_is_chosen_by_name_or_with_parameters(workshop: Workshop) -> None:
@@ -239,19 +241,19 @@ def test_parameters_of_a_chosen_module_can_be_read(workshop: Workshop) -> None:
     assert size(workshop, module, "held: {type: t/block, params: {mass: 2 kg}}")[0] == 0.002
 
 
-def test_a_module_that_chooses_itself_has_an_end(workshop: Workshop) -> None:
+def test_module_that_chooses_itself_is_reported(workshop: Workshop) -> None:
     params = f"  held: {{type: module, default: t/part, {PARAM}}}"
-    assert workshop.part_faults(document(params, "[1, 1, 1]")) == []
+    assert workshop.part_codes(document(params, "[1, 1, 1]")) == []
     module = document(params, '["${deep}", 1, 1]', 'let: {deep: "${held.held.deep}"}')
-    assert workshop.part_faults(module) != []
+    assert workshop.part_codes(module) != []
 
 
 @pytest.mark.parametrize("value", ["1e13", "-2e12", "1e-16"])
 def test_numbers_have_a_range(workshop: Workshop, value: str) -> None:
     module = document(f"  e: {{quantity: number, default: 1, {PARAM}}}", "[1, 1, 1]")
-    assert workshop.part_faults(module, f"e: {value}") == ["number-out-of-range"]
-    assert workshop.part_faults(module, "e: 1e12") == []
-    assert workshop.part_faults(module, "e: 0") == []
+    assert workshop.part_codes(module, f"e: {value}") == ["number-out-of-range"]
+    assert workshop.part_codes(module, "e: 1e12") == []
+    assert workshop.part_codes(module, "e: 0") == []
 
 
 def test_a_parameter_comes_before_a_constant_of_its_name(workshop: Workshop) -> None:

@@ -1,4 +1,4 @@
-"""Sources of twists and locks, from the file to the model and to ROS's twist_mux."""
+"""Twist sources and locks in the model and in the parameters of ROS's twist_mux."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ def compiled(folder: Path, driver: str) -> Compilation:
 
 
 def robot(folder: Path, driver: str) -> Robot:
-    done = compiled(folder, driver)
-    assert isinstance(done.model, Robot), [d.message for d in done.report]
-    return done.model
+    compilation = compiled(folder, driver)
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
+    return compilation.model
 
 
-def test_a_robot_has_the_originals_sources(tmp_path: Path) -> None:
-    made = robot(tmp_path, "driver: {command_timeout: 0.4 s}\n")
-    assert made.twist_sources == (
+def test_default_sources_are_those_of_the_original_system(tmp_path: Path) -> None:
+    model = robot(tmp_path, "driver: {command_timeout: 0.4 s}\n")
+    assert model.twist_sources == (
         TwistInput("teleop_joy", "teleop_joy/cmd_vel", 100, 0.4),
         TwistInput("auto_nav", "auto_nav/cmd_vel", 10, 0.4),
     )
-    assert made.twist_locks == (
+    assert model.twist_locks == (
         TwistInput("safety_stop", "safety_stop/lock", 255, 0.0),
         TwistInput("auto_nav_pause", "auto_nav/pause", 50, 0.0),
     )
 
 
-def test_the_file_adds_and_changes_and_ros_gets_the_same_numbers(tmp_path: Path) -> None:
-    made = robot(
+def test_sources_of_the_file_are_in_the_ros_parameters(tmp_path: Path) -> None:
+    model = robot(
         tmp_path,
         "driver:\n"
         "  twist_sources:\n"
@@ -46,14 +46,14 @@ def test_the_file_adds_and_changes_and_ros_gets_the_same_numbers(tmp_path: Path)
         "    row_following: {priority: 20}\n"
         "  twist_locks: {gate: {priority: 30, timeout: 500 ms}}\n",
     )
-    assert [(s.name, s.priority, s.timeout, s.topic) for s in made.twist_sources] == [
+    assert [(s.name, s.priority, s.timeout, s.topic) for s in model.twist_sources] == [
         ("teleop_joy", 100, 0.5, "teleop_joy/cmd_vel"),
         ("auto_nav", 10, 1.0, "nav2/cmd_vel"),
         ("row_following", 20, 0.5, "row_following/cmd_vel"),
     ]
-    assert made.twist_locks[-1] == TwistInput("gate", "gate/lock", 30, 0.5)
-    assert from_json(to_json(made)) == made
-    text = emit(made, ["ros2"])["ros2/config/twist_mux.yaml"].decode()
+    assert model.twist_locks[-1] == TwistInput("gate", "gate/lock", 30, 0.5)
+    assert from_json(to_json(model)) == model
+    text = emit(model, ["ros2"])["ros2/config/twist_mux.yaml"].decode()
     assert 'topic: "nav2/cmd_vel"\n        timeout: 1.0\n        priority: 10\n' in text
     assert 'topic: "gate/lock"\n        timeout: 0.5\n        priority: 30\n' in text
 
@@ -73,15 +73,15 @@ def test_the_file_adds_and_changes_and_ros_gets_the_same_numbers(tmp_path: Path)
         ("driver: {twist_sources: {a: {priority: 5, prio: 1}}}\n", "unknown-key"),
     ],
 )
-def test_faults_are_told(tmp_path: Path, driver: str, code: str) -> None:
-    done = compiled(tmp_path, driver)
-    assert [(d.code.name, d.span.line if d.span else 0) for d in done.report] == [(code, 3)]
-    assert done.model is None
+def test_errors_are_reported(tmp_path: Path, driver: str, code: str) -> None:
+    compilation = compiled(tmp_path, driver)
+    assert [(d.code.name, d.span.line if d.span else 0) for d in compilation.report] == [(code, 3)]
+    assert compilation.model is None
 
 
-def test_two_that_change_places_are_no_fault(tmp_path: Path) -> None:
-    made = robot(
+def test_sources_may_exchange_their_priorities(tmp_path: Path) -> None:
+    model = robot(
         tmp_path,
         "driver: {twist_sources: {teleop_joy: {priority: 10}, auto_nav: {priority: 100}}}\n",
     )
-    assert {s.name: s.priority for s in made.twist_sources} == {"teleop_joy": 10, "auto_nav": 100}
+    assert {s.name: s.priority for s in model.twist_sources} == {"teleop_joy": 10, "auto_nav": 100}

@@ -1,4 +1,4 @@
-"""A calibration takes the place of what the modules say of the wheels."""
+"""Measured wheel values of a calibration file replace those of the modules."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ MEASURED = {"fl_wheel": 0.201, "fr_wheel": 0.1985, "rl_wheel": 0.2004, "rr_wheel
 def build(folder: Path, robot: str = ROBOT) -> Robot:
     path = folder / "robot.yaml"
     path.write_text(robot, encoding="utf-8")
-    done = compile_file(path)
-    assert isinstance(done.model, Robot), [d.message for d in done.report]
-    assert not len(done.report.errors)
-    return done.model
+    compilation = compile_file(path)
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
+    assert not len(compilation.report.errors)
+    return compilation.model
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def calibrated(folder: Path) -> Robot:
     return build(folder, ROBOT + "calibration: calibration.yaml\n")
 
 
-def test_radii_and_offsets_are_those_measured(folder: Path) -> None:
+def test_model_has_the_measured_radii_and_offsets(folder: Path) -> None:
     robot = calibrated(folder)
     assert {w.name: w.radius for w in robot.wheels} == MEASURED
     offsets = {}
@@ -122,7 +122,7 @@ modules:
     wheels = {w.name: w for w in build(folder, text).wheels}
     left, right = wheels["fl_wheel"], wheels["fr_wheel"]
     assert left.radius == 0.126
-    # The floor's radius is that of the same tyre, the rail's of another.
+    # The radius on the floor is that of the same tyre; the radius on rails is not.
     assert dict(left.radii) == {"floor": 0.126, "rail": 0.09}
     assert right.radius == 0.125
     assert dict(right.radii) == {"floor": 0.125, "rail": 0.091}

@@ -1,4 +1,4 @@
-"""Scenario documents: what becomes of them, and what is said of wrong ones."""
+"""Scenario documents: the resulting model, and diagnostics of invalid ones."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ def compiled(folder: Path, text: str, robot: Path | None = None) -> Compilation:
 
 
 def good(folder: Path, text: str, robot: Path | None = None) -> Scenario:
-    done = compiled(folder, text, robot)
-    assert [(d.code.name, d.message) for d in done.report.errors] == []
-    assert done.scenario is not None
-    assert done.model is done.scenario.fleet
-    return done.scenario
+    compilation = compiled(folder, text, robot)
+    assert [(d.code.name, d.message) for d in compilation.report.errors] == []
+    assert compilation.scenario is not None
+    assert compilation.model is compilation.scenario.fleet
+    return compilation.scenario
 
 
 def faults(folder: Path, text: str) -> list[tuple[str, int]]:
-    done = compiled(folder, text)
-    assert done.scenario is None
-    assert done.model is None
-    return [(d.code.name, d.span.line if d.span else 0) for d in done.report.errors]
+    compilation = compiled(folder, text)
+    assert compilation.scenario is None
+    assert compilation.model is None
+    return [(d.code.name, d.span.line if d.span else 0) for d in compilation.report.errors]
 
 
-def test_a_scenario_with_nothing_in_it(tmp_path: Path) -> None:
-    found = good(tmp_path, HEAD)
-    assert found.duration == 2.0
-    assert found.commands == (("cart", ()),)
-    assert found.noise == Noise()
-    assert found.fleet.world is not None
-    assert found.fleet.world.ground == Ground()
-    assert found.fleet.world.blocks == ()
+def test_defaults_of_an_empty_scenario(tmp_path: Path) -> None:
+    scenario = good(tmp_path, HEAD)
+    assert scenario.duration == 2.0
+    assert scenario.commands == (("cart", ()),)
+    assert scenario.noise == Noise()
+    assert scenario.fleet.world is not None
+    assert scenario.fleet.world.ground == Ground()
+    assert scenario.fleet.world.blocks == ()
 
 
-def test_another_robot_takes_name_and_place(tmp_path: Path) -> None:
-    found = good(tmp_path, HEAD, ROOT / "examples/6wd6ws/robot.yaml")
-    (placed,) = found.fleet.placements
+def test_replacing_robot_gets_name_and_pose_of_the_entry(tmp_path: Path) -> None:
+    scenario = good(tmp_path, HEAD, ROOT / "examples/6wd6ws/robot.yaml")
+    (placed,) = scenario.fleet.placements
     assert (placed.name, placed.robot.namespace, len(placed.robot.wheels)) == ("cart", "cart", 6)
     assert placed.pose.xyz == (1.0, 2.0, 0.0)
     fleet = good(tmp_path, HEAD, ROOT / "examples/fleet_of_four/fleet.yaml").fleet
@@ -63,13 +63,13 @@ def test_another_robot_takes_name_and_place(tmp_path: Path) -> None:
 
 def test_a_fleet_file(tmp_path: Path) -> None:
     text = "thorvaldc: 1\nscenario: x\nfleet: {}\nduration: 1 s\n"
-    found = good(tmp_path, text.format(ROOT / "examples/fleet_of_four/fleet.yaml"))
-    assert len(found.fleet.placements) == 4
+    scenario = good(tmp_path, text.format(ROOT / "examples/fleet_of_four/fleet.yaml"))
+    assert len(scenario.fleet.placements) == 4
     assert faults(tmp_path, text.format("none.yaml")) == [("fleet-robot-missing", 3)]
     assert faults(tmp_path, text.format("scenario.yaml")) == [("fleet-in-fleet", 3)]
 
 
-def test_the_script_is_for_all_or_for_one(tmp_path: Path) -> None:
+def test_script_commands_all_robots_or_one(tmp_path: Path) -> None:
     robots = f"robots: {{a: {{robot: {SLIM}}}, b: {{robot: {SLIM}, xyz: [0, 5, 0]}}}}\n"
     text = "thorvaldc: 1\nscenario: x\n" + robots + "duration: 1 s\nscript:\n"
     text += "  - {at: 0, vx: 36 kph}\n  - {at: 0.5, robot: b, wz: 1, vy: 2}\n"
@@ -81,7 +81,7 @@ def test_the_script_is_for_all_or_for_one(tmp_path: Path) -> None:
     ]
 
 
-def test_the_world_comes_out_as_single_things(tmp_path: Path) -> None:
+def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
     world = """world:
   friction: 0.4
   kerbs: [{from: [0, 0], to: [0, 2], height: 0.1, width: 0.2}]
@@ -90,10 +90,10 @@ def test_the_world_comes_out_as_single_things(tmp_path: Path) -> None:
   polytunnels: [{xyz: [0, 0, 0], length: 4, width: 6, post_spacing: 2}]
   obstacles: {box: {shape: box, xyz: [5, 0, 0], size: [1, 1, 2]}}
 """
-    found = good(tmp_path, HEAD + world)
-    assert {w.friction for w in found.fleet.placements[0].robot.wheels} == {0.4}
-    assert found.fleet.world is not None
-    blocks = {f"{b.kind}/{b.name}": b for b in found.fleet.world.blocks}
+    scenario = good(tmp_path, HEAD + world)
+    assert {w.friction for w in scenario.fleet.placements[0].robot.wheels} == {0.4}
+    assert scenario.fleet.world is not None
+    blocks = {f"{b.kind}/{b.name}": b for b in scenario.fleet.world.blocks}
     assert len(blocks) == 1 + 2 + 6 + 6 + 1
     kerb = blocks["kerb/1"]
     assert kerb.shape == Box((2.0, 0.2, 0.1))
@@ -127,11 +127,11 @@ def test_the_world_comes_out_as_single_things(tmp_path: Path) -> None:
         ("variations:\n  vary:\n    script:\n      - []\n      - [{vx: 1}]", "missing-key", 10),
     ],
 )
-def test_what_is_said_of_wrong_ones(tmp_path: Path, text: str, code: str, line: int) -> None:
+def test_diagnostics_of_invalid_scenarios(tmp_path: Path, text: str, code: str, line: int) -> None:
     assert (code, line) in faults(tmp_path, HEAD + text + "\n")
 
 
-def test_a_robot_that_does_not_compile_is_all_that_is_said(tmp_path: Path) -> None:
+def test_only_the_robot_is_reported_if_it_does_not_compile(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text("thorvaldc: 1\nname: x\nmodules: {a: {type: no/ne}}\n")
     text = "thorvaldc: 1\nscenario: x\nrobots: {cart: {robot: robot.yaml}}\nduration: 1 s\n"
     text += "script: [{at: 0, robot: cart, vx: 1}]\n"

@@ -1,4 +1,4 @@
-"""Scripts of scenarios that are logs: records of ours, CSV, and bags of other robots."""
+"""Logs as scripts of scenarios: records, CSV files and ROS bags."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ def compiled(folder: Path, script: str) -> Compilation:
 
 
 def commands(folder: Path, script: str) -> dict[str, tuple[Command, ...]]:
-    done = compiled(folder, script)
-    assert [(d.code.name, d.message) for d in done.report.errors] == []
-    assert done.scenario is not None
-    return dict(done.scenario.commands)
+    compilation = compiled(folder, script)
+    assert [(d.code.name, d.message) for d in compilation.report.errors] == []
+    assert compilation.scenario is not None
+    return dict(compilation.scenario.commands)
 
 
 def fault(folder: Path, script: str) -> tuple[str, str, str]:
-    """Code, message and hint of the only error."""
-    (found,) = compiled(folder, script).report.errors
-    return found.code.name, found.message, found.hint or ""
+    """Returns code, message and hint of the only error."""
+    (diagnostic,) = compiled(folder, script).report.errors
+    return diagnostic.code.name, diagnostic.message, diagnostic.hint or ""
 
 
 def bag(path: Path, topics: dict[str, Spoken], *, stamped: bool = False, mcap: bool = True) -> Path:
-    """A bag of a robot, at the times of a clock; each message is time (s), vx and wz."""
+    """Writes a ROS bag; each message is time (s), vx and wz."""
     types = STORE.types
     vector, time_ = types["geometry_msgs/msg/Vector3"], types["builtin_interfaces/msg/Time"]
     kind = "geometry_msgs/msg/TwistStamped" if stamped else "geometry_msgs/msg/Twist"
@@ -72,51 +72,51 @@ def bag(path: Path, topics: dict[str, Spoken], *, stamped: bool = False, mcap: b
 DRIVE = [(k * 0.1, 0.5, 0.1) for k in range(6)]
 
 
-def test_columns_of_a_table_are_velocities(tmp_path: Path) -> None:
+def test_velocities_from_the_columns_of_a_csv_file(tmp_path: Path) -> None:
     (tmp_path / "drive.csv").write_text("time,wz,vx\n0,0,0.5\n0.1,0,0.5\n1.5,0.2,0.5\n2,0,0\n")
-    found = commands(tmp_path, "{log: drive.csv}")
-    wanted = (
+    commands_by_robot = commands(tmp_path, "{log: drive.csv}")
+    expected = (
         Command(0.0, 0.5, 0.0, 0.0),
         Command(1.5, 0.5, 0.0, 0.2),
         Command(2.0, 0.0, 0.0, 0.0),
     )
-    assert found == {"cart": wanted, "other": wanted}
-    assert commands(tmp_path, "{log: drive.csv, robot: other}") == {"cart": (), "other": wanted}
+    assert commands_by_robot == {"cart": expected, "other": expected}
+    assert commands(tmp_path, "{log: drive.csv, robot: other}") == {"cart": (), "other": expected}
 
 
 @pytest.mark.parametrize("record", ["records", "record.mcap"])
-def test_a_record_is_driven_again_to_the_last_bit(tmp_path: Path, record: str) -> None:
+def test_replayed_record_is_bit_identical(tmp_path: Path, record: str) -> None:
     script = "[{at: 0.5, vx: 0.5}, {at: 1, vx: 0.3, wz: 0.4, robot: other}]"
     first = compiled(tmp_path, script)
     hashes = []
-    for done in (first, None):
-        done = done or compiled(tmp_path, f"{{log: {record}}}")
-        assert done.scenario is not None, [d.message for d in done.report]
-        files = emit(done.scenario.fleet, ["mjcf"], Report())
-        run = ScenarioSimulation(done.scenario, files)
+    for compilation in (first, None):
+        compilation = compilation or compiled(tmp_path, f"{{log: {record}}}")
+        assert compilation.scenario is not None, [d.message for d in compilation.report]
+        files = emit(compilation.scenario.fleet, ["mjcf"], Report())
+        run = ScenarioSimulation(compilation.scenario, files)
         kind = McapRecorder if record.endswith(".mcap") else CsvRecorder
-        recorder = kind(tmp_path / f"new_{record}", run.robots, done.scenario.record)
+        recorder = kind(tmp_path / f"new_{record}", run.robots, compilation.scenario.record)
         hashes.append(run.play(Report(), [recorder]).hash)
         recorder.close()
-        if done is first:
+        if compilation is first:
             (tmp_path / f"new_{record}").rename(tmp_path / record)
     assert hashes[0] == hashes[1]
 
 
 @pytest.mark.parametrize(("stamped", "mcap"), [(True, True), (False, True), (False, False)])
-def test_of_a_bag_a_robot_has_its_own_topic(tmp_path: Path, stamped: bool, mcap: bool) -> None:
+def test_each_robot_has_its_own_topic_in_a_bag(tmp_path: Path, stamped: bool, mcap: bool) -> None:
     topics = {"/cart/cmd_vel": DRIVE, "/other/cmd_vel": [(0.0, -0.2, 0.0)], "/joy": DRIVE}
     bag(tmp_path / "bag", topics, stamped=stamped, mcap=mcap)
-    found = commands(tmp_path, "{log: bag}")
-    assert found["cart"][0] == Command(0.0, 0.5, 0.0, 0.1)
-    assert found["other"][0] == Command(0.0, -0.2, 0.0, 0.0)
+    commands_by_robot = commands(tmp_path, "{log: bag}")
+    assert commands_by_robot["cart"][0] == Command(0.0, 0.5, 0.0, 0.1)
+    assert commands_by_robot["other"][0] == Command(0.0, -0.2, 0.0, 0.0)
     if mcap:
-        assert commands(tmp_path, "{log: bag/bag.mcap}") == found
+        assert commands(tmp_path, "{log: bag/bag.mcap}") == commands_by_robot
     chosen = commands(tmp_path, "{log: bag, topic: /joy, robot: other}")
-    assert chosen == {"cart": (), "other": found["cart"]}
+    assert chosen == {"cart": (), "other": commands_by_robot["cart"]}
 
 
-def test_bags_of_the_first_ros_are_read_too(tmp_path: Path) -> None:
+def test_ros_1_bags_are_read(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     kind, vector = "geometry_msgs/msg/Twist", store.types["geometry_msgs/msg/Vector3"]
     with FirstWriter(tmp_path / "old.bag") as writer:
@@ -124,23 +124,29 @@ def test_bags_of_the_first_ros_are_read_too(tmp_path: Path) -> None:
         for k in range(3):
             message = store.types[kind](vector(0.4, 0.0, 0.0), vector(0.0, 0.0, 0.2))
             writer.write(connection, k * 10**8, store.serialize_ros1(message, kind))
-    found = commands(tmp_path, "{log: old.bag, robot: cart}")
-    assert found["cart"][0] == Command(0.0, 0.4, 0.0, 0.2)
+    commands_by_robot = commands(tmp_path, "{log: old.bag, robot: cart}")
+    assert commands_by_robot["cart"][0] == Command(0.0, 0.4, 0.0, 0.2)
 
 
-def test_where_a_robot_was_told_nothing_its_watchdog_stopped_it(tmp_path: Path) -> None:
+def test_twist_expires_after_the_command_timeout(tmp_path: Path) -> None:
     bag(tmp_path / "bag", {"/cmd_vel": [*DRIVE, (1.6, 0.5, 0.1), (1.7, 0.4, 0.0)]})
-    done = compiled(tmp_path, "{log: bag}")
-    assert done.scenario is not None
-    timeout = done.scenario.fleet.placements[0].robot.driver.command_timeout
+    compilation = compiled(tmp_path, "{log: bag}")
+    assert compilation.scenario is not None
+    timeout = compilation.scenario.fleet.placements[0].robot.driver.command_timeout
     assert 0.1 < timeout < 1.0
-    found = dict(done.scenario.commands)["cart"]
-    assert [(c.vx, c.wz) for c in found] == [(0.5, 0.1), (0, 0), (0.5, 0.1), (0.4, 0), (0, 0)]
+    commands_by_robot = dict(compilation.scenario.commands)["cart"]
+    assert [(c.vx, c.wz) for c in commands_by_robot] == [
+        (0.5, 0.1),
+        (0, 0),
+        (0.5, 0.1),
+        (0.4, 0),
+        (0, 0),
+    ]
     times = [0.0, 0.5 + timeout, 1.6, 1.7, 1.7 + timeout]
-    assert [c.time for c in found] == pytest.approx(times)
+    assert [c.time for c in commands_by_robot] == pytest.approx(times)
 
 
-def test_what_no_velocities_are_to_be_had_of_is_told(tmp_path: Path) -> None:
+def test_logs_without_velocities_are_reported(tmp_path: Path) -> None:
     bag(tmp_path / "bag", {"/a": DRIVE, "/b": DRIVE})
     bag(tmp_path / "wild", {"/cmd_vel": [(0.0, float("nan"), 0.0)]})
     (tmp_path / "drive.csv").write_text("time,vx\n0,1\n")
@@ -158,13 +164,13 @@ def test_what_no_velocities_are_to_be_had_of_is_told(tmp_path: Path) -> None:
         ("{log: cut.mcap}", "record-unreadable", "cannot be read as a ROS bag", "mcap recover"),
         ("{log: drive.csv, robot: car}", "scenario-robot-unknown", "no robot `car`", "`cart`"),
     ):
-        found = fault(tmp_path, script)
-        assert found[0] == code, (script, found)
-        assert message in found[1]
-        assert hint in found[2]
+        error = fault(tmp_path, script)
+        assert error[0] == code, (script, error)
+        assert message in error[1]
+        assert hint in error[2]
 
 
-def test_the_log_counts_among_the_sources(tmp_path: Path) -> None:
+def test_log_is_part_of_the_source_hash(tmp_path: Path) -> None:
     (tmp_path / "drive.csv").write_text("time,vx\n0,1\n")
     first = compiled(tmp_path, "{log: drive.csv}")
     (tmp_path / "drive.csv").write_text("time,vx\n0,0.9\n")
@@ -172,7 +178,7 @@ def test_the_log_counts_among_the_sources(tmp_path: Path) -> None:
     assert str(tmp_path / "drive.csv") in first.sources
 
 
-def test_without_rosbags_a_scenario_says_what_to_install(
+def test_missing_rosbags_package_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag(tmp_path / "bag", {"/cmd_vel": DRIVE})

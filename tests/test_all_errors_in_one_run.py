@@ -1,4 +1,4 @@
-"""One run shows every mistake of a file, each once, at its line."""
+"""One run reports every mistake of a file once, at its line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from thorvaldc.compiler.pipeline import compile_file
 
-# (the file's line or lines, the codes planted there); misspellings are deliberate.
+# Each line contains the mistakes in EXPECTED; misspellings are deliberate.
 PLANTED = """\
 thorvaldc: 1
 name: planted
@@ -38,17 +38,17 @@ EXPECTED = [
 ]
 
 
-def test_mistakes_of_all_stages_in_one_run(tmp_path: Path) -> None:
+def test_errors_of_all_stages_are_reported_in_one_run(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(PLANTED, encoding="utf-8")
-    done = compile_file(file)
-    assert done.model is None
-    found = [(d.span.line, d.code.name) for d in done.report.sorted() if d.span]
+    compilation = compile_file(file)
+    assert compilation.model is None
+    found = [(d.span.line, d.code.name) for d in compilation.report.sorted() if d.span]
     assert sorted(found) == EXPECTED
-    assert all(d.span and d.span.file == str(file) for d in done.report)
+    assert all(d.span and d.span.file == str(file) for d in compilation.report)
 
 
-def test_physics_is_judged_although_the_bus_is_at_fault(tmp_path: Path) -> None:
+def test_physics_is_checked_in_spite_of_bus_errors(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(
         """\
@@ -92,7 +92,7 @@ name: cart
         ("mount: frame.rear_right", "design: {slope: 10}\n", "number-out-of-range"),
     ],
 )
-def test_one_mistake_is_said_once(rr: str, head: str, code: str, tmp_path: Path) -> None:
+def test_one_mistake_is_reported_once(rr: str, head: str, code: str, tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(CART.format(rr=rr, head=head), encoding="utf-8")
     assert [d.code.name for d in compile_file(file).report] == [code]
