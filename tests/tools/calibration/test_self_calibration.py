@@ -1,4 +1,4 @@
-"""Self-calibration finds what simulated wheels are, and says what it cannot find."""
+"""Self-calibration: accuracy on simulated logs, standard errors, undetermined values."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ OFFSETS = {"w0": 1.0, "w1": -0.5, "w2": 0.7, "w3": -1.0}
 Edit = Callable[[JointLog], JointLog]
 
 
-def logged(folder: Path, robot: Robot, text: str) -> JointLog:
+def joint_log(folder: Path, robot: Robot, text: str) -> JointLog:
     path, report = folder / "joints.csv", Report()
     path.write_text(text, encoding="utf-8")
     log = read_log(path, path.name, robot, report)
@@ -43,7 +43,7 @@ def logged(folder: Path, robot: Robot, text: str) -> JointLog:
     return log
 
 
-def found(
+def calibrated(
     log: JointLog, robot: Robot = ROBOT, distance: float | None = None
 ) -> tuple[dict[str, WheelCalibration], CalibrationResult, list[str]]:
     report = Report()
@@ -55,27 +55,29 @@ def found(
 def errors(
     wheels: dict[str, WheelCalibration], radii: dict[str, float], offsets: dict[str, float]
 ) -> tuple[float, float]:
-    """The largest errors of the ratios (their common scale apart) and of the offsets in deg."""
+    """Largest errors of the ratios (relative, but for their common scale) and offsets (deg)."""
     ratios = {w.name: w.ratio.value for w in wheels.values() if w.ratio is not None}
     scale = math.exp(sum(math.log(radii.get(n, 1.0)) for n in ratios) / len(ratios))
-    turned = {w.name: math.degrees(w.offset.value) for w in wheels.values() if w.offset is not None}
+    degrees = {
+        w.name: math.degrees(w.offset.value) for w in wheels.values() if w.offset is not None
+    }
     return (
         max(abs(r * scale / radii.get(n, 1.0) - 1.0) for n, r in ratios.items()),
-        max((abs(d - offsets.get(n, 0.0)) for n, d in turned.items()), default=0.0),
+        max((abs(d - offsets.get(n, 0.0)) for n, d in degrees.items()), default=0.0),
     )
 
 
 def noisy(log: JointLog, seed: int = 1, speed: float = 0.01, angle: float = 0.5) -> JointLog:
-    """White noise on the speeds (relative) and the angles (deg)."""
-    chance = random.Random(seed)
+    """Adds white noise to the speeds (relative) and the angles (deg)."""
+    rng = random.Random(seed)
     positions = {}
     for joint, values in log.positions.items():
-        made = [values[0]]
+        noisy_values = [values[0]]
         for a, b in pairwise(values):
-            made.append(made[-1] + (b - a) * (1.0 + chance.gauss(0.0, speed)))
-        positions[joint] = made
+            noisy_values.append(noisy_values[-1] + (b - a) * (1.0 + rng.gauss(0.0, speed)))
+        positions[joint] = noisy_values
     angles = {
-        joint: [a + math.radians(chance.gauss(0.0, angle)) for a in values]
+        joint: [a + math.radians(rng.gauss(0.0, angle)) for a in values]
         for joint, values in log.angles.items()
     }
     return replace(log, positions=positions, angles=angles, commands={})
@@ -84,31 +86,31 @@ def noisy(log: JointLog, seed: int = 1, speed: float = 0.01, angle: float = 0.5)
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> JointLog:
     text = record(ROBOT, radii=RADII, offsets=OFFSETS)
-    return logged(tmp_path_factory.mktemp("log"), ROBOT, text)
+    return joint_log(tmp_path_factory.mktemp("log"), ROBOT, text)
 
 
 def test_exact_log_gives_exact_errors(log: JointLog) -> None:
-    wheels, result, said = found(log)
+    wheels, result, codes = calibrated(log)
     ratio, offset = errors(wheels, RADII, OFFSETS)
     assert ratio < 1e-6
     assert offset < 1e-4
-    assert said == []
+    assert codes == []
     assert all(w.offset and w.offset.determined for w in result.wheels)
     assert all(w.ratio and w.ratio.determined for w in result.wheels)
     # The common scale stays: the ratios' geometric mean is 1.
     assert math.prod(w.ratio.value for w in result.wheels if w.ratio) == pytest.approx(1.0)
 
 
-def test_standard_errors_are_of_the_size_of_the_errors(log: JointLog) -> None:
+def test_errors_agree_with_the_standard_errors(log: JointLog) -> None:
     squares: list[float] = []
     scale = math.prod(RADII.get(w.name, 1.0) for w in ROBOT.wheels) ** 0.25
     for seed in range(6):
-        wheels, _, _ = found(noisy(log, seed))
+        wheels, _, _ = calibrated(noisy(log, seed))
         for wheel in wheels.values():
             assert wheel.offset is not None
             assert wheel.ratio is not None
-            off = wheel.offset.value - math.radians(OFFSETS[wheel.name])
-            squares.append((off / wheel.offset.error) ** 2)
+            error = wheel.offset.value - math.radians(OFFSETS[wheel.name])
+            squares.append((error / wheel.offset.error) ** 2)
             truth = RADII.get(wheel.name, 1.0) / scale
             squares.append(((wheel.ratio.value - truth) / wheel.ratio.error) ** 2)
             assert wheel.offset.error < math.radians(0.2)
@@ -118,38 +120,38 @@ def test_standard_errors_are_of_the_size_of_the_errors(log: JointLog) -> None:
 
 def test_large_offsets(tmp_path: Path) -> None:
     offsets = {"w0": 9.0, "w2": -7.0}
-    wheels, _, _ = found(logged(tmp_path, ROBOT, record(ROBOT, offsets=offsets)))
+    wheels, _, _ = calibrated(joint_log(tmp_path, ROBOT, record(ROBOT, offsets=offsets)))
     assert errors(wheels, {}, offsets)[1] < 0.01
 
 
-def test_offsets_are_those_of_the_encoders_not_of_the_file(log: JointLog) -> None:
+def test_offsets_do_not_depend_on_the_robot_file(log: JointLog) -> None:
     present = tuple(
         replace(a, encoder_offset=0.3 if a.role == "steering" else 0.0) for a in ROBOT.actuators
     )
-    wheels, _, _ = found(log, replace(ROBOT, actuators=present))
+    wheels, _, _ = calibrated(log, replace(ROBOT, actuators=present))
     assert errors(wheels, RADII, OFFSETS)[1] < 0.01
 
 
-def test_velocities_do_as_well_as_positions(log: JointLog) -> None:
+def test_log_with_velocities_instead_of_positions(log: JointLog) -> None:
     velocities = {}
     for joint, values in log.positions.items():
         steps = zip(log.times, log.times[1:], values, values[1:], strict=False)
         mean = [(b - a) / (t - s) for s, t, a, b in steps]
         velocities[joint] = [mean[0], *mean]
-    wheels, _, _ = found(replace(log, positions={}, velocities=velocities))
+    wheels, _, _ = calibrated(replace(log, positions={}, velocities=velocities))
     ratio, offset = errors(wheels, RADII, OFFSETS)
     assert ratio < 1e-3
     assert offset < 0.1
 
 
-def test_wheels_that_do_not_turn_tell_as_well(tmp_path: Path) -> None:
+def test_robot_with_fixed_wheels(tmp_path: Path) -> None:
     robot = make_robot(
         [*FOUR_STEERED[:2], (-0.55, 0.45, "fixed"), (-0.55, -0.45, "fixed"), (0.8, 0.0, "swivel")]
     )
     twists = [(0.0, 0.8, 0.0, 0.3), (6.0, 0.6, 0.0, -0.5), (12.0, 0.8, 0.0, 0.0)]
     radii, offsets = {"w0": 1.01, "w2": 0.995}, {"w0": 0.5, "w1": -0.8}
     text = record(robot, twists=twists, radii=radii, offsets=offsets)
-    wheels, result, _ = found(logged(tmp_path, robot, text), robot)
+    wheels, result, _ = calibrated(joint_log(tmp_path, robot, text), robot)
     ratio, offset = errors(wheels, radii, offsets)
     assert ratio < 1e-4
     assert offset < 0.01
@@ -162,13 +164,13 @@ def test_contacts_beside_their_steering_axes(tmp_path: Path) -> None:
     sides = (0.1, -0.1, 0.15, 0.05)
     wheels = zip(ROBOT.wheels, sides, strict=True)
     robot = replace(ROBOT, wheels=tuple(replace(w, lateral_offset=s) for w, s in wheels))
-    # Wheels that steer all the time, and roll by it.
+    # The wheels steer all the time, which rail_robot them.
     twists = [
         (2.0 * k, 0.6 * math.cos(k), 0.6 * math.sin(k), 0.4 * math.sin(2.3 * k)) for k in range(10)
     ]
     text = record(robot, twists=twists, radii=RADII, offsets=OFFSETS)
-    made, _, _ = found(logged(tmp_path, robot, text), robot)
-    ratio, offset = errors(made, RADII, OFFSETS)
+    calibrations, _, _ = calibrated(joint_log(tmp_path, robot, text), robot)
+    ratio, offset = errors(calibrations, RADII, OFFSETS)
     assert ratio < 2e-3
     assert offset < 0.01
 
@@ -179,66 +181,68 @@ def test_wheels_on_one_joint_have_one_offset(tmp_path: Path) -> None:
     double = replace(robot.wheels[4], steering_joint=first, y=0.55, lateral_offset=0.1)
     robot = replace(robot, wheels=(*robot.wheels[:4], replace(double, y=0.45)))
     text = record(robot, offsets={"w0": 0.8, "w4": 0.8, "w2": -0.4})
-    wheels, _, _ = found(logged(tmp_path, robot, text), robot)
+    wheels, _, _ = calibrated(joint_log(tmp_path, robot, text), robot)
     assert wheels["w0"].offset == wheels["w4"].offset
     assert errors(wheels, {}, {"w0": 0.8, "w4": 0.8, "w2": -0.4})[1] < 0.05
 
 
-# -- bad stretches ----------------------------------------------------------------------
+# -- faulty parts of a log ----------------------------------------------------------------------
 
 
-def test_wheel_that_slips_for_a_while(log: JointLog) -> None:
+def test_temporary_slip_of_a_wheel(log: JointLog) -> None:
     values, slip = [log.positions["w0_axle"][0]], 1.3
     for time, a, b in zip(
         log.times[1:], log.positions["w0_axle"], log.positions["w0_axle"][1:], strict=False
     ):
         values.append(values[-1] + (b - a) * (slip if 5.0 < time < 8.0 else 1.0))
-    wheels, _, _ = found(replace(log, positions=log.positions | {"w0_axle": values}, commands={}))
+    wheels, _, _ = calibrated(
+        replace(log, positions=log.positions | {"w0_axle": values}, commands={})
+    )
     ratio, offset = errors(wheels, RADII, OFFSETS)
     assert ratio < 5e-4
     assert offset < 0.05
 
 
-def test_standing_and_gaps_do_not_matter(log: JointLog) -> None:
+def test_standstill_and_gaps_are_left_out(log: JointLog) -> None:
     stop = next(i for i, t in enumerate(log.times) if t >= 9.0)
     times = [t if i < stop else t + 100.0 for i, t in enumerate(log.times)]
-    wheels, result, _ = found(replace(log, times=times, commands={}))
+    wheels, result, _ = calibrated(replace(log, times=times, commands={}))
     assert errors(wheels, RADII, OFFSETS)[0] < 1e-4
     assert result.moving < 20.0
 
 
-# -- what is not determined ---------------------------------------------------------------
+# -- undetermined values ----------------------------------------------------------------
 
 
-def test_straight_on_leaves_the_offsets_open(tmp_path: Path) -> None:
+def test_straight_drive_does_not_determine_offsets(tmp_path: Path) -> None:
     text = record(ROBOT, twists=[(0.0, 0.8, 0.0, 0.0)], radii=RADII, offsets=OFFSETS)
-    _, result, said = found(logged(tmp_path, ROBOT, text))
+    _, result, codes = calibrated(joint_log(tmp_path, ROBOT, text))
     assert not any(w.offset.determined for w in result.wheels if w.offset)
-    assert "calibration-undetermined" in said
+    assert "calibration-undetermined" in codes
 
 
-def test_two_wheels_on_an_axle_tell_nothing_of_each_other(tmp_path: Path) -> None:
+def test_two_wheels_on_one_axle_do_not_determine_radii(tmp_path: Path) -> None:
     robot = make_robot([(0.0, 0.4, "fixed"), (0.0, -0.4, "fixed"), (-0.5, 0.0, "swivel")])
     text = record(robot, twists=[(0.0, 0.8, 0.0, 0.0), (5.0, 0.5, 0.0, 0.5)], radii={"w0": 1.02})
-    log = replace(logged(tmp_path, robot, text), commands={})
-    wheels, result, said = found(log, robot)
-    assert said == ["calibration-undetermined"]
-    assert not result.tells
+    log = replace(joint_log(tmp_path, robot, text), commands={})
+    wheels, result, codes = calibrated(log, robot)
+    assert codes == ["calibration-undetermined"]
+    assert not result.determines_anything
     assert wheels["w0"].radius == robot.wheels[0].radius
 
 
-def test_steering_that_agrees_is_taken_to_be_held(tmp_path: Path) -> None:
-    _, result, said = found(logged(tmp_path, ROBOT, record(ROBOT, radii=RADII)))
-    assert result.held
-    assert said == ["calibration-steering"]
+def test_consistent_steering_angles_keep_the_offsets(tmp_path: Path) -> None:
+    _, result, codes = calibrated(joint_log(tmp_path, ROBOT, record(ROBOT, radii=RADII)))
+    assert result.offsets_kept
+    assert codes == ["calibration-steering"]
     assert not any(w.offset.determined for w in result.wheels if w.offset)
     assert all(w.ratio.determined for w in result.wheels if w.ratio)
 
 
-def test_drives_that_only_obey_tell_no_radii(tmp_path: Path) -> None:
-    _, result, said = found(logged(tmp_path, ROBOT, record(ROBOT, open_loop=False)))
-    assert said == ["calibration-steering", "calibration-forced"]
-    assert not result.tells
+def test_speed_controlled_drives_determine_no_radii(tmp_path: Path) -> None:
+    _, result, codes = calibrated(joint_log(tmp_path, ROBOT, record(ROBOT, open_loop=False)))
+    assert codes == ["calibration-steering", "calibration-forced"]
+    assert not result.determines_anything
 
 
 # -- physics ------------------------------------------------------------------------------
@@ -252,52 +256,52 @@ def files() -> dict[str, bytes]:
 
 def test_radii_from_physics(files: dict[str, bytes], tmp_path: Path) -> None:
     text = record(SIX, radii=RADII, offsets={"w0": 0.3, "w5": -0.3}, files=files)
-    wheels, _, _ = found(logged(tmp_path, SIX, text), SIX)
+    wheels, _, _ = calibrated(joint_log(tmp_path, SIX, text), SIX)
     assert errors(wheels, RADII, {})[0] < 5e-4
     scale = math.prod(RADII.get(w.name, 1.0) for w in SIX.wheels) ** (1 / 6)
     for name, wheel in wheels.items():
         assert wheel.ratio is not None
-        # Slip that lasts is in the standard error.
+        # The standard error includes lasting slip.
         assert abs(wheel.ratio.value - RADII.get(name, 1.0) / scale) < 4.0 * wheel.ratio.error
 
 
-def test_offsets_against_the_ground_are_not_invented(
-    files: dict[str, bytes], tmp_path: Path
-) -> None:
-    """A motor holds its wheel where the driver wants it: the log cannot know better."""
+def test_no_offsets_where_motors_hold_the_wheels(files: dict[str, bytes], tmp_path: Path) -> None:
+    """The motors hold the wheels at wrong angles, so the angles in the log look consistent."""
     text = record(SIX, radii=RADII, offsets=OFFSETS, files=files)
-    wheels, result, said = found(logged(tmp_path, SIX, text), SIX)
+    wheels, result, codes = calibrated(joint_log(tmp_path, SIX, text), SIX)
     for wheel in wheels.values():
         assert wheel.offset is not None
         truth = math.radians(OFFSETS.get(wheel.name, 0.0))
         assert not wheel.offset.determined or abs(wheel.offset.value - truth) < 0.005
-    assert said == ["calibration-steering"]
+    assert codes == ["calibration-steering"]
     assert result.slip > math.radians(0.1)
     assert errors(wheels, RADII, {})[0] < 1e-3
 
 
-def test_offsets_of_a_driver_who_knew(files: dict[str, bytes], tmp_path: Path) -> None:
+def test_offsets_of_a_driver_with_calibrated_encoders(
+    files: dict[str, bytes], tmp_path: Path
+) -> None:
     turned = {f"{name}_steering_axis": math.radians(d) for name, d in OFFSETS.items()}
-    knows = replace(
+    calibrated_robot = replace(
         SIX,
         actuators=tuple(replace(a, encoder_offset=turned.get(a.joint, 0.0)) for a in SIX.actuators),
     )
-    text = record(knows, files=files)
-    wheels, _, _ = found(logged(tmp_path, SIX, text), SIX)
+    text = record(calibrated_robot, files=files)
+    wheels, _, _ = calibrated(joint_log(tmp_path, SIX, text), SIX)
     assert errors(wheels, {}, OFFSETS)[1] < 0.1
     assert errors(wheels, {}, OFFSETS)[0] < 5e-4
 
 
-# -- logs that nothing recorded -------------------------------------------------------------
+# -- random logs --------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [1e-300, 1.0, 1e6, 1e150, 1e300])
-def test_any_numbers_end_well(size: float) -> None:
+def test_random_numbers_give_a_result_or_an_error(size: float) -> None:
     for seed in range(4):
-        chance = random.Random(seed)
+        rng = random.Random(seed)
 
-        def column(n: int = 400, chance: random.Random = chance) -> list[float]:
-            return [chance.uniform(-size, size) for _ in range(n)]
+        def column(n: int = 400, rng: random.Random = rng) -> list[float]:
+            return [rng.uniform(-size, size) for _ in range(n)]
 
         times = [1.7e9 + 0.02 * k + (1e9 if k > 200 and seed % 2 else 0.0) for k in range(400)]
         log = JointLog(
@@ -318,24 +322,24 @@ def test_any_numbers_end_well(size: float) -> None:
 # -- the common scale -----------------------------------------------------------------------
 
 
-def test_distance_gives_the_scale(tmp_path: Path) -> None:
+def test_distance_determines_the_scale(tmp_path: Path) -> None:
     radii = {w.name: 1.02 * RADII.get(w.name, 1.0) for w in ROBOT.wheels}
-    way = [(0.0, 0.8, 0.0, 0.0), (12.0, 0.8, 0.1, 0.1), (16.0, 0.0, 0.0, 0.0)]
+    twists = [(0.0, 0.8, 0.0, 0.0), (12.0, 0.8, 0.1, 0.1), (16.0, 0.0, 0.0, 0.0)]
     from thorvaldc.runtime.se2 import Twist
     from thorvaldc.simulation.manoeuvre import Segment
     from thorvaldc.simulation.physics.wheel_errors import WheelErrors
     from thorvaldc.simulation.simulation_run import Simulation
 
     wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, radii)}
-    plan = [Segment(t, Twist(*v)) for t, *v in way]
+    plan = [Segment(t, Twist(*v)) for t, *v in twists]
     true = (
         Simulation(ROBOT, wheel_errors=wheel_errors, open_loop=True)
         .run(18.0, plan)
         .robots[0]
         .pose_true
     )
-    log = logged(tmp_path, ROBOT, record(ROBOT, twists=way, seconds=18.0, radii=radii))
-    wheels, result, _ = found(log, distance=math.hypot(true.x, true.y))
+    log = joint_log(tmp_path, ROBOT, record(ROBOT, twists=twists, seconds=18.0, radii=radii))
+    wheels, result, _ = calibrated(log, distance=math.hypot(true.x, true.y))
     for wheel in ROBOT.wheels:
         assert wheels[wheel.name].radius == pytest.approx(
             wheel.radius * radii[wheel.name], rel=5e-4
@@ -343,7 +347,7 @@ def test_distance_gives_the_scale(tmp_path: Path) -> None:
     assert result.scale is not None
 
 
-def test_distance_of_a_way_that_turns_is_refused(log: JointLog) -> None:
+def test_distance_of_a_turning_path_is_refused(log: JointLog) -> None:
     report = Report()
     assert calibrate(ROBOT, log, report, 5.0) is None
     assert [d.code.name for d in report] == ["calibration-distance"]
@@ -353,7 +357,7 @@ def test_distance_of_a_way_that_turns_is_refused(log: JointLog) -> None:
 
 
 def test_table_and_json(log: JointLog) -> None:
-    _, result, _ = found(log)
+    _, result, _ = calibrated(log)
     lines = table(result).splitlines()
     assert lines[0].split() == ["wheel", "steering", "offset", "radius", "ratio", "radius"]
     assert "+1.000 +- 0.0" in lines[1]
@@ -361,13 +365,13 @@ def test_table_and_json(log: JointLog) -> None:
     assert value["wheels"][1]["steering_offset"]["value"] == pytest.approx(math.radians(-0.5))
 
 
-def test_overlay_keeps_what_is_not_determined(tmp_path: Path) -> None:
-    _, result, _ = found(logged(tmp_path, ROBOT, record(ROBOT, radii=RADII)))
-    before = {
+def test_overlay_keeps_undetermined_values(tmp_path: Path) -> None:
+    _, result, _ = calibrated(joint_log(tmp_path, ROBOT, record(ROBOT, radii=RADII)))
+    previous = {
         "w1": {"steering_offset": 0.1, "radius": 0.3, "radii": {"rail": 0.15}},
         "gone": {"radius": 0.1},
     }
-    wheels = yaml.safe_load(overlay(result, before))["wheels"]
+    wheels = yaml.safe_load(overlay(result, previous))["wheels"]
     assert list(wheels) == ["w0", "w1", "w2", "w3"]
     assert wheels["w1"]["steering_offset"] == "5.72958 deg"
     assert wheels["w1"]["radii"] == {"rail": "150.0000 mm"}
@@ -375,9 +379,9 @@ def test_overlay_keeps_what_is_not_determined(tmp_path: Path) -> None:
     assert "steering_offset" not in wheels["w0"]
 
 
-def test_overlay_of_what_tells_nothing(tmp_path: Path) -> None:
+def test_overlay_without_determined_values_is_empty(tmp_path: Path) -> None:
     text = record(ROBOT, open_loop=False)
-    _, result, _ = found(logged(tmp_path, ROBOT, text))
+    _, result, _ = calibrated(joint_log(tmp_path, ROBOT, text))
     assert yaml.safe_load(overlay(result))["wheels"] == {}
 
 
@@ -385,8 +389,8 @@ def test_radii_of_a_parameter_set(tmp_path: Path) -> None:
     rail = tuple(replace(w, radii=(("rail", 0.15),)) for w in ROBOT.wheels[:3])
     sets = (ParameterSet("rails", "rail", ROBOT.driver, ROBOT.span),)
     robot = replace(ROBOT, wheels=(*rail, ROBOT.wheels[3]), parameter_sets=sets)
-    rolls = replace(robot, wheels=(*(replace(w, radius=0.15) for w in rail), ROBOT.wheels[3]))
-    log = logged(tmp_path, robot, record(rolls, radii=RADII, offsets=OFFSETS))
+    rail_robot = replace(robot, wheels=(*(replace(w, radius=0.15) for w in rail), ROBOT.wheels[3]))
+    log = joint_log(tmp_path, robot, record(rail_robot, radii=RADII, offsets=OFFSETS))
     result = calibrate(robot, log, Report(), parameters="rails")
     assert result is not None
     wheels = yaml.safe_load(overlay(result, {"w0": {"radius": 0.2}}))["wheels"]
@@ -399,10 +403,10 @@ def test_radii_of_a_parameter_set(tmp_path: Path) -> None:
 
 
 def test_long_logs_are_thinned(log: JointLog, monkeypatch: pytest.MonkeyPatch) -> None:
-    from thorvaldc.tools.calibration import log_intervals as calibration_ticks
+    from thorvaldc.tools.calibration import log_intervals
 
-    monkeypatch.setattr(calibration_ticks, "MOST_TICKS", 200)
-    wheels, _, _ = found(log)
+    monkeypatch.setattr(log_intervals, "MAX_TICKS", 200)
+    wheels, _, _ = calibrated(log)
     assert errors(wheels, RADII, OFFSETS)[1] < 1e-3
 
 
@@ -410,8 +414,8 @@ def test_order_of_the_wheels_does_not_matter(tmp_path: Path) -> None:
     order: Sequence[int] = (2, 0, 3, 1)
     turned = replace(ROBOT, wheels=tuple(ROBOT.wheels[i] for i in order))
     text = record(ROBOT, radii=RADII, offsets=OFFSETS, twists=TURNS)
-    a, _, _ = found(logged(tmp_path, ROBOT, text))
-    b, _, _ = found(logged(tmp_path, turned, text), turned)
+    a, _, _ = calibrated(joint_log(tmp_path, ROBOT, text))
+    b, _, _ = calibrated(joint_log(tmp_path, turned, text), turned)
     for name, wheel in a.items():
         assert wheel.offset is not None
         other = b[name].offset

@@ -72,7 +72,7 @@ def calibrate(
     else:
         print(table(result))
     if output and status == DONE:
-        if not result.tells:
+        if not result.determines_anything:
             message(f"{output} is not written: the log determines nothing")
             return INPUT
         try:

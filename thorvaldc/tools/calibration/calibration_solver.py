@@ -1,4 +1,4 @@
-"""The least squares behind self-calibration; ``calibration`` says what for."""
+"""The least-squares solver of self-calibration; ``self_calibration`` explains the method."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.se2 import ORIGIN, Twist
-from thorvaldc.tools.calibration.log_intervals import MOVES, Array, Ticks
+from thorvaldc.tools.calibration.log_intervals import MIN_SPEED, Array, Ticks
 
-LARGEST_OFFSET, LARGEST_RATIO = math.radians(45.0), 0.2
-"""Errors (rad, relative) beyond which nothing was found."""
-OFFSET_WANTED = math.radians(0.2)
-"""Standard error (rad) beyond which an offset counts as not determined."""
-RATIO_WANTED = 0.002
-"""Standard error beyond which a radius counts as not determined."""
+MAX_OFFSET, MAX_RATIO = math.radians(45.0), 0.2
+"""Largest plausible errors (rad, relative); beyond them the fit failed."""
+MAX_OFFSET_ERROR = math.radians(0.2)
+"""Largest standard error (rad) of an offset that is determined."""
+MAX_RATIO_ERROR = 0.002
+"""Largest relative standard error of a radius that is determined."""
 
-_ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002  # of the rows at factor 1; m/s
-_SKID = 0.1  # of the speed, for fixed wheels that must scrub in turns
+# Standard deviations of the rows at factor 1: rolling (relative), pointing (rad), at rest (m/s).
+_ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002
+_SKID = 0.1  # relative to the speed, for fixed wheels that must scrub in turns
 _PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
-# Slip that stays the same all the time is hidden in the parameters: what varies of it is
-# about half of all (driving with each wheel off by one degree, in simulation).
+# Constant slip looks like an offset and leaves no residual.  In simulations with each wheel off by
+# one degree, the visible (varying) part was about half of the slip.
 _HIDDEN_SLIP = 2.0
 _ITERATIONS = 60
 _AGREES = math.radians(0.05)
 _HARDLY = 30.0
-"""Factor of rows that shall hardly count."""
+"""Factor of the standard deviation of rows that hardly count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
     """Per wheel: offsets (rad) and logarithms of the radius ratios, with standard errors.
 
-    ``rolling`` (relative) and ``pointing`` (rad) are the sizes of what the two kinds of
-    rows leave over in a tick, ``slip`` (rad) the part of the latter that lasts, at
-    the worst wheel.  ``consistent``: the steering angles by themselves agree with the
-    present offsets, the wheels' axes meet in one point at any time.
+    ``rolling`` (relative) and ``pointing`` (rad): sizes of the residuals of the two kinds of rows
+    in a tick.  ``slip`` (rad): the lasting part of ``pointing`` at the worst wheel.
+    ``consistent``: the steering angles alone agree with the present offsets; the axes of
+    the wheels meet in one point at any time.
     """
 
     offsets: Array
@@ -55,16 +56,16 @@ class Solution:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Of the standard deviations of rolling and of pointing, over those at 1."""
+        """Factors of the standard deviations of rolling and pointing rows."""
         return self.rolling / _ROLLING, self.pointing / _ANGLE
 
 
 @dataclass(slots=True)
 class _Rows:
-    """What the wheels say at some parameters: ``matrix`` (ticks, rows, 3) on the twist.
+    """Measurement rows for given parameters: ``matrix`` (ticks, rows, 3) times the twist.
 
-    Rows in order: rolling of the wheels with encoder, pointing of the steered
-    ones, and the axles of those that do not turn.
+    Order of the rows: rolling of the wheels with encoder, pointing of the steered wheels, side slip
+    of the fixed axles.
     """
 
     matrix: Array
@@ -73,7 +74,10 @@ class _Rows:
 
 @dataclass(slots=True)
 class _Fit:
-    """The end of a Gauss-Newton iteration; ``slope`` and ``left`` without the twists."""
+    """Result of a Gauss-Newton iteration.
+
+    ``slope`` (derivatives) and ``residuals`` have the best twist of each tick projected out.
+    """
 
     parameters: Array
     information: Array
@@ -83,13 +87,13 @@ class _Fit:
     sigmas: Array
     weights: Array
     slope: Array
-    left: Array
+    residuals: Array
 
 
 class Solver:
-    """Unknown: an offset per steering joint, then a log ratio per wheel with encoder.
+    """Gauss-Newton solver for an offset per steering joint and a log ratio per wheel with encoder.
 
-    The ratios' mean is zero; they are handled in a basis of that space.
+    The log ratios sum to zero: the parameters are their coordinates in a basis of that space.
     """
 
     def __init__(self, robot: Robot, ticks: Ticks) -> None:
@@ -100,7 +104,7 @@ class Solver:
         self.lever = geometry.length
         self.roll = np.array([i for i, w in enumerate(wheels) if w.encoder and not w.swivel], int)
         self.point = np.array([i for i, w in enumerate(wheels) if w.steered], int)
-        # All about the centre, turning in m/s at the lever: the twists' parts are alike.
+        # Twists about the centroid, with wz as a speed (m/s) at the lever: all parts have one unit.
         self.centre = xm, ym = geometry.centre
         self.x = np.array([w.x - xm for w in wheels])
         self.y = np.array([w.y - ym for w in wheels])
@@ -115,7 +119,7 @@ class Solver:
         ).reshape(-1, 3)
         self.axle_sigma = _SKID if fixed.skids else _ANGLE
         groups = geometry.steering_groups
-        self.turns = np.zeros((self.n, len(groups)))  # which joint turns which wheel
+        self.turns = np.zeros((self.n, len(groups)))  # 1 where the joint turns the wheel
         for g, group in enumerate(groups):
             self.turns[list(group), g] = 1.0
         self.basis = _zero_sum(len(self.roll))
@@ -126,14 +130,14 @@ class Solver:
         )
 
     def solve(self) -> Solution | None:
-        """The errors that explain the ticks best; ``None`` where none within reason do."""
+        """Returns the parameters that fit the ticks best; ``None`` if they are not plausible."""
         try:
             return self._solve()
         except np.linalg.LinAlgError:
             return None
 
     def _solve(self) -> Solution | None:
-        fit = self._fit((1.0, 10.0), renewed=True)
+        fit = self._fit((1.0, 10.0), update_factors=True)
         if fit is None:
             return None
         s, m = len(self.turns[0]), len(self.roll)
@@ -141,11 +145,11 @@ class Solver:
         present, _ = self._per_wheel(self.start)
         rolling = fit.factors[0] * _ROLLING
         if (
-            np.max(np.abs(offsets - present), initial=0.0) > LARGEST_OFFSET
-            or max(np.max(np.abs(ratios), initial=0.0), rolling) > LARGEST_RATIO
+            np.max(np.abs(offsets - present), initial=0.0) > MAX_OFFSET
+            or max(np.max(np.abs(ratios), initial=0.0), rolling) > MAX_RATIO
         ):
             return None
-        # What lasts of the residuals, as an unknown ratio and offset of each wheel.
+        # The lasting part of the residuals counts as an unknown ratio and offset of each wheel.
         shares, per_share = self._shares(fit)
         lasting = _lasting(shares, fit.weights, self._blocks())
         pulled = np.einsum(
@@ -169,20 +173,20 @@ class Solver:
         )
 
     def _consistent(self) -> bool:
-        """See ``Solution.consistent``: a fit in which rolling tells no more than the speed."""
+        """Computes ``Solution.consistent`` by a fit in which the rolling rows hardly count."""
         count = self.turns.shape[1]
-        fit = self._fit((_HARDLY, 1.0), renewed=False)
+        fit = self._fit((_HARDLY, 1.0), update_factors=False)
         if fit is None or not count:
             return False
         errors = np.sqrt(np.diag(self._covariance(fit)))[:count]
-        found = np.abs(fit.parameters - self.start)[:count]
-        told = bool(np.all(errors < OFFSET_WANTED))
-        return told and bool(np.all(found < np.maximum(3.0 * errors, _AGREES)))
+        changes = np.abs(fit.parameters - self.start)[:count]
+        determined = bool(np.all(errors < MAX_OFFSET_ERROR))
+        return determined and bool(np.all(changes < np.maximum(3.0 * errors, _AGREES)))
 
     # -- one fit ------------------------------------------------------------------------
 
     def rows(self, offsets: Array, ratios: Array) -> _Rows:
-        """Rows at offsets and log ratios per wheel."""
+        """Returns the rows for offsets and log ratios per wheel."""
         ticks = self.ticks
         direction = self.heading + self.sign * (ticks.angles + offsets)
         c, s = np.cos(direction), np.sin(direction)
@@ -204,7 +208,7 @@ class Solver:
         )
 
     def sigmas(self, twists: Array, factors: tuple[float, float]) -> Array:
-        """Standard deviations of the rows in m/s, by the wheels' predicted speeds."""
+        """Returns the standard deviations (m/s) of the rows, for the predicted wheel speeds."""
         speed = np.hypot(*self._ground(twists))
         mean = np.sqrt(np.mean(speed**2, axis=1, keepdims=True))
         rolling = factors[0] * np.hypot(_ROLLING * speed[:, self.roll], _FLOOR)
@@ -213,21 +217,25 @@ class Solver:
         return np.concatenate([rolling, pointing, np.repeat(axles, len(self.axles), 1)], 1)
 
     def twists(self, rows: _Rows, sigmas: Array) -> tuple[Array, Array, Array, Array]:
-        """Twists (m/s, at the lever) with the weighted matrix, its inverse and residuals."""
+        """Solves for the twists (m/s, at the lever) of all ticks.
+
+        Returns the twists, the weighted rows A, (A' A)^-1 and the weighted residuals.
+        """
         matrix = rows.matrix / sigmas[..., None]
         measured = rows.measured / sigmas
         normal = np.swapaxes(matrix, 1, 2) @ matrix
-        # A direction that no wheel tells of stays 0.
+        # Regularisation: a direction that no wheel measures stays 0.
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         inverse: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         twists = (inverse @ (np.swapaxes(matrix, 1, 2) @ measured[..., None]))[..., 0]
         residuals = (matrix @ twists[..., None])[..., 0] - measured
         return twists, matrix, inverse, residuals
 
-    def _fit(self, factors: tuple[float, float], *, renewed: bool) -> _Fit | None:
-        """Gauss-Newton with the weights of the ticks, and if ``renewed`` the factors, of each step.
+    def _fit(self, factors: tuple[float, float], *, update_factors: bool) -> _Fit | None:
+        """Iterates Gauss-Newton; each step updates the weights of the ticks.
 
-        Factors multiply the standard deviations of rolling and of pointing.
+        ``factors`` multiply the standard deviations of rolling and pointing; with
+        ``update_factors`` each step estimates them, too.
         """
         m = len(self.roll)
         parameters = self.start
@@ -238,35 +246,40 @@ class Solver:
             iterations += 1
             offsets, ratios = self._per_wheel(parameters)
             sigmas = self.sigmas(twists, factors)
-            twists, matrix, inverse, left = self.twists(self.rows(offsets, ratios), sigmas)
+            twists, matrix, inverse, residuals = self.twists(self.rows(offsets, ratios), sigmas)
             slope = self._slope(twists, offsets, ratios) / sigmas[..., None]
             slope -= matrix @ (inverse @ (np.swapaxes(matrix, 1, 2) @ slope))
-            weights = _weights(left)
+            weights = _weights(residuals)
             information = np.einsum("t,trp,trq->pq", weights, slope, slope, optimize=True)
             information += np.diag(self.prior)
-            gradient: Array = np.einsum("t,trp,tr->p", weights, slope, left, optimize=True)
+            gradient: Array = np.einsum("t,trp,tr->p", weights, slope, residuals, optimize=True)
             gradient += self.prior * (parameters - self.start)
             step: Array = -np.linalg.solve(information, gradient)
             parameters = parameters + step
             if not np.all(np.isfinite(parameters)):
                 return None
-            before = factors
-            if renewed:
-                spare = 1.0 - np.einsum("tri,tij,trj->tr", matrix, inverse, matrix, optimize=True)
-                factors = (
-                    _factor(factors[0], weights, left[:, :m], spare[:, :m]),
-                    _factor(factors[1], weights, left[:, m:], spare[:, m:]),
+            previous = factors
+            if update_factors:
+                redundancy = 1.0 - np.einsum(
+                    "tri,tij,trj->tr", matrix, inverse, matrix, optimize=True
                 )
-            settled = all(abs(a / b - 1.0) < 0.01 for a, b in zip(factors, before, strict=True))
+                factors = (
+                    _factor(factors[0], weights, residuals[:, :m], redundancy[:, :m]),
+                    _factor(factors[1], weights, residuals[:, m:], redundancy[:, m:]),
+                )
+            settled = all(abs(a / b - 1.0) < 0.01 for a, b in zip(factors, previous, strict=True))
             if np.max(np.abs(step), initial=0.0) < 1e-7 and settled:
                 break
         return _Fit(
-            parameters, information, factors, iterations, twists, sigmas, weights, slope, left
+            parameters, information, factors, iterations, twists, sigmas, weights, slope, residuals
         )
 
     def _covariance(self, fit: _Fit, systematic: Array | None = None) -> Array:
-        """Of the parameters: the sandwich of the blocks' gradients, and what pulls on all."""
-        gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.left, optimize=True)
+        """Returns the covariance of the parameters by the sandwich formula M^-1 G M^-1.
+
+        G sums the outer products of the gradients of blocks; ``systematic`` adds lasting errors.
+        """
+        gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.residuals, optimize=True)
         block = self._blocks()
         scores = np.zeros((block[-1] + 1, len(fit.parameters)))
         np.add.at(scores, block, gradients)
@@ -278,26 +291,26 @@ class Solver:
         return covariance
 
     def _blocks(self) -> NDArray[np.intp]:
-        """The number of the second in which each tick is; those without any do not count."""
+        """Returns the number of the 1 s block of each tick; empty blocks have no number."""
         _, numbers = np.unique(
             np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
         )
         return np.asarray(numbers, dtype=np.intp)
 
     def _shares(self, fit: _Fit) -> tuple[Array, Array]:
-        """Residuals of rolling (relative) and pointing (rad), and their rows per unit of these."""
-        speed = np.maximum(np.hypot(*self._ground(fit.twists)), MOVES)
+        """Returns the residuals of rolling (relative) and pointing (rad), and rows per unit."""
+        speed = np.maximum(np.hypot(*self._ground(fit.twists)), MIN_SPEED)
         speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
         per_share: Array = speed / fit.sigmas[:, : speed.shape[1]]
-        return fit.left[:, : speed.shape[1]] / per_share, per_share
+        return fit.residuals[:, : speed.shape[1]] / per_share, per_share
 
     def _ground(self, twists: Array) -> tuple[Array, Array]:
-        """Velocity (m/s) of the ground's motion at each wheel's axis, in ``base_link``."""
+        """Returns the velocity (m/s) of each wheel's axis over the ground, in ``base_link``."""
         vx, vy, wz = twists[:, :1], twists[:, 1:2], twists[:, 2:] / self.lever
         return vx - wz * self.y, vy + wz * self.x
 
     def _slope(self, twists: Array, offsets: Array, ratios: Array) -> Array:
-        """Derivatives of the rows' residuals (m/s) to the parameters."""
+        """Returns the derivatives of the residuals (m/s) by the parameters."""
         direction = self.heading + self.sign * (self.ticks.angles + offsets)
         c, s = np.cos(direction), np.sin(direction)
         ux, uy = self._ground(twists)
@@ -317,10 +330,10 @@ class Solver:
         ratios[self.roll] = self.basis @ parameters[count:]
         return self.turns @ parameters[:count], ratios
 
-    # -- the way ------------------------------------------------------------------------
+    # -- distance ------------------------------------------------------------------------
 
     def ends_apart(self, offsets: Array, ratios: Array, factors: tuple[float, float]) -> float:
-        """Distance (m) between the ends of the ticks' way, by offsets and log ratios per wheel."""
+        """Returns the distance (m) between the ends of the path, for offsets and log ratios."""
         rows = self.rows(offsets, ratios)
         twists = self.twists(rows, np.ones(rows.measured.shape))[0]
         twists = self.twists(rows, self.sigmas(twists, factors))[0]
@@ -335,13 +348,14 @@ class Solver:
 
 
 def encoder_offset(robot: Robot, wheel: int) -> float:
+    """Returns the steering offset (rad) of a wheel in the robot file; 0 without steering motor."""
     joint = robot.wheels[wheel].steering_joint
     motor = robot.actuator_of(joint) if joint is not None else None
     return motor.encoder_offset if motor is not None else 0.0
 
 
 def _zero_sum(n: int) -> Array:
-    """An orthonormal basis (n, n - 1) of the vectors whose entries sum to zero (Helmert's)."""
+    """Returns an orthonormal basis (n, n - 1) of the vectors whose entries sum to 0 (Helmert)."""
     basis = np.zeros((n, max(n - 1, 0)))
     for k in range(1, n):
         basis[:k, k - 1] = 1.0
@@ -350,37 +364,43 @@ def _zero_sum(n: int) -> Array:
     return basis
 
 
-def _weights(left: Array) -> Array:
-    """Weights of ticks by their residuals, against those of the median tick."""
-    squares = np.sum(left**2, axis=1)
+def _weights(residuals: Array) -> Array:
+    """Returns the Geman-McClure weights of the ticks, relative to the median tick."""
+    squares = np.sum(residuals**2, axis=1)
     size = max(float(np.median(squares)), 1e-12)
     weights: Array = (1.0 + squares / (9.0 * size)) ** -2.0
     return weights
 
 
-def _factor(factor: float, weights: Array, left: Array, spare: Array) -> float:
-    """A variance component renewed from the residuals that it is to explain."""
-    expected = float(np.sum(weights[:, None] * spare))
-    if expected < 1e-6 * len(left):
+def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) -> float:
+    """Updates a variance component so that the residuals have their expected size."""
+    expected = float(np.sum(weights[:, None] * redundancy))
+    if expected < 1e-6 * len(residuals):
         return factor
-    found = factor * math.sqrt(float(np.sum(weights[:, None] * left**2)) / expected)
-    return min(max(found, 1e-3), 100.0)
+    updated = factor * math.sqrt(float(np.sum(weights[:, None] * residuals**2)) / expected)
+    return min(max(updated, 1e-3), 100.0)
 
 
 def _lasting(shares: Array, weights: Array, block: NDArray[np.intp]) -> Array:
-    """Size per column of what the blocks' means have more than chance gives them."""
+    """Returns, per column, the size of the lasting part of the residuals.
+
+    The variance of the block means minus the variance that independent errors would give them; 0
+    if the difference is not significant (4 sigma).
+    """
     count = block[-1] + 1
     total = np.bincount(block, weights, count)
     ticks = np.bincount(block, minlength=count)
-    full = (ticks > 5) & (total > 0.1 * ticks)
+    filled = (ticks > 5) & (total > 0.1 * ticks)
     sizes = np.zeros(shares.shape[1])
-    if np.count_nonzero(full) < 3:
+    if np.count_nonzero(filled) < 3:
         return sizes
     for i in range(shares.shape[1]):
-        mean = np.bincount(block, weights * shares[:, i], count)[full] / total[full]
-        square = np.bincount(block, weights * shares[:, i] ** 2, count)[full] / total[full]
-        by_chance = float(np.average((square - mean**2) / (ticks[full] - 1), weights=total[full]))
-        found = float(np.average(mean**2, weights=total[full]))
-        if found > by_chance * (1.0 + 4.0 * math.sqrt(2.0 / np.count_nonzero(full))):
-            sizes[i] = math.sqrt(found - by_chance)
+        mean = np.bincount(block, weights * shares[:, i], count)[filled] / total[filled]
+        square = np.bincount(block, weights * shares[:, i] ** 2, count)[filled] / total[filled]
+        expected = float(
+            np.average((square - mean**2) / (ticks[filled] - 1), weights=total[filled])
+        )
+        measured = float(np.average(mean**2, weights=total[filled]))
+        if measured > expected * (1.0 + 4.0 * math.sqrt(2.0 / np.count_nonzero(filled))):
+            sizes[i] = math.sqrt(measured - expected)
     return sizes

@@ -1,4 +1,4 @@
-"""A calibration as text for people, as JSON, and as the document that a robot includes."""
+"""Calibration results as a table, as JSON, and as a document that ``robot.yaml`` includes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from thorvaldc.tools.calibration.self_calibration import (
     WheelCalibration,
 )
 
-_BEFORE = "as before"
+_UNCHANGED = "as before"
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
-    """The result as plain values: angles in rad, lengths in m."""
+    """Returns the result as plain values: angles in rad, lengths in m."""
 
     def plain(estimate: Estimate | None) -> dict[str, Any] | None:
         if estimate is None:
@@ -49,7 +49,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
 
 
 def table(result: CalibrationResult) -> str:
-    """The wheels as aligned text with a heading; what is not determined has no value."""
+    """Returns an aligned table of the wheels; values that are not determined are marked so."""
     lines = [("wheel", "steering offset", "radius ratio", "radius")]
     for wheel in result.wheels:
         offset, ratio = wheel.offset, wheel.ratio
@@ -71,40 +71,40 @@ def table(result: CalibrationResult) -> str:
     )
 
 
-def _cell(estimate: Estimate | None, shown: Any, unit: str, size: Any) -> str:
+def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any) -> str:
     if estimate is None:
         return ""
-    error = size(estimate.error)
+    error = convert(estimate.error)
     if not estimate.determined:
         return f"not determined (+-{error:.2g}{unit})"
     digits = 3 if unit else 5
-    return f"{shown(estimate.value)} +- {error:.{digits}f}{unit}"
+    return f"{format_value(estimate.value)} +- {error:.{digits}f}{unit}"
 
 
 Values = Mapping[str, Any]
 """A wheel's entry in a calibration, in SI: ``radius``, ``radii`` by name, ``steering_offset``."""
 
 
-def overlay(result: CalibrationResult, before: Mapping[str, Values] | None = None) -> str:
-    """The calibration as a document for ``calibration`` in ``robot.yaml``.
+def overlay(result: CalibrationResult, previous: Mapping[str, Values] | None = None) -> str:
+    """Returns the calibration as a document for ``calibration`` in ``robot.yaml``.
 
-    What the log does not determine stays as ``before``, the entries that the robot
+    Values that the log does not determine stay as in ``previous``, the entries that the robot
     includes now.
     """
     lines = []
     for wheel in result.wheels:
-        old = (before or {}).get(wheel.name, {})
+        old = (previous or {}).get(wheel.name, {})
         entry = [*_radii(wheel, old, scaled=result.scale is not None), *_offset(wheel, old)]
         if entry:
             lines += [f"  {wheel.name}:", *(f"    {line}" for line in entry)]
-    head = ["thorvaldc: 1", f"robot: {result.robot}"]
-    return "\n".join([*head, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
+    header = ["thorvaldc: 1", f"robot: {result.robot}"]
+    return "\n".join([*header, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
 
 
 def _radii(wheel: WheelCalibration, old: Values, *, scaled: bool) -> Iterator[str]:
     values = {"": old["radius"]} if "radius" in old else {}
     values |= old.get("radii", {})
-    notes = dict.fromkeys(values, _BEFORE)
+    notes = dict.fromkeys(values, _UNCHANGED)
     if wheel.radius is not None and wheel.ratio is not None:
         determined = wheel.ratio.determined
         if determined or scaled:
@@ -125,4 +125,4 @@ def _offset(wheel: WheelCalibration, old: Values) -> Iterator[str]:
         error = math.degrees(offset.error)
         yield f"steering_offset: {math.degrees(offset.value):.4f} deg  # +- {error:.3f} deg"
     elif "steering_offset" in old:
-        yield f"steering_offset: {math.degrees(old['steering_offset']):.6g} deg  # {_BEFORE}"
+        yield f"steering_offset: {math.degrees(old['steering_offset']):.6g} deg  # {_UNCHANGED}"

@@ -1,4 +1,4 @@
-"""A joint log as arrays: what each interval between two of its lines tells."""
+"""A joint log as arrays of its intervals: mean speeds and angles between two lines."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from thorvaldc.simulation.records.joint_csv import JointLog
 
 Array = NDArray[np.float64]
 
-MOST_TICKS = 20000
-"""Ticks that are used; of a longer log every n-th."""
-MOVES = 0.05
-"""Mean speed (m/s) of the wheels over ground from which on they tell something."""
+MAX_TICKS = 20000
+"""Number of ticks used at most; of a longer log every n-th tick."""
+MIN_SPEED = 0.05
+"""Least mean speed (m/s) of the wheels of a tick in motion."""
 
 
 class Ticks:
-    """Means over the intervals between the log's lines, one column per wheel.
+    """Mean joint states of the intervals between the log's lines, one column per wheel.
 
-    ``speeds`` (rad/s) and ``turning`` (rad/s, of the steering) are 0 and ``angles``
-    (rad, encoders' readings) too where a wheel has no such encoder.
+    ``speeds`` (rad/s), ``angles`` (rad, encoder readings) and ``turning`` (rad/s, steering rate);
+    0 for a wheel without that encoder.  ``valid``: masks intervals that are not too long.
+    ``moving``: masks valid intervals in motion.
     """
 
     def __init__(self, robot: Robot, log: JointLog) -> None:
@@ -44,22 +45,29 @@ class Ticks:
                 angles = log.angles[wheel.steering_joint]
                 self.angles[:, i] = _means(angles)
                 self.turning[:, i] = np.diff(angles) / self.dt
-        self.whole = self.dt <= LONGEST_INTERVAL
+        self.valid = self.dt <= LONGEST_INTERVAL
         radii = np.array([wheel.radius for wheel in robot.wheels])
-        self.moves = self.whole & (np.sqrt(np.mean((self.speeds * radii) ** 2, axis=1)) > MOVES)
+        self.moving = self.valid & (
+            np.sqrt(np.mean((self.speeds * radii) ** 2, axis=1)) > MIN_SPEED
+        )
 
-    def chosen(self, mask: NDArray[np.bool_] | NDArray[np.intp]) -> Ticks:
-        other = object.__new__(Ticks)
-        other.times = self.times[:-1][mask]
-        other.dt, other.whole, other.moves = self.dt[mask], self.whole[mask], self.moves[mask]
-        other.speeds, other.angles = self.speeds[mask], self.angles[mask]
-        other.turning, other.wheel_of = self.turning[mask], self.wheel_of
-        return other
+    def select(self, mask: NDArray[np.bool_] | NDArray[np.intp]) -> Ticks:
+        """Returns the ticks of a mask or of indices."""
+        selected = object.__new__(Ticks)
+        selected.times = self.times[:-1][mask]
+        selected.dt, selected.valid, selected.moving = (
+            self.dt[mask],
+            self.valid[mask],
+            self.moving[mask],
+        )
+        selected.speeds, selected.angles = self.speeds[mask], self.angles[mask]
+        selected.turning, selected.wheel_of = self.turning[mask], self.wheel_of
+        return selected
 
     def thinned(self) -> Ticks:
-        """Those in motion, of very many every n-th."""
-        index = np.flatnonzero(self.moves)
-        return self.chosen(index[:: math.ceil(len(index) / MOST_TICKS)])
+        """Returns the ticks in motion, at most ``MAX_TICKS`` of them."""
+        index = np.flatnonzero(self.moving)
+        return self.select(index[:: math.ceil(len(index) / MAX_TICKS)])
 
 
 def _means(values: Sequence[float]) -> Array:

@@ -1,23 +1,25 @@
 """Self-calibration: steering zero offsets and relative wheel radii from a joint log alone.
 
-Per tick the wheels say more than the three numbers of the twist.  A wheel at
-(x, y) that points along (c, s) and rolls at w tells that the ground passes
-at r w along it and at 0 across it; the twist that agrees best is projected
-out, and what is left over depends on the wheels' errors alone.  Those are
-solved for by Gauss-Newton over all ticks.  Only the common scale of all radii
-leaves nothing over: it stays, unless a measured distance fixes it.
+In each tick N wheels give 2 N measurements: a wheel at (x, y) with the direction (c, s), the radius
+r and the speed w measures r w along and 0 across (the rows L and T of the twist estimator).
+The twist has three unknowns.  With H the rows and z the measurements of a tick, both depending on
+the parameters p (offsets, log radius ratios), the residual without the best twist is
 
-How far rolling and pointing are to be trusted is estimated as well (the variance
-components of the two kinds of rows), from where rolling is trusted more: a
-steering motor holds its wheel also against the ground, and then wheels slip
-sideways although their angles look right.  Slip that lasts is counted as an
-unknown offset of each wheel.  Where all angles agree with the offsets that the
-robot's file has already, they are taken to be held there, and say nothing.
-Ticks at standstill do not count, and those with slip weigh little (weights of
-Geman and McClure).  Standard errors are those of blocks of 1 s ("sandwich"), so
-that errors that last for a while do not pass for many.
+    e(p) = (1 - H (H' W H)^-1 H' W) z,
 
-Numpy is imported with this module: import it where it is used.
+and Gauss-Newton minimises sum e' W e over all ticks.  A common scale of all radii leaves e at
+zero, so it stays at 1 unless a measured distance determines it.
+
+The standard deviations of the two kinds of rows (rolling, pointing) are estimated, too, as
+variance components.  The start trusts the rolling rows more: a steering motor can hold its wheel
+against the ground, and then the wheel slips sideways although its angle looks right.  Lasting
+slip counts as an unknown offset of each wheel.  If all angles agree with the offsets in the
+robot file, the steering motors may hold them there, and the offsets are not determined.
+Ticks at standstill are left out, and ticks with slip get a small weight (Geman and McClure).
+Standard errors are those of blocks of 1 s (sandwich estimator), because errors in
+successive ticks are correlated.
+
+This module imports numpy: import it in the function that needs it.
 """
 
 from __future__ import annotations
@@ -34,31 +36,31 @@ from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.driver_parameters import Parameters
 from thorvaldc.simulation.records.joint_csv import JointLog
 from thorvaldc.tools.calibration.calibration_solver import (
-    LARGEST_RATIO,
-    OFFSET_WANTED,
-    RATIO_WANTED,
+    MAX_OFFSET_ERROR,
+    MAX_RATIO,
+    MAX_RATIO_ERROR,
     Solution,
     Solver,
     encoder_offset,
 )
 from thorvaldc.tools.calibration.log_intervals import Ticks
 
-SHORTEST = 5.0
-"""Time (s) in motion that a log must have."""
+MIN_MOVING_TIME = 5.0
+"""Least time (s) in motion of a log."""
 
 _FORCED = 3e-3
-"""Share by which half of the wheels differ from their commands where they give way at all."""
+"""Least median difference of wheel speeds from their commands if the wheels roll freely."""
 _LAGS = np.arange(0.0, 0.5, 0.005)
-"""Times (s) by which joints may follow their commands."""
-_GROWS = 0.5
-"""How much, relatively, a distance must grow with the radii to tell their scale."""
+"""Delays (s) of joints after their commands that are tried."""
+_MIN_GROWTH = 0.5
+"""Least relative growth of the distance per relative growth of the radii."""
 _SLIP = math.radians(0.1)
-"""Side slip (rad) that is worth a word."""
+"""Side slip (rad) from which a message mentions it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its standard error, and whether the log determines it."""
+    """A value with its standard error; ``determined``: the log determines it well enough."""
 
     value: float
     error: float
@@ -67,13 +69,13 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class WheelCalibration:
-    """What was found of a wheel.
+    """The calibration of one wheel.
 
-    ``offset`` (rad): the joint's position where its encoder reads 0, ``None`` for
-    a wheel that no motor steers.  ``ratio``: its radius over that of the robot's
-    file, all ratios together leaving the common scale; ``radius`` (m) has the
-    measured scale as well.  Both ``None`` for a wheel without encoder.  ``named`` is
-    the name of that radius in the file, empty for the ordinary one.
+    ``offset`` (rad): the joint's position where its encoder reads 0; ``None`` for a wheel
+    without steering motor.  ``ratio``: its radius over that in the robot file; the mean of the
+    logarithms of all ratios is 0.  ``radius`` (m) includes the measured scale.  Both are ``None``
+    for a wheel without encoder.  ``named``: the name of this radius in the file, empty for the
+    ordinary one.  ``present_offset`` (rad): in the robot file.
     """
 
     name: str
@@ -86,15 +88,14 @@ class WheelCalibration:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """The wheels in the robot's order, and how it was found.
+    """The wheels in the robot's order, and the quality of the fit.
 
-    ``moving`` (s) of ``duration`` were in motion.  ``scale`` is by what the
-    measured distance changed all radii (``None``: none was given).  ``rolling``
-    (relative) and ``pointing`` (rad) are the sizes of what a tick leaves over,
-    ``slip`` (rad) of the latter the part that lasts, at the worst wheel.  ``held``:
-    the steering angles agree with the robot's file, which is right or is what
-    motors held the wheels to; the offsets stay.  ``forced``: the drives turned as they
-    were commanded, whatever their wheels; the radii stay.
+    The robot moved for ``moving`` s of ``duration`` s.  ``scale``: factor of all radii from the
+    measured distance (``None``: no distance).  ``rolling`` (relative) and ``pointing`` (rad):
+    sizes of the residuals in a tick.  ``slip`` (rad): the lasting part of ``pointing`` at the worst
+    wheel.  ``offsets_kept``: the steering angles agree with the robot file, either because it is
+    right or because motors held the wheels there; the offsets stay.  ``forced``: speed
+    controllers kept the wheels at their commands, so the radii stay.
     """
 
     robot: str
@@ -105,15 +106,15 @@ class CalibrationResult:
     rolling: float
     pointing: float
     slip: float
-    held: bool
+    offsets_kept: bool
     forced: bool
     iterations: int
 
     @property
-    def tells(self) -> bool:
-        """Whether anything is determined."""
-        found = [e for w in self.wheels for e in (w.offset, w.ratio) if e is not None]
-        return self.scale is not None or any(e.determined for e in found)
+    def determines_anything(self) -> bool:
+        """The log determines the scale or at least one offset or ratio."""
+        estimates = [e for w in self.wheels for e in (w.offset, w.ratio) if e is not None]
+        return self.scale is not None or any(e.determined for e in estimates)
 
 
 def calibrate(
@@ -124,12 +125,12 @@ def calibrate(
     display: str = "",
     parameters: str | None = None,
 ) -> CalibrationResult | None:
-    """Find the wheels' errors; ``None`` where the log tells nothing (reported).
+    """Estimates the offsets and radii of the wheels; ``None`` after an error in ``report``.
 
-    ``distance`` (m) is what was measured between where ``base_link`` stood at the
-    log's first and last line, in a straight line.  The way between may turn a little.
-    ``display`` is the log's name for spans; ``parameters`` the parameter set by whose
-    radii the robot drove.  Raises ``DiagnosticError`` where the robot has no such set.
+    ``distance`` (m): measured in a straight line between the positions of ``base_link`` at the
+    log's first and last line.  The path between them may turn a little.  ``display``: the log's
+    name for source spans.  ``parameters``: the parameter set with the radii of this
+    log.  Raises ``DiagnosticError`` for an unknown set.
     """
     names = [""] * len(robot.wheels)
     if parameters is not None:
@@ -138,7 +139,7 @@ def calibrate(
         names = [name if name in dict(wheel.radii) else "" for wheel in robot.wheels]
         wheels = zip(robot.wheels, radii, strict=True)
         robot = replace(robot, wheels=tuple(replace(w, radius=r) for w, r in wheels))
-    # A log may hold any number; what comes of it is looked at in the end.
+    # A log may contain any number; results that are not finite are rejected at the end.
     with np.errstate(all="ignore"):
         return _calibrate(robot, names, log, report, distance, Span(display) if display else None)
 
@@ -152,11 +153,12 @@ def _calibrate(
     span: Span | None,
 ) -> CalibrationResult | None:
     ticks = Ticks(robot, log)
-    moving = float(ticks.dt[ticks.moves].sum())
-    if moving < SHORTEST:
+    moving = float(ticks.dt[ticks.moving].sum())
+    if moving < MIN_MOVING_TIME:
         report.add(
             "joint-log-short",
-            f"the wheels move for {moving:.3g} s of the log; at least {SHORTEST:g} s are needed",
+            f"the wheels move for {moving:.3g} s of the log; "
+            f"at least {MIN_MOVING_TIME:g} s are needed",
             span,
             hint="drive for a minute, with turns to both sides",
         )
@@ -165,14 +167,14 @@ def _calibrate(
     if solution is None:
         report.add(
             "calibration-fit",
-            "no errors of the wheels, up to 45 deg and 20 %, explain the log",
+            "no offsets up to 45 deg and radius errors up to 20 % explain the log",
             span,
             hint="is it the log of this robot, on firm ground, in rad and rad/s?",
         )
         return None
-    apart = _from_commands(log, ticks)
-    forced = apart is not None and apart < _FORCED
-    wheels = _wheels(robot, names, solution, forced)
+    difference = _difference_from_commands(log, ticks)
+    forced = difference is not None and difference < _FORCED
+    wheels = _wheel_calibrations(robot, names, solution, forced)
     scale = None
     if distance is not None:
         scale = _scale(robot, ticks, solution, wheels, distance, span, report)
@@ -194,33 +196,38 @@ def _calibrate(
         forced,
         solution.iterations,
     )
-    _tell(result, span, report)
+    _report_open_values(result, span, report)
     return result
 
 
-def _from_commands(log: JointLog, ticks: Ticks) -> float | None:
-    """The share by which the wheels differ from their commands, their lag apart; the median's."""
+def _difference_from_commands(log: JointLog, ticks: Ticks) -> float | None:
+    """Returns the median relative difference of wheel speeds from their commands.
+
+    The commands are delayed by the lag that fits best.  ``None``: the log has no commands.
+    """
     if not log.commands:
         return None
-    middle = ((ticks.times[1:] + ticks.times[:-1]) / 2.0)[ticks.whole]
+    middle = ((ticks.times[1:] + ticks.times[:-1]) / 2.0)[ticks.valid]
     speeds, commands = [], []
-    for joint, asked in log.commands.items():
-        speeds.append(ticks.speeds[ticks.whole, ticks.wheel_of[joint]])
-        commands.append(np.array(asked[:-1])[ticks.whole])
-    least, gains = math.inf, np.zeros(len(speeds))
+    for joint, values in log.commands.items():
+        speeds.append(ticks.speeds[ticks.valid, ticks.wheel_of[joint]])
+        commands.append(np.array(values[:-1])[ticks.valid])
+    least_error, gains = math.inf, np.zeros(len(speeds))
     for lag in _LAGS:
-        late = [np.interp(middle - lag, middle, command) for command in commands]
-        error = float(sum(np.sum((a - b) ** 2) for a, b in zip(speeds, late, strict=True)))
-        if error < least:
-            least = error
-            gains = np.array([a @ b / max(b @ b, 1e-12) for a, b in zip(speeds, late, strict=True)])
+        delayed = [np.interp(middle - lag, middle, command) for command in commands]
+        error = float(sum(np.sum((a - b) ** 2) for a, b in zip(speeds, delayed, strict=True)))
+        if error < least_error:
+            least_error = error
+            gains = np.array(
+                [a @ b / max(b @ b, 1e-12) for a, b in zip(speeds, delayed, strict=True)]
+            )
     return float(np.median(np.abs(gains - 1.0)))
 
 
 # -- the result ---------------------------------------------------------------------------
 
 
-def _wheels(
+def _wheel_calibrations(
     robot: Robot, names: Sequence[str], solution: Solution, forced: bool
 ) -> tuple[WheelCalibration, ...]:
     wheels: list[WheelCalibration] = []
@@ -229,12 +236,12 @@ def _wheels(
         present = encoder_offset(robot, i)
         if wheel.steered:
             error = float(solution.offset_errors[i])
-            determined = error <= OFFSET_WANTED and not solution.consistent
+            determined = error <= MAX_OFFSET_ERROR and not solution.consistent
             offset = Estimate(float(solution.offsets[i]), error, determined)
         if wheel.encoder and not wheel.swivel:
             value = math.exp(float(solution.ratios[i]))
             error = float(solution.ratio_errors[i])
-            ratio = Estimate(value, error, error <= RATIO_WANTED and not forced)
+            ratio = Estimate(value, error, error <= MAX_RATIO_ERROR and not forced)
             radius = wheel.radius * (value if ratio.determined else 1.0)
         wheels.append(WheelCalibration(wheel.name, offset, ratio, radius, names[i], present))
     return tuple(wheels)
@@ -249,42 +256,49 @@ def _scale(
     span: Span | None,
     report: Report,
 ) -> float | None:
-    """By what all radii must change for the ends of the way to be ``distance`` m apart."""
-    if not bool(np.all(ticks.whole)):
+    """Returns the factor of all radii for which the ends of the path are ``distance`` m apart.
+
+    Newton's method on the logarithms of scale and distance.
+    """
+    if not bool(np.all(ticks.valid)):
         report.add(
             "calibration-distance",
-            "the log has gaps: how far the robot went in them is not known",
+            "the log has gaps: the distance that the robot drove in them is unknown",
             span,
             hint="give a distance for a log without gaps",
         )
         return None
     solver = Solver(robot, ticks)
-    offsets = np.array([_kept(wheel) for wheel in wheels])
+    offsets = np.array([_offset_in_use(wheel) for wheel in wheels])
     ratios = np.array(
         [math.log(w.ratio.value) if w.ratio and w.ratio.determined else 0.0 for w in wheels]
     )
 
-    def apart(scale: float) -> float:
+    def distance_of_ends(scale: float) -> float:
         return solver.ends_apart(offsets, ratios + math.log(scale), solution.factors)
 
-    own = apart(1.0)
-    scale, grows = 1.0, 1.0
+    unscaled = distance_of_ends(1.0)
+    scale, growth = 1.0, 1.0
     for _ in range(20):
-        # Where the way turns, a larger scale turns it more: the ends need not move apart.
-        grows = math.log(apart(scale * 1.001) / apart(scale * 0.999)) / 0.002 if own > 1.0 else 0.0
-        if grows < _GROWS:
+        # On a path that turns, a larger scale turns it more, and the distance need not grow.
+        growth = (
+            math.log(distance_of_ends(scale * 1.001) / distance_of_ends(scale * 0.999)) / 0.002
+            if unscaled > 1.0
+            else 0.0
+        )
+        if growth < _MIN_GROWTH:
             break
-        step = math.log(distance / apart(scale)) / grows
+        step = math.log(distance / distance_of_ends(scale)) / growth
         scale *= math.exp(step)
         if abs(step) < 1e-9 or not 0.5 < scale < 2.0:
             break
-    if grows < _GROWS or abs(scale - 1.0) > LARGEST_RATIO:
+    if growth < _MIN_GROWTH or abs(scale - 1.0) > MAX_RATIO:
         hint = "give the straight distance of base_link between the log's first and last line"
-        if grows < _GROWS:
+        if growth < _MIN_GROWTH:
             hint = "drive straight on, 10 m or more: turns hide the scale"
         report.add(
             "calibration-distance",
-            f"by the wheels the run ended {own:.4g} m from where it began; "
+            f"according to the wheels, the run ended {unscaled:.4g} m from where it began; "
             f"{distance:.4g} m were measured",
             span,
             hint=hint,
@@ -293,25 +307,25 @@ def _scale(
     return scale
 
 
-def _kept(wheel: WheelCalibration) -> float:
-    """The offset (rad) with which the wheel goes on."""
+def _offset_in_use(wheel: WheelCalibration) -> float:
+    """Returns the new offset (rad) if it is determined, else the present one."""
     offset = wheel.offset
     return offset.value if offset is not None and offset.determined else wheel.present_offset
 
 
-def _tell(result: CalibrationResult, span: Span | None, report: Report) -> None:
-    def open_ones(estimates: Iterable[tuple[str, Estimate | None]]) -> str:
+def _report_open_values(result: CalibrationResult, span: Span | None, report: Report) -> None:
+    def undetermined(estimates: Iterable[tuple[str, Estimate | None]]) -> str:
         return ", ".join(name for name, e in estimates if e is not None and not e.determined)
 
     slips = ""
     if result.slip > _SLIP:
         slips = f", while wheels slip sideways by {math.degrees(result.slip):.2g} deg"
-    offsets = open_ones((w.name, w.offset) for w in result.wheels)
-    if result.held:
+    offsets = undetermined((w.name, w.offset) for w in result.wheels)
+    if result.offsets_kept:
         report.add(
             "calibration-steering",
             f"the steering angles agree with the offsets that the robot has{slips}: "
-            "they are right, or motors held the wheels to them",
+            "they are right, or motors held the wheels at them",
             span,
             hint="the offsets stay as they are",
         )
@@ -322,12 +336,12 @@ def _tell(result: CalibrationResult, span: Span | None, report: Report) -> None:
             span,
             hint="it stays as it is; drive turns about points near the robot, and sideways",
         )
-    ratios = open_ones((w.name, w.ratio) for w in result.wheels)
+    ratios = undetermined((w.name, w.ratio) for w in result.wheels)
     if result.forced:
         report.add(
             "calibration-forced",
-            f"half of the wheels or more turned as commanded, within {_FORCED:.1%}: the log tells "
-            "what their speed controllers held, not how the wheels roll",
+            f"half of the wheels or more turned as commanded, within {_FORCED:.1%}: the log shows "
+            "the set points of their speed controllers, not how the wheels roll",
             span,
             hint="the radii stay as they are; record with the drives' speed control off "
             "(`thorvaldc sim --open-loop`)",
@@ -337,5 +351,5 @@ def _tell(result: CalibrationResult, span: Span | None, report: Report) -> None:
             "calibration-undetermined",
             f"the log does not determine the radius of {ratios}",
             span,
-            hint="it stays as it is; that of a wheel shows where the others tell how it must roll",
+            hint="it stays as it is; it is determined if the other wheels determine the motion",
         )
