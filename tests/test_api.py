@@ -1,4 +1,4 @@
-"""What `import thorvaldc` gives."""
+"""The public names of `import thorvaldc`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples/4wd4ws_slim/robot.yaml
 
 
 def test_from_a_file_to_a_drive() -> None:
-    done = thorvaldc.compile(EXAMPLE)
-    files = thorvaldc.emit(done.model, ["mjcf"], done.report)
-    result = thorvaldc.Simulation(done.model, files).run(0.5, _forward())
+    compilation = thorvaldc.compile(EXAMPLE)
+    files = thorvaldc.emit(compilation.model, ["mjcf"], compilation.report)
+    result = thorvaldc.Simulation(compilation.model, files).run(0.5, _forward())
     assert result.robots[0].path_true > 0.0
 
 
@@ -26,30 +26,30 @@ def _forward() -> object:
     return Twist(0.5, 0.0, 0.0)
 
 
-def test_all_that_is_promised_is_there() -> None:
+def test_all_public_names_exist() -> None:
     assert all(getattr(thorvaldc, name) is not None for name in thorvaldc.__all__)
     with pytest.raises(AttributeError, match="nothing_like_that"):
         thorvaldc.nothing_like_that  # noqa: B018
 
 
-def test_the_import_itself_loads_nothing() -> None:
+def test_the_import_loads_no_other_module() -> None:
     script = "import sys, thorvaldc; print([m for m in sys.modules if m.startswith('thorvaldc.')])"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script],
         check=True,
         capture_output=True,
         text=True,
         env={"PYTHONPATH": ":".join(sys.path)},
     )
-    assert done.stdout == "[]\n"
+    assert process.stdout == "[]\n"
 
 
-def test_the_readmes_script_runs(tmp_path: Path) -> None:
+def test_the_script_of_the_readme_runs(tmp_path: Path) -> None:
     readme = (EXAMPLE.parents[2] / "README.md").read_text(encoding="utf-8")
     document = readme.split("```yaml\n", 1)[1].split("```", 1)[0]
     (tmp_path / "first.yaml").write_text(document, encoding="utf-8")
     script = readme.split("```python\n", 1)[1].split("```", 1)[0]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script],
         cwd=tmp_path,
         check=True,
@@ -57,4 +57,4 @@ def test_the_readmes_script_runs(tmp_path: Path) -> None:
         text=True,
         env={"PYTHONPATH": ":".join(sys.path)},
     )
-    assert float(done.stdout) > 2.0
+    assert float(process.stdout) > 2.0

@@ -1,9 +1,10 @@
 """thorvaldc: a declarative compiler for modular robots.
 
-``compile(path)`` gives a ``Compilation`` (``model``, ``report``), ``emit(model, targets, report)``
-the files of the targets in memory, ``Simulation(model, files)`` drives them in MuJoCo,
-``BaseDriver(robot, base)`` drives a base, such as ``SimBase(robot)``, by a ``Twist``.  Each is
-imported when it is first asked for.
+``compile(path)`` returns a ``Compilation`` (``model``, ``report``), and ``emit(model, targets,
+report)`` the files of the targets in memory.  ``Simulation(model, files)`` drives them in MuJoCo.
+``BaseDriver(robot, base)`` drives a base, such as ``SimBase(robot)``, with a ``Twist``.
+
+``import thorvaldc`` loads none of them; each name is imported at its first use.
 """
 
 from __future__ import annotations

@@ -1,0 +1,89 @@
+"""A run session drives a robot from a Python program as the command ``run`` does."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.simulation.bus.robots import CIA402, compiled
+from thorvaldc.can.interface import CanInterface
+from thorvaldc.model import Robot
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.driver import DriverState
+from thorvaldc.runtime.run_session import RunSession
+from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return compiled(CIA402)
+
+
+@pytest.fixture
+def simulated(robot: Robot) -> SimulatedRobot:
+    simulated = SimulatedRobot(robot)
+    simulated.power_on()
+    return simulated
+
+
+@pytest.fixture
+def interfaces(simulated: SimulatedRobot) -> dict[str, CanInterface]:
+    return {bus.name: simulated.interface(bus.name) for bus in simulated.robot.buses}
+
+
+def test_a_twist_is_driven_for_the_duration(
+    robot: Robot, interfaces: dict[str, CanInterface]
+) -> None:
+    twist = Twist(0.5, 0.0, 0.0)
+    session = RunSession(robot, interfaces, twist=twist, duration=2.0, threaded=False)
+    assert session.run() is None
+    summary = session.summary()
+    assert summary["was_ready"]
+    assert 0.5 < summary["pose"]["x"] < 1.0
+    # The duration begins when the robot is ready.
+    assert session.ready_time + 2.0 < session.start_time + summary["seconds"]
+    assert "m/s" in session.status_line()
+
+
+def test_a_request_stops_the_robot(robot: Robot, interfaces: dict[str, CanInterface]) -> None:
+    session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), threaded=False)
+
+    def stop_when_it_drives(runner: BaseRunner, state: DriverState) -> None:
+        if runner.state is BaseState.ACTIVE:
+            session.request_stop()
+
+    assert session.run(stop_when_it_drives) is None
+    assert "active" in [change["state"] for change in session.summary()["changes"]]
+
+
+def test_a_robot_without_power_ends_with_a_diagnostic(
+    robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
+) -> None:
+    for device in simulated.devices.values():
+        device.power_off()
+    session = RunSession(robot, interfaces, threaded=False)
+    diagnostic = session.run()
+    assert diagnostic is not None
+    assert diagnostic.code.name == "bus-start"
+    assert not session.summary()["was_ready"]
+
+
+def test_a_channel_in_use_closes_the_interfaces(
+    robot: Robot,
+    simulated: SimulatedRobot,
+    interfaces: dict[str, CanInterface],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("tv")))
+    first = RunSession(robot, interfaces, channel="cart", threaded=False)
+    closed: list[str] = []
+    others = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
+    for name, interface in others.items():
+        monkeypatch.setattr(interface, "close", lambda name=name: closed.append(name))
+    with pytest.raises(OSError, match="already runs"):
+        RunSession(robot, others, channel="cart", threaded=False)
+    assert closed == list(others)
+    first.request_stop()
+    first.run()
