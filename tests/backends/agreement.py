@@ -1,8 +1,8 @@
-"""Do a robot's URDF and MJCF say the same?  Found out by readers that know no backend.
+"""Comparison of a robot's URDF and MJCF by readers that are independent of the backends.
 
-MuJoCo loads both (the URDF with the hint in it); what its importer does not keep
-(speed limits, mesh scales, materials, gear-side limits) is compared from the raw
-XML, and what only one of the formats can say is compared with the model.
+MuJoCo loads both files.  Values that its URDF importer does not keep
+(speed limits, mesh scales, materials, limits at the gear) are compared in the raw
+XML, and values that only one of the formats has are compared with the model.
 ``differences`` returns a line for each disagreement.
 """
 
@@ -34,8 +34,8 @@ def differences(folder: Path, robot: Robot) -> list[str]:
         try:
             models.append(mujoco.MjModel.from_xml_path(str(folder / path)))
         except ValueError as fault:
-            check.found.append(f"{path} does not load: {fault}")
-    if not check.found:
+            check.differences.append(f"{path} does not load: {fault}")
+    if not check.differences:
         check.structure(models[0], models[1])
         check.dynamics(models[0], models[1])
         check.actuators(models[1])
@@ -44,17 +44,20 @@ def differences(folder: Path, robot: Robot) -> list[str]:
         check.raw_shapes(urdf, mjcf, folder)
         check.sensors(models[1])
         check.rest_of_urdf(urdf)
-    return check.found
+    return check.differences
 
 
 class _Check:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.prefix = robot.prefix
-        self.found: list[str] = []
+        self.differences: list[str] = []
 
     def same(self, what: str, *values: Any, tolerance: float = TOLERANCE) -> None:
-        """All of ``values`` are equal: numbers and arrays to the tolerance, relative above 1."""
+        """Record a difference unless all values are equal.
+
+        Numbers and arrays may differ by the tolerance, relative for values above 1.
+        """
         first = values[0]
         for other in values[1:]:
             if isinstance(first, str | bool) or first is None or other is None:
@@ -64,9 +67,9 @@ class _Check:
                 scale = max(1.0, float(np.abs(a).max(initial=0.0)))
                 good = a.shape == b.shape and bool((np.abs(a - b) <= tolerance * scale).all())
             if not good:
-                self.found.append(f"{what}: {first} and {other}")
+                self.differences.append(f"{what}: {first} and {other}")
 
-    # -- by MuJoCo on both -------------------------------------------------------
+    # -- both files, read by MuJoCo -------------------------------------------------------
 
     def structure(self, urdf: Any, mjcf: Any) -> None:
         expected = [self.prefix + link.name for link in self.robot.links]
@@ -92,10 +95,10 @@ class _Check:
         for other in lists[1:]:
             for name in sorted({*lists[0], *other}):
                 if lists[0].count(name) != other.count(name):
-                    self.found.append(f"{what}: {name} is not in all")
+                    self.differences.append(f"{what}: {name} is not in all")
 
     def dynamics(self, urdf: Any, mjcf: Any) -> None:
-        if self.found:
+        if self.differences:
             return
         for joint in self.robot.joints:
             if joint.type == "fixed":
@@ -161,7 +164,7 @@ class _Check:
                 b.qpos[mjcf.jnt_qposadr[mjcf.joint(name).id]] = q
             mujoco.mj_kinematics(urdf, a)
             mujoco.mj_kinematics(mjcf, b)
-            before = len(self.found)
+            count = len(self.differences)
             self.same("link positions", a.xpos[ia], b.xpos[ib])
             self.same("link rotations", a.xmat[ia], b.xmat[ib])
             for what, u, m in zip(
@@ -171,10 +174,10 @@ class _Check:
                 strict=True,
             ):
                 self.same(what, u, m)
-            if len(self.found) > before:
+            if len(self.differences) > count:
                 return
 
-    # -- what MJCF alone says --------------------------------------------------------
+    # -- values that only MJCF has --------------------------------------------------------
 
     def actuators(self, m: Any) -> None:
         robot = self.robot
@@ -183,12 +186,12 @@ class _Check:
             [self.prefix + a.name for a in robot.actuators],
             [m.actuator(i).name for i in range(m.nu)],
         )
-        if self.found:
+        if self.differences:
             return
         d = mujoco.MjData(m)
         mujoco.mj_forward(m, d)
         full = np.zeros((m.nv, m.nv))
-        # MuJoCo 4 takes the data, 3 the array in it.
+        # The argument is the MjData in MuJoCo 4, and an array of it in MuJoCo 3.
         mujoco.mj_fullM(m, full, d.qM) if hasattr(d, "qM") else mujoco.mj_fullM(m, d, full)
         driven = sum(wheel.driven for wheel in robot.wheels)
         total = sum(link.inertial.mass for link in robot.links if link.inertial is not None)
@@ -220,7 +223,7 @@ class _Check:
             self.same(f"{name}: kv", m.actuator_biasprm[i, 2], -inertia * 40.0)
 
     def at_home(self, m: Any) -> None:
-        """Every loaded wheel rolls on its radius, with its rolling loss, where the scene starts."""
+        """Check in the home pose that each loaded wheel rolls on its radius with its friction."""
         d = mujoco.MjData(m)
         self.same("key frames", m.nkey, 1)
         mujoco.mj_resetDataKeyframe(m, d, 0)
@@ -229,7 +232,7 @@ class _Check:
         self.same("cone", int(m.opt.cone), int(mujoco.mjtCone.mjCONE_ELLIPTIC))
         self.same("impratio", m.opt.impratio, 100.0)
         damped = max(h / i for h, i in self.servos(m))
-        # Wheels that do not turn, of robots that have no other heading: on one axle, or they slide.
+        # Wheels without steering must be on one axle, or they slide in a turn.
         axles = {
             round(w.x, 3)
             for w in self.robot.wheels
@@ -237,11 +240,11 @@ class _Check:
         }
         explicit = damped * m.opt.timestep <= 1.5 and len(axles) <= 1
         integrators = mujoco.mjtIntegrator
-        wanted = integrators.mjINT_EULER if explicit else integrators.mjINT_IMPLICITFAST
-        self.same("integrator", int(m.opt.integrator), int(wanted))
+        expected = integrators.mjINT_EULER if explicit else integrators.mjINT_IMPLICITFAST
+        self.same("integrator", int(m.opt.integrator), int(expected))
         touched: dict[str, tuple[Any, float]] = {}
         for contact in d.contact:
-            # The force that this penetration gives where nothing moves.
+            # The contact force at rest for this penetration.
             row = contact.efc_address
             force = float(d.efc_aref[row] / d.efc_R[row])
             for g in contact.geom:
@@ -299,7 +302,7 @@ class _Check:
             )
 
     def servos(self, m: Any) -> list[tuple[float, float]]:
-        """Damping of every servo in the scene and the inertia of its joint alone."""
+        """Return the damping of every servo in the scene and the inertia of its joint."""
         d = mujoco.MjData(m)
         mujoco.mj_forward(m, d)
         full = np.zeros((m.nv, m.nv))
@@ -310,7 +313,7 @@ class _Check:
         ] or [(0.0, 1.0)]
 
     def bits(self, m: Any) -> None:
-        """Collision shapes meet the world and other things, never one another; visuals nothing."""
+        """Check that collision shapes collide with other bodies but not with each other."""
         shapes = []
         for g in range(m.ngeom):
             if m.geom_bodyid[g] == 0:
@@ -325,7 +328,7 @@ class _Check:
                 self.same("visuals touch", contype | conaffinity, 0)
         for contype, _ in shapes:
             if any(contype & conaffinity for _, conaffinity in shapes):
-                self.found.append("shapes of the robot meet one another")
+                self.differences.append("shapes of the robot meet one another")
                 break
 
     def sensors(self, m: Any) -> None:
@@ -333,7 +336,7 @@ class _Check:
             name = self.prefix + sensor.name
             site = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name)
             if site < 0:
-                self.found.append(f"sensor {name} has no site")
+                self.differences.append(f"sensor {name} has no site")
                 continue
             self.same(f"{name}: link", m.body(m.site_bodyid[site]).name, self.prefix + sensor.link)
             self.same(f"{name}: place", m.site_pos[site], np.zeros(3))
@@ -363,7 +366,7 @@ class _Check:
                 seen = "" if i < 0 else m.joint(m.sensor_objid[i]).name
                 self.same(f"{name}_{part}", seen, name)
 
-    # -- from the raw XML --------------------------------------------------------------
+    # -- values in the raw XML --------------------------------------------------------------
 
     def raw_joints(self, urdf: ET.Element, mjcf: ET.Element) -> None:
         joints = {j.get("name", ""): j for j in urdf.findall("joint")}
@@ -457,7 +460,7 @@ class _Check:
         geometry = part.find("geometry")
         inner = None if geometry is None else next(iter(geometry), None)
         if inner is None:
-            self.found.append(f"{what} has no shape")
+            self.differences.append(f"{what} has no shape")
             return
         kind = inner.tag
         expected, values = _described(shape)
@@ -467,26 +470,26 @@ class _Check:
         if kind == "mesh":
             file = Path(inner.get("filename", ""))
             if not (folder / "urdf" / file).is_file():
-                self.found.append(f"{what}: no file {file}")
+                self.differences.append(f"{what}: no file {file}")
             assert isinstance(shape, MeshShape)
             self.same(f"{what}: mesh", file.name, shape.mesh)
             self.same(f"{what}: scale", _floats(inner.get("scale", "1 1 1")), shape.scale)
         else:
             keys = {"box": ["size"], "cylinder": ["radius", "length"], "sphere": ["radius"]}[kind]
-            own = [v for key in keys for v in _floats(inner.get(key))]
-            self.same(f"{what}: size", own, values)
+            sizes = [v for key in keys for v in _floats(inner.get(key))]
+            self.same(f"{what}: size", sizes, values)
         if geom is None:
             return
         self.same(f"{what}: kind in MJCF", geom.get("type"), kind)
         if kind == "mesh":
             asset = assets.get(geom.get("mesh"))
             if asset is None:
-                self.found.append(f"{what}: no mesh {geom.get('mesh')}")
+                self.differences.append(f"{what}: no mesh {geom.get('mesh')}")
                 return
             assert isinstance(shape, MeshShape)
             file = Path(asset.get("file", ""))
             if not (folder / "mjcf" / file).is_file():
-                self.found.append(f"{what}: no file {file}")
+                self.differences.append(f"{what}: no file {file}")
             self.same(f"{what}: mesh in MJCF", file.name, shape.mesh)
             self.same(f"{what}: scale in MJCF", _floats(asset.get("scale", "1 1 1")), shape.scale)
         else:

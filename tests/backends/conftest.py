@@ -25,7 +25,7 @@ def write(files: dict[str, bytes], folder: Path) -> Path:
 
 @pytest.fixture
 def written(tmp_path: Path) -> Callable[[Robot], Path]:
-    """Writes URDF and MJCF of a robot to a folder of its own and returns that."""
+    """A function that writes URDF and MJCF of a robot to a new folder and returns the folder."""
 
     def run(robot: Robot) -> Path:
         return write({**files_of(Urdf, robot), **files_of(Mjcf, robot)}, tmp_path / robot.name)
@@ -42,14 +42,14 @@ def written_fleet(tmp_path: Path) -> Callable[[Fleet], Path]:
 
 
 def checker(program: str, package: str) -> str:
-    """Path of an external program; skips without it, but fails where ``CI`` is set."""
-    found = shutil.which(program)
-    if found is None:
+    """Return the path of a program; without it, skip the test, or fail if ``CI`` is set."""
+    program_path = shutil.which(program)
+    if program_path is None:
         reason = f"{program} is not installed (Debian package {package})"
         if os.environ.get("CI"):
             pytest.fail(reason)
         pytest.skip(reason)
-    return found
+    return program_path
 
 
 @pytest.fixture

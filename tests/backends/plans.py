@@ -1,8 +1,7 @@
-"""Robots from a list of wheel plans, with statics done by numpy: no compiler needed.
+"""Robots from a list of wheel plans, with statics by numpy and without the compiler.
 
-``tests/robots.py`` makes plain ones; here wheels differ in radius, stand at an
-angle, trail behind their axis, lean, or hang on springs, and ``graft`` adds a
-random tree of links, joints, meshes and sensors.
+``tests/robots.py`` builds simple robots.  Here wheels have different radii, headings, trails,
+cambers and suspensions, and ``graft`` adds a random tree of links, joints, meshes and sensors.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ LIMIT = 3.078027759
 class Plan:
     """A wheel: ``kind`` is ``steered``, ``fixed`` (driven), ``passive`` or ``swivel``.
 
-    The axis (or, where it does not turn, the wheel's centre) is over ``x``, ``y``;
+    The steering axis (without one, the wheel's centre) is above ``x``, ``y``;
     the wheel's centre is ``trail`` ahead and ``lateral`` left of it; angles in rad.
     """
 
@@ -74,7 +73,7 @@ def build(
     body_com: tuple[float, float, float] = (0.0, 0.0, 0.0),
     height: float = 0.65,
 ) -> Robot:
-    """A body and its wheels, standing on the ground at joint positions 0."""
+    """Build a body with wheels that stand on the ground at joint positions 0."""
     inertia = (body_mass / 6, body_mass / 5, body_mass / 4, 0.3, -0.2, 0.1)
     body = Inertial(body_mass, body_com, inertia)
     shape = Box((1.0, 0.8, 0.1))
@@ -302,7 +301,7 @@ def mesh(name: str, size: float) -> Mesh:
 
 
 def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
-    """The robot with ``count`` more links, of random make, on its body."""
+    """Return the robot with ``count`` more random links on its body."""
     rng = np.random.default_rng(seed)
     meshes = (mesh("wedge.stl", 0.3), mesh("tip.stl", 0.1))
     links, joints = list(robot.links), list(robot.joints)
@@ -334,7 +333,7 @@ def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
         moving = kind != "fixed"
         inertial = None
         if moving or rng.random() < 0.6:
-            # Point masses about the centre: any such cloud is a possible body.
+            # The inertia of random point masses is always physically possible.
             r = rng.normal(size=(6, 3)) * 0.1
             i3 = sum(np.dot(p, p) * np.eye(3) - np.outer(p, p) for p in r)
             values = (i3[0, 0], i3[1, 1], i3[2, 2], i3[0, 1], i3[0, 2], i3[1, 2])
@@ -343,7 +342,7 @@ def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
                 round(float(rng.uniform(0.1, 5)), 3), vector(0.2), (xx, yy, zz, xy, xz, yz)
             ).clean()
         name = f"extra{i}_body"
-        # All above the ground: what is grafted must not carry weight.
+        # Everything is above the ground: the new links must not carry weight.
         visuals = tuple(Visual(shape(), pose(0.2), color()) for _ in range(int(rng.integers(3))))
         shapes = tuple(Collision(shape(), pose(0.05)) for _ in range(int(rng.integers(2))))
         links.append(Link(name, f"extra{i}", inertial, visuals, shapes, SPAN))
@@ -398,7 +397,7 @@ def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
 
 
 def total_inertial(robot: Robot) -> Inertial:
-    """The whole robot at joint positions 0, in ``base_link``."""
+    """Return the inertia of the whole robot at joint positions 0, in ``base_link``."""
     poses = {robot.links[0].name: Pose()}
     todo = list(robot.joints)
     while todo:
@@ -417,7 +416,7 @@ def total_inertial(robot: Robot) -> Inertial:
     return combine(bodies)
 
 
-# -- a collection ----------------------------------------------------------------------
+# -- the robots ----------------------------------------------------------------------
 
 
 def square(kind: str = "steered", **more: object) -> list[Plan]:
@@ -472,7 +471,7 @@ ROBOTS: dict[str, Robot] = {
 
 
 def grafted(seed: int) -> Robot:
-    """One of the robots with a random tree on top; every third one has a name space."""
+    """Return one of the robots with a random tree on top; every third one has a name space."""
     names = sorted(ROBOTS)
     robot = graft(ROBOTS[names[seed % len(names)]], seed)
     return dataclasses.replace(robot, namespace="r1") if seed % 3 == 0 else robot

@@ -1,6 +1,6 @@
-"""What rcl's parameter parser makes of a file, written from its rules, not from our emitter.
+"""A reader of parameter files with the rules of rcl's parser, independent of our writer.
 
-The same events of libyaml, the same order of guesses: truth value, integer by
+It reads the events of libyaml and tries types in the same order: truth value, integer by
 ``strtol`` with base 0, real by ``strtod``, else text; a quoted scalar is text.
 """
 
@@ -21,23 +21,23 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class RclError(Exception):
-    """rcl would refuse the file."""
+    """rcl rejects the file."""
 
 
 def read(text: str) -> dict[str, dict[str, Any]]:
-    """Parameters by full node name, names joined with dots."""
+    """Return the parameters by full node name; nested names are joined with dots."""
     events = list(yaml.parse(text, Loader=yaml.CSafeLoader))
     if any(isinstance(e, yaml.AliasEvent) for e in events):
         raise RclError("will not support aliasing")
     body = iter(events[2:-2])  # stream and document
     if not isinstance(next(body, None), yaml.MappingStartEvent):
         raise RclError("no mapping")
-    found: dict[str, dict[str, Any]] = {}
-    _nodes(body, [], found)
-    return found
+    nodes: dict[str, dict[str, Any]] = {}
+    _nodes(body, [], nodes)
+    return nodes
 
 
-def _nodes(events: Any, path: list[str], found: dict[str, dict[str, Any]]) -> None:
+def _nodes(events: Any, path: list[str], nodes: dict[str, dict[str, Any]]) -> None:
     for event in events:
         if isinstance(event, yaml.MappingEndEvent):
             return
@@ -48,9 +48,9 @@ def _nodes(events: Any, path: list[str], found: dict[str, dict[str, Any]]) -> No
         if key == "ros__parameters":
             if not path:
                 raise RclError("no node name before ros__parameters")
-            _parameters(events, "", found.setdefault(_full_name(path), {}))
+            _parameters(events, "", nodes.setdefault(_full_name(path), {}))
         else:
-            _nodes(events, [*path, key], found)
+            _nodes(events, [*path, key], nodes)
 
 
 def _full_name(path: list[str]) -> str:
@@ -100,7 +100,7 @@ def _scalar_text(event: Any) -> str:
 
 
 def value_of(text: str, is_quoted: bool, name: str = "") -> Any:
-    """The value that rcl reads from a scalar."""
+    """Return the value that rcl reads from a scalar."""
     if is_quoted:
         return text
     if not text:
@@ -115,7 +115,7 @@ def value_of(text: str, is_quoted: bool, name: str = "") -> Any:
         try:
             number = sign * int(body, base)
         except ValueError:
-            pass  # `09`: strtol stops at the 9; strtod has it
+            pass  # `09`: strtol stops at the 9; strtod reads it
         else:
             if -(1 << 63) <= number < (1 << 63):
                 return number

@@ -1,4 +1,4 @@
-"""URDF and MJCF agree, and the check that says so sees every seeded fault."""
+"""URDF and MJCF agree, and the check detects every seeded error."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.agreement import differences
 from tests.backends.conftest import write
-from tests.backends.faults import FAULTS, Fault
 from tests.backends.plans import ROBOTS, Plan, build, graft, grafted
+from tests.backends.seeded_errors import SEEDED_ERRORS, SeededError
 from tests.examples import FLEETS, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
 from thorvaldc.backends.mjcf import Mjcf
@@ -51,7 +51,7 @@ def test_formats_agree_on_random_trees(seed: int, written: Written) -> None:
 
 @pytest.fixture(scope="session")
 def victim() -> Robot:
-    """A robot with one of everything that the formats can say."""
+    """A robot with one of everything that the formats can express."""
     plans = [
         Plan(0.6, 0.5, suspended=True),
         Plan(0.6, -0.5, suspended=True),
@@ -62,25 +62,27 @@ def victim() -> Robot:
 
 
 @pytest.fixture(scope="session")
-def sound(victim: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def correct_files(victim: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sound")
     return write({**files_of(Urdf, victim), **files_of(Mjcf, victim)}, folder)
 
 
-def test_victim_is_sound(victim: Robot, sound: Path) -> None:
-    assert differences(sound, victim) == []
-    assert len(FAULTS) >= 40
-    assert len({fault.name for fault in FAULTS}) == len(FAULTS)
+def test_unchanged_files_agree(victim: Robot, correct_files: Path) -> None:
+    assert differences(correct_files, victim) == []
+    assert len(SEEDED_ERRORS) >= 40
+    assert len({error.name for error in SEEDED_ERRORS}) == len(SEEDED_ERRORS)
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_fault_is_caught(fault: Fault, victim: Robot, sound: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", SEEDED_ERRORS, ids=lambda error: error.name)
+def test_seeded_error_is_detected(
+    error: SeededError, victim: Robot, correct_files: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "mutant"
-    shutil.copytree(sound, folder)
-    path = folder / fault.file
+    shutil.copytree(correct_files, folder)
+    path = folder / error.file
     tree = ET.parse(path)
-    before = ET.tostring(tree.getroot())
-    fault.apply(tree.getroot())
-    assert ET.tostring(tree.getroot()) != before, "the fault changed nothing"
+    original = ET.tostring(tree.getroot())
+    error.apply(tree.getroot())
+    assert ET.tostring(tree.getroot()) != original, "the change has no effect"
     tree.write(path)
     assert differences(folder, victim) != []

@@ -68,7 +68,7 @@ def test_canmap_names_bus_master_and_nodes(canmap: dict[str, Any]) -> None:
     assert bus["nodes"][0]["properties"] == {"heartbeat_timeout": 2.0}
 
 
-def test_canmap_leads_from_channel_to_joint_with_scalings(canmap: dict[str, Any]) -> None:
+def test_canmap_channels_have_joints_and_scalings(canmap: dict[str, Any]) -> None:
     propulsion, steering = canmap["buses"][0]["nodes"][0]["channels"]
     assert (propulsion["actuator"], propulsion["joint"]) == ("w0_propulsion", "w0_axle")
     assert (steering["lower"], steering["upper"]) == (-LIMIT, LIMIT)
@@ -86,7 +86,7 @@ def test_canmap_leads_from_channel_to_joint_with_scalings(canmap: dict[str, Any]
     assert 1000 * by_signal["w0_controller_rpdo4", "position"]["scale"] == pytest.approx(LIMIT)
 
 
-def test_canmap_frames_carry_every_field_of_the_model(canmap: dict[str, Any]) -> None:
+def test_canmap_frames_have_every_field_of_the_model(canmap: dict[str, Any]) -> None:
     frames = canmap["buses"][0]["frames"]
     for stored, frame in zip(frames, robot_with_bus().buses[0].frames, strict=True):
         for field in dataclasses.fields(frame):
@@ -159,7 +159,7 @@ def test_multiplexed_frame_is_read_by_its_selector(
     assert database.decode_message(0x482, data) == expected
 
 
-def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
+def test_texts_that_are_not_valid_in_a_dbc_are_replaced() -> None:
     signal = Signal(
         "x",
         0,
@@ -182,7 +182,7 @@ def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "read"),
+    ("limits", "read"),
     [
         ({}, (None, None)),
         ({"minimum": 5.0}, (5.0, 12.7)),
@@ -190,19 +190,19 @@ def test_texts_that_would_break_a_dbc_are_made_harmless() -> None:
         ({"minimum": -1.0, "maximum": 1.0}, (-1.0, 1.0)),
     ],
 )
-def test_limits_of_a_signal(given: dict[str, float], read: tuple[float, float]) -> None:
-    signal = Signal("x", 0, 8, signed=True, scale=0.1, **given)
+def test_limits_of_a_signal(limits: dict[str, float], read: tuple[float, float]) -> None:
+    signal = Signal("x", 0, 8, signed=True, scale=0.1, **limits)
     frame = FrameDefinition(
         "odd", 0x181, "pdo", "master", ("battery",), 1, None, None, (signal,), SPAN
     )
     message = read_dbc(files_of(Can, with_frame(frame))["can/robot.dbc"]).get_message_by_name("odd")
-    (found,) = message.signals
-    assert (found.minimum, found.maximum) == (
+    (signal,) = message.signals
+    assert (signal.minimum, signal.maximum) == (
         read if read[0] is None else pytest.approx(read, rel=1e-12)
     )
 
 
-def test_long_names_survive() -> None:
+def test_long_names_are_kept() -> None:
     name = "a_drive_with_a_name_that_is_longer_than_32_characters_controller"
     node = Node(name, name, "p", 9, "canopen", None, None, (), (), SPAN)
     frame = FrameDefinition(
@@ -229,7 +229,7 @@ def test_a_robot_without_a_bus_has_an_empty_map() -> None:
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*/robot.yaml")), ids=lambda p: p.parent.name)
 def test_examples(path: Path) -> None:
-    """Every example's frames are decoded by cantools to what the model's scalings say."""
+    """cantools decodes every frame of every example with the scalings of the model."""
     robot = compile_file(path).model
     assert isinstance(robot, Robot)
     files = files_of(Can, robot)

@@ -1,4 +1,4 @@
-"""What the `can` target writes besides map and DBC, read by those whom it is for."""
+"""The other files of the `can` target, read by the programs that they are for."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ modules:
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    """Two drives of two axes, one of one, an IO board, a battery and a sprayer."""
+    """Two drives with two axes, one with one axis, an IO board, a battery and a sprayer."""
     path = tmp_path_factory.mktemp("drives") / "robot.yaml"
     path.write_text(DRIVES, encoding="utf-8")
-    done = compile_file(path)
-    assert isinstance(done.model, Robot), [d.message for d in done.report]
-    return done.model
+    compilation = compile_file(path)
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
+    return compilation.model
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_every_node_with_an_object_dictionary_has_a_dcf(files: dict[str, bytes])
     ]
 
 
-def test_canopen_reads_who_the_node_is(files: dict[str, bytes], tmp_path: Path) -> None:
+def test_canopen_reads_the_identity(files: dict[str, bytes], tmp_path: Path) -> None:
     od = imported_dcf(files, "one", tmp_path)
     assert (od.node_id, od.bitrate) == (4, 500_000)
     info = od.device_information
@@ -88,7 +88,7 @@ def test_canopen_reads_who_the_node_is(files: dict[str, bytes], tmp_path: Path) 
     assert imported_dcf(files, "fl_controller", tmp_path)[0x1000].default == 0xFFFF0192
 
 
-def test_canopen_reads_heartbeats_and_what_a_drive_does_without_them(
+def test_canopen_reads_heartbeats_and_the_reaction_to_their_loss(
     files: dict[str, bytes], tmp_path: Path
 ) -> None:
     od = imported_dcf(files, "fl_controller", tmp_path)
@@ -101,7 +101,7 @@ def test_canopen_reads_heartbeats_and_what_a_drive_does_without_them(
     assert (od[0x6060].value, od[0x6860].value) == (3, 1)  # profile velocity, profile position
 
 
-def test_canopen_reads_pdos_that_lie_as_the_map_says(
+def test_canopen_reads_the_pdos_of_the_map(
     drives: Robot, files: dict[str, bytes], tmp_path: Path
 ) -> None:
     (bus,) = drives.buses
@@ -129,7 +129,7 @@ def test_canopen_reads_pdos_that_lie_as_the_map_says(
             assert start == 8 * frame.length
 
 
-def test_canopen_reads_limits_in_the_drives_own_unit(
+def test_canopen_reads_limits_in_units_of_the_drive(
     drives: Robot, files: dict[str, bytes], tmp_path: Path
 ) -> None:
     od = imported_dcf(files, "fl_controller", tmp_path)
@@ -149,7 +149,7 @@ def test_canopen_reads_limits_in_the_drives_own_unit(
     assert od[0x687D][1].value == -85996
 
 
-def test_what_cia_402_names_is_only_in_a_cia_402_drive() -> None:
+def test_objects_of_cia_402_are_only_in_drives_of_cia_402() -> None:
     robot = example_robot("4wd4ws_slim")
     text = files_of(Can, robot)["can/dcf/fl_controller.dcf"].decode()
     indices = {int(i, 16) for i in re.findall(r"^\[([0-9A-F]{4})\]", text, re.M)}
@@ -161,9 +161,9 @@ def test_what_cia_402_names_is_only_in_a_cia_402_drive() -> None:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_canopen_reads_every_dcf_of_the_examples(name: str, tmp_path: Path) -> None:
     files = files_of(Can, example_robot(name))
-    found = [p for p in files if p.startswith("can/dcf/")]
-    assert found
-    for path in found:
+    dcf_paths = [p for p in files if p.startswith("can/dcf/")]
+    assert dcf_paths
+    for path in dcf_paths:
         od = imported_dcf(files, Path(path).stem, tmp_path)
         assert {0x1000, 0x1001, 0x1017, 0x1018} <= set(od)
         listed = re.findall(r"^\d+=(0x[0-9A-F]{4})$", files[path].decode(), re.M)
@@ -176,34 +176,34 @@ def test_canopen_reads_every_dcf_of_the_examples(name: str, tmp_path: Path) -> N
 
 
 def compiled(header: bytes, main: str, folder: Path, cc: str) -> list[str]:
-    """Lines that a program with the header prints; all warnings are errors."""
+    """Return the lines that a program with the header prints; all warnings are errors."""
     (folder / "robot_can.h").write_bytes(header)
     source = f'#include "robot_can.h"\n#include "robot_can.h"\n#include <stdio.h>\n{main}'
     (folder / "main.c").write_text(source)
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
     subprocess.run([cc, *flags, "-o", "main", "main.c"], cwd=folder, check=True)
-    done = subprocess.run(["./main"], cwd=folder, capture_output=True, text=True, check=True)
-    return done.stdout.splitlines()
+    process = subprocess.run(["./main"], cwd=folder, capture_output=True, text=True, check=True)
+    return process.stdout.splitlines()
 
 
 def test_c_program_has_the_ids_and_scales_of_the_map(
     drives: Robot, files: dict[str, bytes], tmp_path: Path, cc: str
 ) -> None:
-    wanted, lines = [], []
+    expected, lines = [], []
     for frame in drives.buses[0].frames:
         prefix = f"ROBOT_CAN_MAIN_{frame.name}".upper()
         lines.append(f'printf("%u %u\\n", {prefix}_COB_ID, {prefix}_LENGTH);')
-        wanted.append((frame.cob_id, frame.length))
+        expected.append((frame.cob_id, frame.length))
         for signal in frame.signals:
             macro = f"{prefix}_{signal.name}".upper()
             lines.append(f'printf("%u %u %.17g\\n", {macro}_START, {macro}_BITS, {macro}_SCALE);')
-            wanted.append((signal.start, signal.length, signal.scale))
+            expected.append((signal.start, signal.length, signal.scale))
     main = "int main(void) {\n" + "\n".join(lines) + "\nreturn 0; }\n"
     printed = compiled(files["can/robot_can.h"], main, tmp_path, cc)
-    assert [tuple(float(n) for n in line.split()) for line in printed] == wanted
+    assert [tuple(float(n) for n in line.split()) for line in printed] == expected
 
 
-def test_names_and_texts_that_would_break_a_header(tmp_path: Path, cc: str) -> None:
+def test_names_and_texts_that_are_not_valid_in_a_header(tmp_path: Path, cc: str) -> None:
     signals = (
         Signal("b", 0, 8, unit="*/ \\", choices=((-1, "start"), (1, "scale"))),
         Signal("b_is", 8, 8, scale=-0.5, offset=-3.0, unit="°C", choices=((0, "x"),)),
@@ -284,7 +284,7 @@ def test_budget_lists_every_frame_by_urgency(drives: Robot, files: dict[str, byt
     assert 0 < row["transmission_time"] < row["response_time"] < row["deadline"]
     relayed = next(r for r in rows if r["name"] == "sprayer_go")
     assert relayed["minimum_interval"] == pytest.approx(0.1)
-    # one SDO and its answer in a cycle make up the rest of the load
+    # the rest of the load is one SDO and its answer in a cycle
     counted = sum(r["load"] or 0.0 for r in rows)
     assert bus["load"] == pytest.approx(counted + 2 * 135 / 500_000 / 0.02)
 
@@ -302,7 +302,7 @@ def test_budget_table_is_aligned(files: dict[str, bytes]) -> None:
 
 
 def stage(tmp_path: Path, files: dict[str, bytes], user: int) -> dict[str, str]:
-    """A PATH on which ``ip`` writes down what it is asked, and ``id`` says who is asking."""
+    """Return a PATH with an ``ip`` that logs its arguments and an ``id`` that prints ``user``."""
     (tmp_path / "bring_up.sh").write_bytes(files["can/bring_up.sh"])
     tools = tmp_path / "tools"
     tools.mkdir()
@@ -320,9 +320,9 @@ def run(tmp_path: Path, env: dict[str, str], *names: str) -> subprocess.Complete
 def test_bring_up_sets_the_bitrate_and_never_restarts(
     files: dict[str, bytes], tmp_path: Path
 ) -> None:
-    done = run(tmp_path, stage(tmp_path, files, 0), "lo")  # an interface that any machine has
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == "main: lo, 500000 bit/s\n"
+    process = run(tmp_path, stage(tmp_path, files, 0), "lo")  # an interface that every machine has
+    assert (process.returncode, process.stderr) == (0, "")
+    assert process.stdout == "main: lo, 500000 bit/s\n"
     assert (tmp_path / "ip.log").read_text().splitlines() == [
         "link set dev lo down",
         "link set dev lo type can bitrate 500000 restart-ms 0",
@@ -331,7 +331,7 @@ def test_bring_up_sets_the_bitrate_and_never_restarts(
     ]
 
 
-def test_bring_up_refuses_plainly(files: dict[str, bytes], tmp_path: Path) -> None:
+def test_bring_up_reports_errors(files: dict[str, bytes], tmp_path: Path) -> None:
     env = stage(tmp_path, files, 0)
     missing = run(tmp_path, env, "nocan7")
     assert missing.returncode == 3
@@ -344,7 +344,9 @@ def test_bring_up_refuses_plainly(files: dict[str, bytes], tmp_path: Path) -> No
     assert not (tmp_path / "ip.log").exists()
 
 
-def test_bring_up_is_clean(files: dict[str, bytes], tmp_path: Path, shellcheck: str) -> None:
+def test_bring_up_passes_shellcheck(
+    files: dict[str, bytes], tmp_path: Path, shellcheck: str
+) -> None:
     path = tmp_path / "bring_up.sh"
     path.write_bytes(files["can/bring_up.sh"])
     subprocess.run([shellcheck, str(path)], check=True)
@@ -356,15 +358,15 @@ def test_bring_up_is_clean(files: dict[str, bytes], tmp_path: Path, shellcheck: 
 def test_several_buses(files: dict[str, bytes], tmp_path: Path) -> None:
     robot = example_robot("4wd4ws_slim")
     second = Bus("implement", 250_000, 0.02, (), (), SPAN)
-    made = files_of(Can, dataclasses.replace(robot, buses=(*robot.buses, second)))
-    assert {"can/main.bus.yml", "can/main.dbc", "can/implement.dbc"} <= set(made)
-    assert "can/implement.bus.yml" not in made  # nothing on it that ros2_canopen could talk to
-    assert [b["name"] for b in json.loads(made["can/budget.json"])["buses"]] == [
+    emitted = files_of(Can, dataclasses.replace(robot, buses=(*robot.buses, second)))
+    assert {"can/main.bus.yml", "can/main.dbc", "can/implement.dbc"} <= set(emitted)
+    assert "can/implement.bus.yml" not in emitted  # it has no node for ros2_canopen
+    assert [b["name"] for b in json.loads(emitted["can/budget.json"])["buses"]] == [
         "main",
         "implement",
     ]
-    done = run(tmp_path, stage(tmp_path, made, 0), "lo", "lo")
-    assert done.stdout == "main: lo, 500000 bit/s\nimplement: lo, 250000 bit/s\n"
+    process = run(tmp_path, stage(tmp_path, emitted, 0), "lo", "lo")
+    assert process.stdout == "main: lo, 500000 bit/s\nimplement: lo, 250000 bit/s\n"
 
 
 def test_a_robot_without_a_bus_has_only_a_map() -> None:

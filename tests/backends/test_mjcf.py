@@ -19,7 +19,7 @@ WrittenFleet = Callable[[Fleet], Path]
 
 
 def fleet(*names: str) -> Fleet:
-    """Robots side by side, 3 m apart, each turned a little further."""
+    """Robots side by side, 3 m apart, with different headings."""
     placements = [
         Placement(
             f"r{i}",
@@ -35,7 +35,7 @@ def test_robot_file_can_be_attached(written: Written) -> None:
     folder = written(grafted(1))
     parent = mujoco.MjSpec()
     child = mujoco.MjSpec.from_file(str(folder / "mjcf" / "robot.xml"))
-    # Options are the parent's to set; MuJoCo warns where it does not.
+    # The options of the parent apply; MuJoCo warns if they differ.
     for option in ("timestep", "impratio", "integrator", "cone", "jacobian"):
         setattr(parent.option, option, getattr(child.option, option))
     for prefix in ("a/", "b/"):
@@ -60,12 +60,12 @@ def test_fleet_stands_still_together(written_fleet: WrittenFleet) -> None:
         mujoco.mj_step(m, d)
     assert np.abs(d.qpos - start).max() < 1e-5
     for placement in scene.placements:
-        own = folder / placement.name / "mjcf" / "scene.xml"
-        alone = mujoco.MjModel.from_xml_path(str(own))
+        scene = folder / placement.name / "mjcf" / "scene.xml"
+        alone = mujoco.MjModel.from_xml_path(str(scene))
         assert alone.nu == len(placement.robot.actuators)
 
 
-def test_robots_of_a_fleet_meet_each_other(written_fleet: WrittenFleet) -> None:
+def test_robots_of_a_fleet_collide(written_fleet: WrittenFleet) -> None:
     folder = written_fleet(fleet("square", "square", "square"))
     m = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
     d = mujoco.MjData(m)
@@ -111,7 +111,7 @@ def test_a_flat_mesh_can_be_shown(written: Written) -> None:
     assert mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml")).nmesh == 1
 
 
-def test_names_that_mujoco_keeps_are_evaded(written: Written) -> None:
+def test_reserved_names_of_mujoco_are_avoided(written: Written) -> None:
     robot = ROBOTS["square"]
     links = [replace(link, name="world") if link.name == "w3_leg" else link for link in robot.links]
     joints = []
@@ -138,7 +138,8 @@ def test_names_that_mujoco_keeps_are_evaded(written: Written) -> None:
 
 
 def test_wheels_hold_on_a_slope(written: Written) -> None:
-    # 10 degrees along x, servos at zero speed: the robot may creep by its softness only.
+    # 10 degrees along x, servos at zero speed: only the softness of the contact lets the robot
+    # creep.
     m = mujoco.MjModel.from_xml_path(str(written(ROBOTS["square"]) / "mjcf" / "scene.xml"))
     d = mujoco.MjData(m)
     mujoco.mj_resetDataKeyframe(m, d, 0)
@@ -159,7 +160,7 @@ def test_long_drives_do_not_saturate(written: Written) -> None:
     mujoco.mj_resetDataKeyframe(m, d, 0)
     for name in ("w0", "w1", "w2", "w3"):
         axle = d.joint(f"{name}_axle")
-        axle.qpos[0] = 1e5  # as after 20 km
+        axle.qpos[0] = 1e5  # about 20 km of driving
         d.act[m.actuator(f"{name}_propulsion").actadr[0]] = 1e5
         d.ctrl[m.actuator(f"{name}_propulsion").id] = 5.0
     for _ in range(400):
@@ -167,13 +168,13 @@ def test_long_drives_do_not_saturate(written: Written) -> None:
     assert d.joint("w0_axle").qvel[0] == pytest.approx(5.0, rel=1e-3)
 
 
-def test_emission_repeats_itself() -> None:
+def test_repeated_emission_of_random_trees() -> None:
     assert files_of(Mjcf, grafted(3)) == files_of(Mjcf, grafted(3))
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_inertias_of_flat_plates_are_accepted(seed: int, written: Written) -> None:
-    # The largest moment of a plate is the sum of the others; MuJoCo allows no hair above.
+    # The largest moment of a plate is the sum of the others; MuJoCo rejects anything above.
     rng = np.random.default_rng(seed)
     a, b = (float(v) for v in rng.uniform(0.01, 1.0, 2))
     turn = Pose.from_xyz_rpy(rpy=tuple(float(v) for v in rng.uniform(-3, 3, 3)))  # type: ignore[arg-type]

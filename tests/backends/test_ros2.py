@@ -1,4 +1,4 @@
-"""Parameter files, read back by the rules of rcl's parser and by PyYAML."""
+"""Parameter files, read back with the rules of rcl's parser and by PyYAML."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ FILES = ("base_driver", "twist_mux", "teleop_twist_joy", "robot_state_publisher"
 
 
 def emit(robot: Robot) -> dict[str, dict[str, Any]]:
-    """The parameters of each node, as rcl has them."""
-    found: dict[str, dict[str, Any]] = {}
+    """Return the parameters of each node, as rcl reads them."""
+    nodes: dict[str, dict[str, Any]] = {}
     for data in files_of(Ros2, robot).values():
         for node, parameters in read(data.decode()).items():
-            assert node not in found
-            found[node] = parameters
-    return found
+            assert node not in nodes
+            nodes[node] = parameters
+    return nodes
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -88,7 +88,7 @@ def test_base_driver_has_the_originals_parameters(nodes: dict[str, dict[str, Any
     assert driver["max_linear_velocity"] == 1.5
 
 
-def test_wheel_lists_are_in_step_with_the_robots_wheels(nodes: dict[str, dict[str, Any]]) -> None:
+def test_wheel_lists_have_the_order_of_the_wheels(nodes: dict[str, dict[str, Any]]) -> None:
     robot = robot_with_bus()
     driver = nodes["/base_driver"]
     lists = {k.removeprefix("wheels."): v for k, v in driver.items() if k.startswith("wheels.")}
@@ -109,29 +109,31 @@ def test_wheel_lists_are_in_step_with_the_robots_wheels(nodes: dict[str, dict[st
 def test_named_radii_have_an_entry_for_each_wheel() -> None:
     robot = robot_with_bus()
     double = dataclasses.replace(robot.wheels[0], radii=(("floor", 0.2), ("rail", 0.15)))
-    found = emit(dataclasses.replace(robot, wheels=(double, *robot.wheels[1:])))["/base_driver"]
-    assert found["wheels.radii.rail"] == [0.15, 0.2, 0.2]
-    assert found["wheels.radii.floor"] == [0.2, 0.2, 0.2]
+    parameters = emit(dataclasses.replace(robot, wheels=(double, *robot.wheels[1:])))[
+        "/base_driver"
+    ]
+    assert parameters["wheels.radii.rail"] == [0.15, 0.2, 0.2]
+    assert parameters["wheels.radii.floor"] == [0.2, 0.2, 0.2]
 
 
 def test_calculator_options_and_several_buses() -> None:
     robot = robot_with_bus()
-    found = emit(
+    parameters = emit(
         dataclasses.replace(
             robot,
             calculator=CalculatorChoice("mine", (("n", True), ("gain", 1e-7), ("label", "y"))),
             buses=(*robot.buses, Bus("implement", 250_000, 0.02, (), (), SPAN)),
         )
     )["/base_driver"]
-    assert found["base_calculator"] == "mine"
-    assert found["base_calculator_options.n"] is True
-    assert found["base_calculator_options.gain"] == 1e-7
-    assert found["base_calculator_options.label"] == "y"
-    assert found["can_bus_names"] == ["main", "implement"]
-    assert found["can_interface_names"] == ["can0", "can1"]
+    assert parameters["base_calculator"] == "mine"
+    assert parameters["base_calculator_options.n"] is True
+    assert parameters["base_calculator_options.gain"] == 1e-7
+    assert parameters["base_calculator_options.label"] == "y"
+    assert parameters["can_bus_names"] == ["main", "implement"]
+    assert parameters["can_interface_names"] == ["can0", "can1"]
 
 
-def test_the_person_comes_before_the_navigation(nodes: dict[str, dict[str, Any]]) -> None:
+def test_teleoperation_has_priority_over_navigation(nodes: dict[str, dict[str, Any]]) -> None:
     mux = nodes["/twist_mux"]
     assert mux["topics.teleop_joy.topic"] == "teleop_joy/cmd_vel"
     assert mux["topics.auto_nav.topic"] == "auto_nav/cmd_vel"
@@ -181,7 +183,7 @@ def test_a_robot_without_wheels_has_no_empty_lists() -> None:
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*/robot.yaml")), ids=lambda p: p.parent.name)
 def test_examples(path: Path) -> None:
-    """rcl takes every example's files, and every driven joint is a joint of the description."""
+    """rcl accepts the files of every example; every driven joint is a joint of the description."""
     robot = compile_file(path).model
     assert isinstance(robot, Robot)
     nodes = emit(robot)
@@ -195,7 +197,7 @@ def test_examples(path: Path) -> None:
     assert driver["max_linear_velocity"] > 0.0
 
 
-# -- the emitter ----------------------------------------------------------------------
+# -- the writer ----------------------------------------------------------------------
 
 TRAPS = [
     "y", "N", "yes", "off", "nan", "inf", "INF", "NaN", "Infinity", "1e3", "1e-3", "+1e5", "09",
@@ -207,9 +209,11 @@ TRAPS = [
 
 @pytest.mark.parametrize("text", TRAPS)
 def test_text_stays_text(text: str) -> None:
-    made = parameter_file({"node": {"a": text, "b": [text, text]}})
-    assert read(made)["/node"] == {"a": text, "b": [text, text]}
-    assert yaml.safe_load(made) == {"node": {"ros__parameters": {"a": text, "b": [text, text]}}}
+    text_of_file = parameter_file({"node": {"a": text, "b": [text, text]}})
+    assert read(text_of_file)["/node"] == {"a": text, "b": [text, text]}
+    assert yaml.safe_load(text_of_file) == {
+        "node": {"ros__parameters": {"a": text, "b": [text, text]}}
+    }
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"])))
@@ -223,14 +227,14 @@ def test_any_text_stays_text(text: str) -> None:
 @example(-0.0)
 @example(5e-324)
 def test_any_real_stays_that_real(value: float) -> None:
-    made = parameter_file({"node": {"a": value}})
+    text_of_file = parameter_file({"node": {"a": value}})
     expected = value if abs(value) >= sys.float_info.min else 0.0
-    for found in (
-        read(made)["/node"]["a"],
-        yaml.safe_load(made)["node"]["ros__parameters"]["a"],
+    for reading in (
+        read(text_of_file)["/node"]["a"],
+        yaml.safe_load(text_of_file)["node"]["ros__parameters"]["a"],
     ):
-        assert type(found) is float
-        assert found == expected
+        assert type(reading) is float
+        assert reading == expected
 
 
 @given(st.integers(-(1 << 63), (1 << 63) - 1))
@@ -240,12 +244,12 @@ def test_any_integer_stays_that_integer(value: int) -> None:
 
 @pytest.mark.parametrize("key", ["y", "n", "on", "no", "null", "9a", "a b", "a-b", "ø", "true"])
 def test_keys_stay_text(key: str) -> None:
-    made = parameter_file({"node": {key: {key: 1}}})
-    assert read(made)["/node"] == {f"{key}.{key}": 1}
-    assert yaml.safe_load(made)["node"]["ros__parameters"] == {key: {key: 1}}
+    text_of_file = parameter_file({"node": {key: {key: 1}}})
+    assert read(text_of_file)["/node"] == {f"{key}.{key}": 1}
+    assert yaml.safe_load(text_of_file)["node"]["ros__parameters"] == {key: {key: 1}}
 
 
-def test_the_same_list_twice_is_no_alias() -> None:
+def test_a_repeated_list_is_not_an_alias() -> None:
     values = [1.0, 2.0]
     assert read(parameter_file({"node": {"a": values, "b": values}}))["/node"]["b"] == values
 
@@ -253,18 +257,18 @@ def test_the_same_list_twice_is_no_alias() -> None:
 @pytest.mark.parametrize(
     "value", [None, [], [1, 2.0], [True, 1], [[1]], {}, math.nan, math.inf, 1 << 63, [None]]
 )
-def test_what_rcl_cannot_hold_is_refused(value: Any) -> None:
+def test_values_that_rcl_rejects_are_errors(value: Any) -> None:
     with pytest.raises(ParameterError, match="node"):
         parameter_file({"node": {"a": value}})
 
 
 @pytest.mark.parametrize("node", ["", "a b", "1a", "a-b", "/", "a//b", "a/"])
-def test_bad_node_names_are_refused(node: str) -> None:
+def test_bad_node_names_are_errors(node: str) -> None:
     with pytest.raises(ParameterError):
         parameter_file({node: {"a": 1}})
 
 
-# -- the reader that the tests trust ----------------------------------------------------
+# -- the reader of the tests ----------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -275,10 +279,10 @@ def test_bad_node_names_are_refused(node: str) -> None:
         ("1e-310", "1e-310"), ("abc", "abc"), ("1.5", 1.5),
     ],
 )  # fmt: skip
-def test_reader_guesses_as_rcl_does(text: str, expected: object) -> None:
-    found = value_of(text, False)
-    assert found == expected
-    assert type(found) is type(expected)
+def test_reader_finds_the_type_as_rcl_does(text: str, expected: object) -> None:
+    reading = value_of(text, False)
+    assert reading == expected
+    assert type(reading) is type(expected)
 
 
 @pytest.mark.parametrize(
@@ -294,6 +298,6 @@ def test_reader_guesses_as_rcl_does(text: str, expected: object) -> None:
         "n: {ros__parameters: {a: []}}",
     ],
 )
-def test_reader_refuses_as_rcl_does(text: str) -> None:
+def test_reader_rejects_as_rcl_does(text: str) -> None:
     with pytest.raises(RclError):
         read(text)

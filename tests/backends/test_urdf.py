@@ -29,36 +29,36 @@ def robot_of(name: str) -> Robot:
 @pytest.mark.parametrize("name", SAMPLE)
 def test_check_urdf_accepts(name: str, written: Written, check_urdf: str) -> None:
     path = written(robot_of(name)) / "urdf" / "robot.urdf"
-    done = subprocess.run([check_urdf, str(path)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "Successfully Parsed XML" in done.stdout
-    assert "error" not in done.stderr.lower(), done.stderr
+    process = subprocess.run([check_urdf, str(path)], capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert "Successfully Parsed XML" in process.stdout
+    assert "error" not in process.stderr.lower(), process.stderr
 
 
 @pytest.mark.parametrize("name", SAMPLE)
 def test_sdformat_accepts(name: str, written: Written, ign: str) -> None:
     path = written(robot_of(name)) / "urdf" / "robot.urdf"
-    done = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)
-    assert "Valid" in done.stdout, done.stderr
-    assert "Error" not in done.stderr, done.stderr
+    process = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)
+    assert "Valid" in process.stdout, process.stderr
+    assert "Error" not in process.stderr, process.stderr
 
 
 def test_springs_reach_sdformat(written: Written, ign: str) -> None:
     path = written(ROBOTS["suspended"]) / "urdf" / "robot.urdf"
-    done = subprocess.run([ign, "sdf", "-p", str(path)], capture_output=True, text=True)
-    assert done.stdout.count("<spring_stiffness>20000</spring_stiffness>") == 4
+    process = subprocess.run([ign, "sdf", "-p", str(path)], capture_output=True, text=True)
+    assert process.stdout.count("<spring_stiffness>20000</spring_stiffness>") == 4
 
 
-def test_extensions_of_extras_go_along() -> None:
+def test_extensions_of_extras_are_in_the_urdf() -> None:
     text = '<gazebo reference="frame_body"><sensor type="ray" name="a&amp;b"/></gazebo>'
     robot = replace(ROBOTS["square"], urdf_extensions=(text,))
     root = ET.fromstring(files_of(Urdf, robot)["urdf/robot.urdf"])
-    found = root.find("gazebo[@reference='frame_body']/sensor")
-    assert found is not None
-    assert found.get("name") == "a&b"
+    sensor = root.find("gazebo[@reference='frame_body']/sensor")
+    assert sensor is not None
+    assert sensor.get("name") == "a&b"
 
 
-def test_extensions_of_extras_carry_the_name_space() -> None:
+def test_extensions_of_extras_have_the_name_space() -> None:
     text = (
         '<gazebo reference="frame_body"><sensor name="frame_body">'
         "<frameName>frame_body</frameName><topic>frame_body</topic></sensor></gazebo>"
@@ -75,7 +75,7 @@ def test_extensions_of_extras_carry_the_name_space() -> None:
     assert names == ["r7/frame_mount", "other"]
 
 
-def test_names_carry_the_name_space() -> None:
+def test_names_have_the_name_space() -> None:
     robot = replace(grafted(1), namespace="r7")
     root = ET.fromstring(files_of(Urdf, robot)["urdf/robot.urdf"])
     links = {link.get("name") for link in root.findall("link")}
@@ -88,5 +88,5 @@ def test_names_carry_the_name_space() -> None:
     assert {g.get("reference") for g in root.iter("gazebo")} <= links | joints
 
 
-def test_emission_repeats_itself() -> None:
+def test_repeated_emission_of_random_trees() -> None:
     assert files_of(Urdf, grafted(3)) == files_of(Urdf, grafted(3))

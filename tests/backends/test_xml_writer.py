@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from thorvaldc.backends.xml_writer import Element, XmlValueError, number, parse, to_bytes
 
-# What XML 1.0 can carry at all.
+# The characters that XML 1.0 allows.
 TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]))
 
 
@@ -25,7 +25,7 @@ def test_numbers_are_short(value: float, text: str) -> None:
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_what_is_no_number_is_refused(value: float) -> None:
+def test_infinite_numbers_are_errors(value: float) -> None:
     with pytest.raises(XmlValueError):
         Element("a", x=value)
 
@@ -61,7 +61,7 @@ def test_deep_trees_are_written() -> None:
     assert to_bytes(root).count(b"<b") == 5000
 
 
-def test_elements_from_outside_keep_their_prefixes() -> None:
+def test_parsed_elements_keep_their_prefixes() -> None:
     text = '<gazebo xmlns:x="urn:y" x:k="1"><plugin name="p"><v> a b </v></plugin></gazebo>'
     element = parse(text)
     assert element.attributes == ' xmlns:x="urn:y" x:k="1"'
@@ -71,6 +71,6 @@ def test_elements_from_outside_keep_their_prefixes() -> None:
     )
 
 
-def test_what_is_not_xml_is_refused() -> None:
+def test_text_that_is_not_xml_is_an_error() -> None:
     with pytest.raises(ValueError, match="well-formed"):
         parse("<a><b></a>")

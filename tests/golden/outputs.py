@@ -1,9 +1,8 @@
-"""What an example is compiled to, and which of it is kept whole.
+"""The outputs of the examples, and the rule for golden files.
 
-Kept whole are the texts that people read: URDF, MJCF, ROS 2 parameters and what is
-said of the bus (the long DCFs and the C header of one example alone).  Of the rest
-(meshes, the model, and what repeats another file) the SHA-256 is kept, so that no
-byte changes unseen.
+The text files that people read are golden files: URDF, MJCF, ROS 2 parameters and the files
+of the bus (the long DCFs and the C header for one example only).  Of all files, also of meshes, the
+model and files that repeat others, the SHA-256 is kept, so no byte changes without notice.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ EXAMPLES = {
 
 
 def expected_files(example: str) -> dict[str, str]:
-    """The golden files of an example by path."""
+    """Return the golden files of an example by path."""
     folder = GOLDEN / example
     return {
         path.relative_to(folder).as_posix(): path.read_bytes().decode()
@@ -33,26 +32,26 @@ def expected_files(example: str) -> dict[str, str]:
     }
 
 
-def made_files(example: str) -> dict[str, str]:
-    """What those files would be now."""
-    done = compile_file(EXAMPLES[example])
-    if done.model is None:
-        raise RuntimeError(f"{example}: {[d.message for d in done.report.errors]}")
-    files = emit(done.model, DEFAULT_TARGETS, done.report)
+def current_files(example: str) -> dict[str, str]:
+    """Return the contents that these files should have, from a new build."""
+    compilation = compile_file(EXAMPLES[example])
+    if compilation.model is None:
+        raise RuntimeError(f"{example}: {[d.message for d in compilation.report.errors]}")
+    files = emit(compilation.model, DEFAULT_TARGETS, compilation.report)
     sums = [f"{sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files)]
-    kept = {path: files[path].decode() for path in sorted(files) if _is_kept(example, path)}
-    return {**kept, SUMS: "".join(sums)}
+    golden = {path: files[path].decode() for path in sorted(files) if _is_golden(example, path)}
+    return {**golden, SUMS: "".join(sums)}
 
 
-WITH_DCF = "1wd1ws_front"  # it has one controller
+WITH_DCF = "1wd1ws_front"  # a robot with one motor controller
 
 
-def _is_kept(example: str, path: str) -> bool:
+def _is_golden(example: str, path: str) -> bool:
     if EXAMPLES[example].name == "fleet.yaml":
-        return path.startswith("mjcf/")  # the robots are those of other examples
+        return path.startswith("mjcf/")  # its robots are in other examples
     if path.startswith("can/dcf/") or path.endswith(".h"):
         return example == WITH_DCF
-    # The description in the ROS 2 parameters is the URDF once more, the budget a table.
+    # The description in the ROS 2 parameters repeats the URDF; the JSON budget repeats the table.
     return path.startswith(("urdf/", "mjcf/", "ros2/", "can/")) and not path.endswith(
         ("robot_state_publisher.yaml", "budget.json")
     )

@@ -1,10 +1,10 @@
-"""``make golden``: write the golden files anew.  Review the difference."""
+"""``make golden``: rewrites the golden files.  Review the differences."""
 
 from __future__ import annotations
 
 import shutil
 
-from tests.golden.outputs import EXAMPLES, GOLDEN, expected_files, made_files
+from tests.golden.outputs import EXAMPLES, GOLDEN, current_files, expected_files
 
 
 def main() -> None:
@@ -12,16 +12,18 @@ def main() -> None:
         if folder.name not in EXAMPLES and folder.name != "__pycache__":
             shutil.rmtree(folder)
     for example in EXAMPLES:
-        made, before = made_files(example), expected_files(example)
-        changed = [path for path in made if before.get(path) != made[path]]
-        gone = [path for path in before if path not in made]
-        for path in gone:
+        current, golden = current_files(example), expected_files(example)
+        changed = [path for path in current if golden.get(path) != current[path]]
+        obsolete = [path for path in golden if path not in current]
+        for path in obsolete:
             (GOLDEN / example / path).unlink()
         for path in changed:
             file = GOLDEN / example / path
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(made[path].encode())
-        print(f"{example}: {len(changed)} of {len(made)} files rewritten, {len(gone)} removed")
+            file.write_bytes(current[path].encode())
+        print(
+            f"{example}: {len(changed)} of {len(current)} files rewritten, {len(obsolete)} removed"
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The examples compile to the very bytes that were reviewed."""
+"""The examples compile to exactly the bytes that were reviewed."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import difflib
 
 import pytest
 
-from tests.golden.outputs import EXAMPLES, GOLDEN, SUMS, expected_files, made_files
+from tests.golden.outputs import EXAMPLES, GOLDEN, SUMS, current_files, expected_files
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_outputs_are_those_that_were_reviewed(example: str) -> None:
-    expected, made = expected_files(example), made_files(example)
+def test_outputs_are_the_reviewed_ones(example: str) -> None:
+    expected, current = expected_files(example), current_files(example)
     differences = []
-    for path in [*sorted({*expected, *made} - {SUMS}), SUMS]:
+    for path in [*sorted({*expected, *current} - {SUMS}), SUMS]:
         difference = difflib.unified_diff(
             expected.get(path, "").split("\n"),
-            made.get(path, "").split("\n"),
+            current.get(path, "").split("\n"),
             f"reviewed/{path}",
             f"now/{path}",
             lineterm="",
@@ -25,7 +25,10 @@ def test_outputs_are_those_that_were_reviewed(example: str) -> None:
         differences += list(difference)[:12]
     if differences:
         shown = "\n".join(line[:200] for line in differences[:60])
-        pytest.fail(f"`make golden` rewrites, review what it changes:\n{shown}", pytrace=False)
+        pytest.fail(
+            f"the outputs changed; run `make golden` and review the differences:\n{shown}",
+            pytrace=False,
+        )
 
 
 def test_no_golden_files_without_an_example() -> None:

@@ -1,4 +1,4 @@
-"""Load and worst-case response times: published examples, and what the model of a bus adds."""
+"""Load and worst-case response times: published examples, and the rules for a robot's bus."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from thorvaldc.model.bus_timing import (
 MS, US = 1e-3, 1e-6
 
 
-def test_bits_of_a_frame_at_worst() -> None:
+def test_worst_case_bits_of_a_frame() -> None:
     assert [frame_bits(n) for n in (0, 1, 8)] == [55, 65, 135]
 
 
 def test_the_published_example_that_refuted_the_first_instance() -> None:
-    """Davis et al. 2007, section 3.2: the second instance of C is the one that is late."""
+    """Davis et al. 2007, section 3.2: the second instance of C has the longest response time."""
     streams = [Stream(1, 125, 2.5 * MS), Stream(2, 125, 3.5 * MS), Stream(3, 125, 3.5 * MS)]
-    found = response_times(streams, 125_000)
-    assert found == pytest.approx([2 * MS, 3 * MS, 3.5 * MS])
-    # the order of the list is of no account, that of the identifiers is
-    assert response_times(streams[::-1], 125_000) == found[::-1]
+    bounds = response_times(streams, 125_000)
+    assert bounds == pytest.approx([2 * MS, 3 * MS, 3.5 * MS])
+    # only the order of the identifiers matters, not that of the list
+    assert response_times(streams[::-1], 125_000) == bounds[::-1]
 
 
-def test_the_most_urgent_waits_for_the_longest_other() -> None:
-    found = response_times([Stream(1, 55, 1.0), Stream(9, 135, 1.0), Stream(5, 65, 1.0)], 500_000)
-    assert found[0] == pytest.approx((135 + 55) * 2e-6)
-    assert found[2] == pytest.approx((135 + 55 + 65) * 2e-6)
-    assert found[1] == pytest.approx((55 + 65 + 135) * 2e-6)
+def test_the_most_urgent_frame_waits_for_the_longest_other() -> None:
+    bounds = response_times([Stream(1, 55, 1.0), Stream(9, 135, 1.0), Stream(5, 65, 1.0)], 500_000)
+    assert bounds[0] == pytest.approx((135 + 55) * 2e-6)
+    assert bounds[2] == pytest.approx((135 + 55 + 65) * 2e-6)
+    assert bounds[1] == pytest.approx((55 + 65 + 135) * 2e-6)
 
 
-def test_jitter_counts_and_lets_two_frames_come_together() -> None:
+def test_jitter_adds_up_and_lets_two_frames_follow_each_other() -> None:
     late = [Stream(1, 100, 10 * MS, 9.9 * MS), Stream(2, 100, 10 * MS)]
     first, second = response_times(late, 1_000_000)
     assert first == pytest.approx((9.9 + 0.2) * MS)
-    assert second == pytest.approx(0.3 * MS)  # two of the other, then itself
+    assert second == pytest.approx(0.3 * MS)  # two of the first frame, then one of the second
 
 
 def test_a_group_sends_one_frame_in_a_period() -> None:
@@ -57,27 +57,27 @@ def test_a_group_sends_one_frame_in_a_period() -> None:
 
 def test_no_bound_where_the_bus_is_full() -> None:
     streams = [Stream(1, 100, 0.2 * MS), Stream(2, 100, 0.2 * MS), Stream(3, 100, 1.0)]
-    found = response_times(streams, 1_000_000)
-    assert found[0] is not None
-    assert found[1:] == [None, None]
+    bounds = response_times(streams, 1_000_000)
+    assert bounds[0] is not None
+    assert bounds[1:] == [None, None]
 
 
 def test_a_cycle_that_reaches_into_the_next() -> None:
-    """A report of 100 us up to 0.95 ms late, cycles of 1 ms: the next command comes 50 us later."""
+    """Cycles of 1 ms; a report of 100 us is up to 0.95 ms late, 50 us before the next command."""
     report = Stream(1, 100, 1 * MS, 0.95 * MS, stage=2)
     command, other = Stream(2, 100, 1 * MS, stage=0), Stream(3, 100, 50 * MS)
-    found = response_times([report, command, other], 1_000_000)
-    # one that blocks, the late report, itself; the report of the same cycle comes after it
-    assert found[1] == pytest.approx((0.3 - 0.05) * MS)
-    # what belongs to no cycle may find both reports and the command before it
-    assert found[2] == pytest.approx(0.40 * MS)
+    bounds = response_times([report, command, other], 1_000_000)
+    # a blocking frame, the late report, the command; the report of its own cycle comes after it
+    assert bounds[1] == pytest.approx((0.3 - 0.05) * MS)
+    # a frame outside of the cycle may have to wait for both reports and the command
+    assert bounds[2] == pytest.approx(0.40 * MS)
     apart = [s._replace(stage=None) for s in (report, command, other)]
     assert response_times(apart, 1_000_000)[1] == pytest.approx(0.4 * MS)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_bounds_hold_in_a_small_simulation(seed: int) -> None:
-    """Frames with random offsets on an ideal bus: never later than the bound, and once nearly."""
+    """Frames with random offsets on an ideal bus keep the bound; the last nearly reaches it."""
     generator = random.Random(seed)
     count, bitrate = generator.randint(3, 12), 500_000
     streams = [
@@ -93,12 +93,12 @@ def test_bounds_hold_in_a_small_simulation(seed: int) -> None:
     for bound, delay in zip(bounds, seen, strict=True):
         assert bound is not None
         assert delay <= bound + 1e-12
-    # all at once, the last waits for all the others: nothing is added for good measure
+    # if all are due together, the last waits for all others: the bound has no margin
     assert seen[-1] == pytest.approx(bounds[-1], rel=0.05)
 
 
 def _simulated(streams: Sequence[Stream], offsets: Sequence[int], bit: int) -> list[int]:
-    """The longest delay (us) of each stream in a fifth of a second on an ideal bus."""
+    """Return the longest delay (us) of each stream in 0.2 s on an ideal bus."""
     due = sorted(
         (offset + n * round(stream.period / US), i)
         for i, (stream, offset) in enumerate(zip(streams, offsets, strict=True))
@@ -145,12 +145,12 @@ def test_sync_follows_the_commands_and_synchronous_frames_follow_sync() -> None:
     report = frame(0x181, period=0.02, synchronous=True)
     times = frame_response_times(bus(SYNC, *commands, report))
     late = [times[f.name] for f in commands]
-    # before the last command come two others; SYNC and the report are of the last cycle, and over
+    # two commands precede the last one; SYNC and the report of the previous cycle are finished
     assert late[-1] == pytest.approx(3 * LENGTH, abs=1e-9)
-    # a report that is late by a cycle is thought to be able to hold SYNC up
+    # the analysis assumes that a report that is late by one cycle can delay SYNC
     assert times[SYNC.name] == pytest.approx(max(t for t in late if t) + LENGTH + SYNC_LENGTH)
     assert times[report.name] == pytest.approx(times[SYNC.name] + 2 * LENGTH)
-    # what does not wait for SYNC is not late, and can come at any time
+    # a frame that does not wait for SYNC has no jitter, and can be due at any time
     alone = frame_response_times(
         bus(SYNC, *commands, dataclasses.replace(report, synchronous=False))
     )
@@ -158,7 +158,7 @@ def test_sync_follows_the_commands_and_synchronous_frames_follow_sync() -> None:
 
 
 def test_frames_on_demand_are_one_a_cycle_together() -> None:
-    asked = [
+    requests = [
         frame(0x000, "nmt", "master", length=2),
         frame(0x301, producer="master"),
         frame(0x601, "sdo", "master"),
@@ -167,10 +167,10 @@ def test_frames_on_demand_are_one_a_cycle_together() -> None:
         frame(0x582, "sdo"),
     ]
     beat = frame(0x701, "heartbeat", length=1, period=0.1)
-    times = frame_response_times(bus(*asked, beat))
-    # one request; two answers, if the node was slow with one and quick with the next
+    times = frame_response_times(bus(*requests, beat))
+    # one request; two answers, if one is late and the next is early
     assert times[beat.name] == pytest.approx(3 * LENGTH + 65 * 2e-6)
-    assert bus_load(bus(*asked)) == pytest.approx(2 * LENGTH / 0.02)
+    assert bus_load(bus(*requests)) == pytest.approx(2 * LENGTH / 0.02)
 
 
 def test_relayed_frames_come_at_their_limit() -> None:
@@ -184,7 +184,7 @@ def test_relayed_frames_come_at_their_limit() -> None:
         for interval in (0.005, 0.0004)
     )
     assert slow == pytest.approx(3 * LENGTH)
-    assert quick == pytest.approx(5 * LENGTH)  # three relayed ones while it waits
+    assert quick == pytest.approx(5 * LENGTH)  # three relayed frames precede it
 
 
 def test_a_full_bus_has_no_bounds() -> None:

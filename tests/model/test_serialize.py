@@ -1,4 +1,4 @@
-"""The model as JSON: reads back equal, whatever it holds, and refuses what is none."""
+"""The model as JSON: it reads back equal, and other texts are errors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ GREY = (0.5, 0.25, 1.0, 1.0)
 
 
 def everything() -> Robot:
-    """A robot with an element of every kind, and every field set to something of its own."""
+    """A robot with an element of every class, and with a different value in every field."""
     shapes = (
         Box((1.0, 2.0, 3.0)),
         Cylinder(0.1, 0.2),
@@ -153,7 +153,7 @@ def test_a_model_with_everything_in_it_reads_back_equal() -> None:
     assert from_json(to_json(replace(fleet, world=world))) == replace(fleet, world=world)
 
 
-def test_everything_has_every_class_of_the_model_in_it() -> None:
+def test_everything_contains_every_class_of_the_model() -> None:
     seen: set[str] = set()
 
     def walk(value: Any) -> None:
@@ -174,7 +174,7 @@ def test_everything_has_every_class_of_the_model_in_it() -> None:
     assert classes - {"Fleet", "Placement", "World", "Ground", "Block", "Zone"} <= seen
 
 
-def test_types_come_back_as_they_were() -> None:
+def test_types_of_scalars_are_kept() -> None:
     robot = from_json(to_json(everything()))
     assert isinstance(robot, Robot)
     properties = dict(robot.buses[0].nodes[0].properties)
@@ -182,7 +182,7 @@ def test_types_come_back_as_they_were() -> None:
     assert type(robot.wheels[0].x) is float
 
 
-def test_a_whole_number_is_a_float_where_one_is_meant() -> None:
+def test_a_whole_number_is_read_as_float() -> None:
     text = to_json(make_robot(FOUR_STEERED))
     changed = json.loads(text)
     changed["model"]["driver"]["rate"] = 50
@@ -191,14 +191,14 @@ def test_a_whole_number_is_a_float_where_one_is_meant() -> None:
     assert type(robot.driver.rate) is float
 
 
-def test_mesh_bytes_lie_beside_it() -> None:
+def test_mesh_bytes_are_omitted() -> None:
     assert "data" not in json.loads(to_json(everything()))["model"]["meshes"][0]
     robot = from_json(to_json(everything()))
     assert isinstance(robot, Robot)
     assert robot.meshes[0].data == b""
 
 
-def test_what_is_no_number_in_json_is_not_written() -> None:
+def test_not_a_number_is_not_written() -> None:
     robot = make_robot(FOUR_STEERED)
     broken = replace(robot, driver=replace(robot.driver, rate=float("nan")))
     with pytest.raises(ValueError, match="JSON"):
@@ -251,7 +251,7 @@ def changed(path: str, value: Any) -> str:
         changed("model.driver.rate", float("nan")),
     ],
 )
-def test_what_is_no_model_is_refused(text: str) -> None:
+def test_other_texts_are_errors(text: str) -> None:
     with pytest.raises(ModelFormatError) as caught:
         from_json(text)
     assert caught.value.reason

@@ -1,4 +1,4 @@
-"""Rigid-body algebra: the laws that it must keep, and numpy's opinion."""
+"""Rigid-body algebra: its laws, and comparisons with numpy."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def matrix(pose: Pose) -> Array:
 
 @st.composite
 def bodies(draw: st.DrawFn) -> Inertial:
-    """Of some points with masses, so that its inertia is that of a body."""
+    """Random point masses as one body, so the inertia is physically possible."""
     points = draw(st.lists(st.tuples(st.floats(0.1, 10.0), vectors), min_size=4, max_size=6))
     masses = np.array([m for m, _ in points])
     places = np.array([p for _, p in points])
@@ -68,13 +68,13 @@ def bodies(draw: st.DrawFn) -> Inertial:
 
 @quick
 @given(quats, quats, vectors)
-def test_a_product_of_rotations_is_one_after_the_other(p: Quat, q: Quat, v: Vec3) -> None:
+def test_a_product_of_rotations_applies_both(p: Quat, q: Quat, v: Vec3) -> None:
     np.testing.assert_allclose(rotate(quat_multiply(p, q), v), rotate(p, rotate(q, v)), **CLOSE)
 
 
 @quick
 @given(quats, vectors, vectors)
-def test_rotations_keep_lengths_angles_and_hands(q: Quat, v: Vec3, w: Vec3) -> None:
+def test_rotations_keep_lengths_angles_and_handedness(q: Quat, v: Vec3, w: Vec3) -> None:
     assert norm(rotate(q, v)) == pytest.approx(norm(v), abs=1e-9)
     assert dot(rotate(q, v), rotate(q, w)) == pytest.approx(dot(v, w), abs=1e-7)
     np.testing.assert_allclose(cross(rotate(q, v), rotate(q, w)), rotate(q, cross(v, w)), atol=1e-7)
@@ -106,7 +106,7 @@ def test_roll_pitch_and_yaw_turn_about_fixed_axes_in_that_order(
 
 @quick
 @given(angle, st.sampled_from([-math.pi / 2, math.pi / 2, 0.0]) | angle, angle)
-def test_angles_rebuild_the_rotation_also_where_two_axes_meet(r: float, p: float, y: float) -> None:
+def test_angles_reproduce_the_rotation_also_in_gimbal_lock(r: float, p: float, y: float) -> None:
     m = quat_to_matrix(quat_from_rpy(r, p, y))
     again = quat_to_matrix(quat_from_rpy(*matrix_to_rpy(m)))
     np.testing.assert_allclose(again, m, atol=1e-12)
@@ -156,7 +156,7 @@ def about_origin(body: Inertial) -> Array:
 
 @quick
 @given(st.lists(bodies(), min_size=1, max_size=4))
-def test_bodies_add_up_about_any_one_point(parts: list[Inertial]) -> None:
+def test_inertias_add_up_about_any_point(parts: list[Inertial]) -> None:
     whole = combine(parts)
     assert whole.mass == pytest.approx(sum(p.mass for p in parts))
     np.testing.assert_allclose(
@@ -172,10 +172,10 @@ def test_bodies_add_up_about_any_one_point(parts: list[Inertial]) -> None:
 @quick
 @given(bodies(), bodies(), bodies())
 def test_the_order_of_adding_does_not_matter(a: Inertial, b: Inertial, c: Inertial) -> None:
-    one, other = combine([combine([a, b]), c]), combine([c, b, a])
-    assert one.mass == pytest.approx(other.mass)
-    np.testing.assert_allclose(one.com, other.com, atol=1e-9)
-    np.testing.assert_allclose(tensor(one), tensor(other), rtol=1e-8, atol=1e-6)
+    left, right = combine([combine([a, b]), c]), combine([c, b, a])
+    assert left.mass == pytest.approx(right.mass)
+    np.testing.assert_allclose(left.com, right.com, atol=1e-9)
+    np.testing.assert_allclose(tensor(left), tensor(right), rtol=1e-8, atol=1e-6)
 
 
 @quick
@@ -192,7 +192,7 @@ def test_a_body_that_is_moved_stays_the_same_body(body: Inertial, pose: Pose) ->
 
 @quick
 @given(bodies(), poses)
-def test_principal_moments_do_not_turn_with_the_frame(body: Inertial, pose: Pose) -> None:
+def test_principal_moments_do_not_depend_on_the_frame(body: Inertial, pose: Pose) -> None:
     largest = max(body.principal_moments())
     np.testing.assert_allclose(
         body.transformed(pose).principal_moments(),
@@ -212,7 +212,7 @@ def test_eigenvalues_are_numpys(v: tuple[float, ...]) -> None:
     )
 
 
-def test_nothing_weighs_nothing() -> None:
+def test_no_bodies_have_no_mass() -> None:
     assert combine([]) == Inertial(0.0, (0.0, 0.0, 0.0), (0.0,) * 6)
 
 
@@ -221,7 +221,7 @@ def test_nothing_weighs_nothing() -> None:
 
 @quick
 @given(st.floats(-1e12, 1e12))
-def test_rounding_keeps_twelve_digits_and_is_done_once(value: float) -> None:
+def test_rounding_keeps_twelve_digits_and_is_idempotent(value: float) -> None:
     assert clean(value) == pytest.approx(value, rel=1e-11, abs=1e-12)
     assert clean(clean(value)) == clean(value)
     assert math.copysign(1.0, clean(0.0 * value)) == 1.0
@@ -229,7 +229,7 @@ def test_rounding_keeps_twelve_digits_and_is_done_once(value: float) -> None:
 
 @quick
 @given(bodies())
-def test_rounding_leaves_a_body_possible(body: Inertial) -> None:
+def test_rounding_keeps_an_inertia_possible(body: Inertial) -> None:
     assume(min(body.principal_moments()) > 1e-6 * max(body.principal_moments()))
     low, middle, high = body.clean().principal_moments()
     assert high <= low + middle

@@ -1,4 +1,4 @@
-"""The statics agree with MuJoCo, which they do not import."""
+"""The statics agree with MuJoCo, although they do not import it."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def test_inverse_weights_are_those_of_mujoco(seed: int, written: Written) -> Non
     robot = replace(grafted(seed), namespace="")
     m, _ = load(written(robot))
     heavy = [link for link in robot.links if link.inertial is not None]
-    found, carried = inverse_weights(
+    weights, inertias = inverse_weights(
         JointTree(robot.links, robot.joints), robot.inertial.com, [link.name for link in heavy]
     )
     expected = [m.body_invweight0[m.body(link.name).id, 0] for link in heavy]
-    assert found == pytest.approx(expected, rel=1e-9)
+    assert weights == pytest.approx(expected, rel=1e-9)
     d = mujoco.MjData(m)
     mujoco.mj_forward(m, d)
     for joint in robot.joints:
         if joint.type != "fixed":
             dof = m.joint(joint.name).dofadr[0]
-            assert carried[joint.name] + joint.armature == pytest.approx(
+            assert inertias[joint.name] + joint.armature == pytest.approx(
                 full_mass_matrix(m, d)[dof, dof], rel=1e-9
             )
 
 
 def full_mass_matrix(m: Any, d: Any) -> Any:
     full = np.zeros((m.nv, m.nv))
-    # MuJoCo 4 takes the data, 3 the array in it.
+    # The argument is the MjData in MuJoCo 4, and an array of it in MuJoCo 3.
     mujoco.mj_fullM(m, full, d.qM) if hasattr(d, "qM") else mujoco.mj_fullM(m, d, full)
     return full
 
@@ -113,7 +113,7 @@ def test_a_lifted_wheel_carries_nothing() -> None:
     )
 
 
-def test_a_robot_that_falls_over_is_left_where_it_is() -> None:
+def test_a_robot_that_tips_over_stays_in_the_pose_of_its_file() -> None:
     robot = build([Plan(0.0, 0.4, "fixed"), Plan(0.0, -0.4, "fixed")], body_com=(0.2, 0.0, 0.0))
     stance = solve_statics(robot)
     assert not stance.settled

@@ -1,6 +1,6 @@
-"""Faults to seed into a robot's generated files, one small change each.
+"""Errors to put into the generated files of a robot, one small change each.
 
-They assume the robot of ``test_agreement.victim``.
+They are for the robot of ``test_agreement.victim``.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ Change = Callable[[ET.Element], None]
 
 
 @dataclass(frozen=True)
-class Fault:
+class SeededError:
     name: str
     file: str
     apply: Change
 
 
 def _one(root: ET.Element, path: str) -> ET.Element:
-    found = root.find(path)
-    assert found is not None, path
-    return found
+    element = root.find(path)
+    assert element is not None, path
+    return element
 
 
 def _parent(root: ET.Element, child: ET.Element) -> ET.Element:
@@ -85,7 +85,7 @@ def text(path: str, value: str) -> Change:
 
 
 def move(path: str, target: str) -> Change:
-    """Hang an element under another one."""
+    """Move an element below another one."""
 
     def run(root: ET.Element) -> None:
         element = _one(root, path)
@@ -294,8 +294,8 @@ _SCENE: dict[str, Change] = {
     "scene_moon": add(".", "option", gravity="0 0 -1.62"),
 }
 
-FAULTS: tuple[Fault, ...] = tuple(
-    Fault(name, file, change)
+SEEDED_ERRORS: tuple[SeededError, ...] = tuple(
+    SeededError(name, file, change)
     for file, changes in ((URDF, _URDF), (MJCF, _MJCF), (SCENE, _SCENE))
     for name, change in changes.items()
 )

@@ -1,6 +1,6 @@
-"""The budget's response times beside a simulated wire whose senders do their worst.
+"""The response-time bounds, compared with a simulated wire with worst-case senders.
 
-``python -m bench response_times`` has the same at length: 30 buses x 30 seeds.
+``python -m bench response_times`` does the same for 30 buses x 30 seeds.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from thorvaldc.model.bus_timing import frame_bits as worst_bits
 def test_bounds_hold_on_the_simulated_bus_and_are_reached(number: int) -> None:
     found = reached(random_bus(number), 10)
     assert len(found.of_sent) > len(found.bus.frames) * 0.8, "nearly all have been sent"
-    # Against the bits of what was sent: there is nothing to spare that could hide a fault.
+    # The bounds for the actual number of bits have no margin that could hide an error.
     assert max(found.of_sent.values()) <= 1.0
     assert max(found.of_bound.values()) >= 0.95
     assert found.of_sent[found.last] >= 0.95
