@@ -84,9 +84,9 @@ def figures() -> Iterator[Figure]:
 
 def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]]:
     """Drive for ``SECONDS``; what it took, and the faults after which it was reset."""
-    ports = open_interfaces(f"sim:{channel}", robot)
-    clock = next(iter(ports.values()))
-    base = CanBase(robot, ports)
+    interfaces = open_interfaces(f"sim:{channel}", robot)
+    clock = next(iter(interfaces.values()))
+    base = CanBase(robot, interfaces)
     runner = BaseRunner(robot, base, clock, keep_starts=True)
     work: list[float] = []
 

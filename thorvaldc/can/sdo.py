@@ -93,7 +93,7 @@ def upload_segment_request(toggle: int) -> bytes:
 
 
 def is_expedited(response: bytes) -> bool:
-    """Whether the response to an upload request contains the value itself."""
+    """Returns ``True`` where the response to an upload request contains the value itself."""
     return bool(response[0] & EXPEDITED)
 
 

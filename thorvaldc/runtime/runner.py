@@ -1,7 +1,7 @@
 """The control loop of a robot on its buses, and the services that a running robot offers.
 
 Deadlines are absolute: the loop sleeps until start, start + T, start + 2T and so on.  So errors do
-not add up.  A cycle that takes too long skips deadlines; the loop goes on at the next one to come:
+not add up.  A cycle that takes too long skips deadlines; the loop continues at the next one:
 
     deadlines   |--------|--------|--------|--------|
     work        [##]     [################]         [##]

@@ -106,7 +106,6 @@ class BusConnection:
         event_ids = {
             *self._master_names,
             *self.relay.from_device,
-            *self.relay.to_device,
             *self._emergency_frames,
             *self._sdo_responses,
             *(f.cob_id for f in bus.frames if f.kind == "heartbeat" and f.producer in by_name),

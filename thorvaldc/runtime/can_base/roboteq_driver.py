@@ -8,6 +8,7 @@ CiA 402: its PDOs carry variables of the script.
     RPDO 3  on a change   mode of each channel: drive, home, decoupled
     RPDO 4  every cycle   speed, or top speed and angle, of channel 2
     TPDO 1  every cycle   measured speeds, steering angle
+    TPDO 2  100 ms        currents and powers, which the driver does not use
     TPDO 3  100 ms        flags (device errors), temperature, voltage
     TPDO 4  slow          one of several constants in turn: configuration, version, encoders
 
@@ -215,7 +216,7 @@ class RoboteqScriptController(MotorController):
         """Notes since when each motor deviates from its target.
 
         A wheel ramps and is late, so every speed between the lowest and the highest target of the
-        last ``DEVIATION_TIME`` is right.  A steering deviates where it stands beside its target.
+        last ``DEVIATION_TIME`` is right.  A steering deviates where it stands away from its target.
         """
         for axis in self.axes:
             if not follows:
@@ -224,8 +225,8 @@ class RoboteqScriptController(MotorController):
                 continue
             since = axis.time
             if axis.steering:
-                beside = abs(axis.position - axis.target) > ANGLE_DEVIATION
-                deviates = beside and abs(axis.velocity) < STANDING
+                away = abs(axis.position - axis.target) > ANGLE_DEVIATION
+                deviates = away and abs(axis.velocity) < STANDING
             else:
                 targets = self._recent_targets.setdefault(axis.channel, deque())
                 targets.append((now, axis.target))
@@ -320,8 +321,11 @@ class RoboteqScriptController(MotorController):
     # -- settings ----------------------------------------------------------------------------------
 
     def set_zero_frame(self) -> CanFrame | None:
-        """The new home count is the last one that this driver has set (0 at first), minus the
-        present count: the script cannot be asked for its home count."""
+        """Returns the frame that sets the home count.
+
+        The script does not report its home count.  So the new one is computed from the last one
+        that this driver has set, 0 at first.
+        """
         steering = next((axis for axis in self.axes if axis.steering), None)
         if steering is None or "home_count" not in self.setting_names():
             return None
