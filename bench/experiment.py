@@ -38,26 +38,28 @@ def figures() -> Iterator[Figure]:
     yield _paper()
     robot, files = built(example("6wd6ws_asymmetric"))
     runs = [_run(robot, files, seed) for seed in range(RUNS)]
-    ends = [end for end, _ in runs]
+    end_errors = [end_error for end_error, _ in runs]
     drives = f"{RUNS} random drives of 77 s, about 70 m each, ideal sensors"
-    yield Figure("random drives, end error", _rms(ends), "m", 0.05, "lower", f"rms of {drives}")
-    yield Figure("random drives, worst end error", max(ends), "m", None, "lower", drives)
+    yield Figure(
+        "random drives, end error", _rms(end_errors), "m", 0.05, "lower", f"rms of {drives}"
+    )
+    yield Figure("random drives, worst end error", max(end_errors), "m", None, "lower", drives)
     parts = [_parts(samples, seed) for seed, (_, samples) in enumerate(runs)]
-    for name, how in (
+    for name, description in (
         ("heading, in transitions", "heading errors while the motion changes"),
         ("heading, in steady motion", "heading errors in steady motion"),
         ("position", "position errors: creep of the contacts"),
     ):
-        sizes = [part[name] for part in parts]
+        lengths = [part[name] for part in parts]
         yield Figure(
             f"random drives, {name}",
-            _rms(sizes),
+            _rms(lengths),
             "m",
             None,
             "lower",
-            f"part of the end error: {how}",
+            f"part of the end error: {description}",
         )
-    whole = _rms(ends[:ABLATED])
+    whole = _rms(end_errors[:ABLATED])
     for name, patch, prepare in _ablations():
         with patch:
             end_error = _rms([_run(robot, files, seed, prepare)[0] for seed in range(ABLATED)])
@@ -146,31 +148,34 @@ def _parts(samples: list[Sample], seed: int) -> dict[str, float]:
 
 
 def _ablations() -> Iterator[tuple[str, AbstractContextManager[Any], Prepare | None]]:
-    yield "servos without feed-forward", mock.patch.object(MujocoBase, "_lag", _no_lag), None
-    yield "ramps with corners", mock.patch.object(driver, "Ramp", _corners), None
-    yield "no waiting for late wheels", mock.patch.object(General, "_lateness", _never), None
-    yield "implicit integration", nullcontext(), _implicit
-    yield "steps of 1 ms", nullcontext(), _fine
+    # `__name__` instead of a text: mypy reports a method that was renamed.
+    patch = mock.patch.object
+    lag, delay = MujocoBase._lag.__name__, General._steering_delay.__name__
+    yield "servos without feed-forward", patch(MujocoBase, lag, _no_lag), None
+    yield "ramps with corners", patch(driver, Ramp.__name__, _ramp_with_corners), None
+    yield "no waiting for late wheels", patch(General, delay, _no_delay), None
+    yield "implicit integration", nullcontext(), _implicit_integration
+    yield "steps of 1 ms", nullcontext(), _short_steps
 
 
 def _no_lag(base: MujocoBase, motor: int) -> float:
     return 0.0
 
 
-def _corners(settings: Any, length: float, smoothing: float) -> Ramp:
+def _ramp_with_corners(settings: Any, length: float, smoothing: float) -> Ramp:
     return Ramp(settings, length, 0.0)
 
 
-def _never(calculator: General, dt: float | None, followed: bool) -> Any:
+def _no_delay(calculator: General, dt: float | None) -> Any:
     return (0.0,) * len(calculator.geometry.wheels), 0.0, True
 
 
-def _implicit(simulation: Simulation) -> None:
+def _implicit_integration(simulation: Simulation) -> None:
     if simulation.scene is not None:
         integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         simulation.scene.model.opt.integrator = integrator
 
 
-def _fine(simulation: Simulation) -> None:
+def _short_steps(simulation: Simulation) -> None:
     if simulation.scene is not None:
         simulation.scene.model.opt.timestep = simulation.scene.timestep = 0.001

@@ -93,7 +93,7 @@ def plan_runs(
         settings,
         parse_count(draws, "--draws", 1),
         parse_count(seed, "--seed", 0),
-        own=own,
+        from_document=own,
         report=report,
     )
     if variations is None:

@@ -35,13 +35,13 @@ def plan_variations(
     draws: int | None = None,
     seed: int | None = None,
     *,
-    own: bool = True,
+    from_document: bool = True,
     report: Report,
 ) -> Variations | None:
     """Returns the variations of a scenario: those of its document, and ``settings``.
 
-    With ``own=False`` only the settings.  Returns ``None`` if the file is not a scenario.  For
-    the arguments see ``read_variations``.
+    With ``from_document=False`` only the settings.  Returns ``None`` if the file is not a
+    scenario.  For the arguments see ``read_variations``.
     """
     document_report = Report()  # compile_file reports these problems again, so they are dropped
     document = read_file(Path(path), str(path), document_report)
@@ -52,7 +52,7 @@ def plan_variations(
         return None
     check(document, "scenario", document_report)
     document = without_invalid_values(document, document_report)
-    if not own:
+    if not from_document:
         document = without_variations(document)
     return read_variations(document, settings, draws, seed, report)
 
