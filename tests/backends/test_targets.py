@@ -1,0 +1,96 @@
+"""The table of targets, and backends of other packages."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.examples import FOLDER
+from thorvaldc import backends
+from thorvaldc.backends import Backend, TargetError
+from thorvaldc.compiler.pipeline import MODEL_FILE, emit
+from thorvaldc.diagnostics import Report
+
+MODULE = """
+from thorvaldc.backends import Backend
+
+class Wheels(Backend):
+    name = "wheels"
+    summary = "the penetration of each wheel, as text"
+
+    def emit(self, robot, statics):
+        lines = [f"{name} {contact.penetration!r}" for name, contact in statics.wheels.items()]
+        return {"wheels/wheels.txt": "\\n".join(lines).encode()}
+"""
+
+
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with an installed package that offers one good and one broken backend."""
+    (tmp_path / "wheel_targets.py").write_text(MODULE)
+    info = tmp_path / "wheel_targets-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: wheel-targets\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(
+        "[thorvaldc.backends]\nwheels = wheel_targets:Wheels\nbroken = wheel_targets:Gone\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "wheel_targets", raising=False)
+    return tmp_path
+
+
+def test_the_keys_are_the_names_of_the_backends() -> None:
+    for name in backends.TARGETS:
+        assert backends.load(name).name == name
+    assert set(backends.DEFAULT_TARGETS) <= set(backends.TARGETS)
+
+
+def test_unknown_target() -> None:
+    with pytest.raises(TargetError) as caught:
+        backends.load("mjfc")
+    assert str(caught.value) == "there is no target 'mjfc'; there are can, mjcf, ros2, urdf"
+
+
+@pytest.mark.usefixtures("packages")
+def test_a_backend_of_another_package_gets_the_statics() -> None:
+    from thorvaldc.compiler.pipeline import compile_file
+
+    assert {"wheels", "broken"} <= set(backends.names())
+    model = compile_file(FOLDER / "4wd4ws_slim" / "robot.yaml").model
+    assert model is not None
+    files = emit(model, ["wheels"], Report())
+    assert set(files) == {MODEL_FILE, "wheels/wheels.txt"}
+    assert files["wheels/wheels.txt"].startswith(b"fl_wheel 0.00")
+    assert isinstance(backends.load("wheels"), Backend)
+
+
+@pytest.mark.usefixtures("packages")
+def test_a_broken_backend() -> None:
+    with pytest.raises(TargetError) as caught:
+        backends.load("broken")
+    assert str(caught.value) == (
+        "the backend of target 'broken' cannot be loaded: "
+        "module 'wheel_targets' has no attribute 'Gone'"
+    )
+
+
+def test_a_broken_backend_on_the_command_line(packages: Path) -> None:
+    def thorvaldc(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "thorvaldc", *arguments],
+            env={"PYTHONPATH": f"{packages}:{Path.cwd()}"},
+            capture_output=True,
+            text=True,
+        )
+
+    listing = thorvaldc("targets")
+    assert listing.returncode == 0, listing.stderr
+    assert "cannot be loaded" in " ".join(listing.stdout.split())
+    assert "the penetration of each wheel" in " ".join(listing.stdout.split())
+    file = str(FOLDER / "4wd4ws_slim" / "robot.yaml")
+    build = thorvaldc("build", file, "--target", "broken", "-o", str(packages / "build"))
+    assert build.returncode == 2
+    assert "cannot be loaded" in " ".join(build.stderr.replace("│", " ").split())
