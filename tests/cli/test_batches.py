@@ -79,15 +79,16 @@ def test_combinations_and_draws(scenario: Path) -> None:
 
 
 def test_settings_replace_the_variations_of_the_document(scenario: Path) -> None:
-    assert values(planned(scenario, "world.friction=0.3..0.9", draws=1, own=False)) != []
-    variations = values(planned(scenario, "faults=[],[{type: ice, wheel: fl_wheel, friction: 0.1}]",
-                           "robots.cart.robot=a/b.yaml,../c.yaml", own=False))  # fmt: skip
+    assert values(planned(scenario, "world.friction=0.3..0.9", draws=1, from_document=False)) != []
+    faults = "faults=[],[{type: ice, wheel: fl_wheel, friction: 0.1}]"
+    robots = "robots.cart.robot=a/b.yaml,../c.yaml"
+    variations = values(planned(scenario, faults, robots, from_document=False))
     assert [v["robots.cart.robot"] for v in variations] == ["a/b.yaml", "../c.yaml"] * 2
     assert [v["faults"] for v in variations[::2]] == [
         [],
         [{"type": "ice", "wheel": "fl_wheel", "friction": 0.1}],
     ]
-    seeds = values(planned(scenario, "noise.seed=1..1000", draws=40, own=False))
+    seeds = values(planned(scenario, "noise.seed=1..1000", draws=40, from_document=False))
     assert len({v["noise.seed"] for v in seeds}) > 30
     assert all(isinstance(v["noise.seed"], int) and 1 <= v["noise.seed"] <= 1000 for v in seeds)
 
