@@ -183,9 +183,7 @@ def _written() -> int:
     return sum(p.stat().st_size for p in Path().rglob("*") if p.name in ("r.csv", "record.mcap"))
 
 
-def test_runs_and_films_show_their_progress_on_a_terminal_only(
-    tmp_path: Path, thorvaldc: Command
-) -> None:
+def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command) -> None:
     scenario()
     status, output = on_terminal(tmp_path, "sim", "s.yaml", "--video", "v.gif", COLUMNS="40")
     assert status == 0

@@ -26,7 +26,7 @@ def calibrated(thorvaldc: Command) -> str:
     return "knows.yaml"
 
 
-def test_calibration_is_found_and_included(thorvaldc: Command, calibrated: str) -> None:
+def test_a_calibration_is_estimated_and_included(thorvaldc: Command, calibrated: str) -> None:
     pytest.importorskip("mujoco")
     driven = thorvaldc("sim", calibrated, "--open-loop", "--log", "joints.csv")
     assert driven.status == 0, driven.err

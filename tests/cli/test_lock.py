@@ -49,7 +49,7 @@ def test_two_builds_are_equal(thorvaldc: Command) -> None:
     assert "pinned" not in result.out
 
 
-def test_the_sources_hash_is_of_the_lock_file_too(thorvaldc: Command) -> None:
+def test_the_hash_of_the_sources_includes_the_lock_file(thorvaldc: Command) -> None:
     hashes = set()
     for node_id in (3, 9):
         LOCK.write_text(
@@ -65,9 +65,7 @@ def test_the_sources_hash_is_of_the_lock_file_too(thorvaldc: Command) -> None:
     [("check",), ("check", "--strict"), ("sim", "--duration", "0.1", "--ideal")],
     ids=" ".join,
 )
-def test_others_do_not_write_beside_the_file(
-    thorvaldc: Command, arguments: tuple[str, ...]
-) -> None:
+def test_other_commands_write_no_lock_file(thorvaldc: Command, arguments: tuple[str, ...]) -> None:
     bytes_before = sorted(os.listdir())
     thorvaldc(arguments[0], "auto.yaml", *arguments[1:])
     assert sorted(os.listdir()) == bytes_before
@@ -89,12 +87,12 @@ def test_a_build_that_fails_pins_nothing(thorvaldc: Command) -> None:
     assert compile_file("auto.yaml").locks == {}
 
 
-def test_no_lock_file_where_every_id_is_given(thorvaldc: Command) -> None:
+def test_no_lock_file_if_every_id_is_set(thorvaldc: Command) -> None:
     thorvaldc("build", "good.yaml")
     assert not list(Path().glob("*.lock.yaml"))
 
 
-def test_ids_given_later_leave_the_lock_file(thorvaldc: Command) -> None:
+def test_ids_that_are_set_later_leave_the_lock_file(thorvaldc: Command) -> None:
     thorvaldc("build", "auto.yaml")
     Path("auto.yaml").write_text(GOOD, encoding="utf-8")
     assert thorvaldc("build", "auto.yaml").status == 0
@@ -122,7 +120,7 @@ def test_a_folder_that_is_read_only_is_a_warning(thorvaldc: Command, read_only: 
     assert "TV515" in json.dumps(report)
 
 
-def test_a_lock_file_that_is_a_folder_is_an_error_in_words(thorvaldc: Command) -> None:
+def test_a_lock_file_that_is_a_folder_is_an_error(thorvaldc: Command) -> None:
     LOCK.mkdir()
     result = thorvaldc("build", "auto.yaml")
     assert result.status == 1
@@ -130,7 +128,7 @@ def test_a_lock_file_that_is_a_folder_is_an_error_in_words(thorvaldc: Command) -
     assert "Traceback" not in result.err
 
 
-def test_a_lock_file_behind_a_link_is_written_where_it_is(thorvaldc: Command) -> None:
+def test_a_linked_lock_file_is_written_at_its_target(thorvaldc: Command) -> None:
     Path("elsewhere").mkdir()
     Path("elsewhere/ids.yaml").write_text("thorvaldc_lock: 1\naddresses: {}\n")
     LOCK.symlink_to("elsewhere/ids.yaml")
@@ -139,7 +137,7 @@ def test_a_lock_file_behind_a_link_is_written_where_it_is(thorvaldc: Command) ->
     assert pins() == {"rl.controller": 3, "rr.controller": 4}
 
 
-def test_the_robots_of_a_fleet_have_their_own(thorvaldc: Command) -> None:
+def test_each_robot_of_a_fleet_has_its_lock_file(thorvaldc: Command) -> None:
     Path("fleet.yaml").write_text(
         "thorvaldc: 1\nname: two\nrobots:\n"
         "  a: {robot: auto.yaml, xyz: [0, 0, 0]}\n  b: {robot: auto.yaml, xyz: [0, 3, 0]}\n"

@@ -35,7 +35,7 @@ def bus(folder: Path) -> Iterator[str]:
         yield f"sim:{listing['channel']}"
 
 
-def test_json_lines_a_page_and_a_live_view(bus: str, folder: Path, thorvaldc: Command) -> None:
+def test_json_lines_text_and_live_view(bus: str, folder: Path, thorvaldc: Command) -> None:
     watch = ("can", "monitor", "good.yaml", "--bus", bus)
     result = thorvaldc(*watch, "--duration", "1 s", "--interval", "250 ms", "--json")
     assert (result.status, result.err) == (0, "")

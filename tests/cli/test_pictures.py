@@ -26,7 +26,7 @@ def test_plot(thorvaldc: Command) -> None:
         ("folder.png", 3, "cannot write folder.png: it is a folder"),
     ],
 )
-def test_where_a_plot_cannot_go_is_told_before_the_run(
+def test_a_plot_that_cannot_be_written_is_reported_before_the_run(
     thorvaldc: Command, path: str, status: int, expected: str
 ) -> None:
     Path("folder.png").mkdir()
@@ -55,7 +55,7 @@ def test_without_matplotlib(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch)
         (["sim", "good.yaml", "--ideal", "--video", "a.gif"], 2, "leave out --ideal"),
     ],
 )
-def test_what_cannot_be_drawn_is_told(
+def test_wrong_options(
     thorvaldc: Command, arguments: list[str], status: int, expected: str
 ) -> None:
     result = thorvaldc(*arguments)

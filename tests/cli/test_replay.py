@@ -1,4 +1,4 @@
-"""Replays: a record gives the same table, plot and film as its run."""
+"""Replays: a record gives the same table, plot and video as its run."""
 
 from __future__ import annotations
 
@@ -42,9 +42,7 @@ def recorded(thorvaldc: Command, tmp_path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("record", ["a.mcap", "a.csv"])
-def test_a_record_tells_what_the_run_did(
-    thorvaldc: Command, recorded: dict[str, Any], record: str
-) -> None:
+def test_a_replay_equals_its_run(thorvaldc: Command, recorded: dict[str, Any], record: str) -> None:
     result = thorvaldc("sim", "s.yaml", "--replay", record, "--json")
     assert result.status == 0, result.err
     played = json.loads(result.out)
@@ -56,18 +54,16 @@ def test_a_record_tells_what_the_run_did(
         assert replay_robot[pose] == pytest.approx(run_robot[pose], abs=1e-6)
 
 
-def test_records_are_turned_into_one_another_without_loss(
-    thorvaldc: Command, recorded: dict[str, Any]
-) -> None:
+def test_records_are_converted_without_loss(thorvaldc: Command, recorded: dict[str, Any]) -> None:
     assert thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--record", "b.csv").status == 0
     assert Path("b.csv").read_bytes() == Path("a.csv").read_bytes()
 
 
 @pytest.mark.parametrize("record", ["a.mcap", "a.csv"])
-def test_robots_stand_where_they_stood(
+def test_robots_have_their_recorded_poses(
     thorvaldc: Command, recorded: dict[str, Any], record: str
 ) -> None:
-    """Every wheel is on the bumpy ground again, as deep as it was while it drove."""
+    """Every wheel is on the rough ground, at the depth that it had in the run."""
     result = compile_file("s.yaml")
     assert result.scenario is not None
     fleet = result.scenario.fleet
@@ -95,7 +91,7 @@ def test_robots_stand_where_they_stood(
     assert abs(joints.angles[0]) > 0.1
 
 
-def test_plots_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any]) -> None:
+def test_a_record_is_plotted(thorvaldc: Command, recorded: dict[str, Any]) -> None:
     thorvaldc("sim", "s.yaml", "--plot", "run.svg")
     result = thorvaldc("sim", "s.yaml", "--replay", "a.mcap", "--plot", "p.svg")
     assert result.status == 0, result.err
@@ -106,7 +102,7 @@ def test_plots_are_made_of_records(thorvaldc: Command, recorded: dict[str, Any])
     assert sum(a != b for a, b in zip(played, run, strict=True)) < len(run) / 100
 
 
-def test_films_and_pictures_show_where_the_robot_was(thorvaldc: Command, tmp_path: Path) -> None:
+def test_videos_and_pictures_show_the_recorded_poses(thorvaldc: Command, tmp_path: Path) -> None:
     assert thorvaldc("sim", SLIM, "--ideal", "--duration", "1", "--record", "a.mcap").status == 0
     result = thorvaldc("sim", SLIM, "--replay", "a.mcap", "--video", "v.gif")
     assert result.status == 0, result.err
@@ -126,7 +122,7 @@ def test_films_and_pictures_show_where_the_robot_was(thorvaldc: Command, tmp_pat
     assert thorvaldc("render", SLIM, "--replay", "none.mcap").status == 1
 
 
-def test_fleets_are_played_from_a_folder_and_a_file(thorvaldc: Command, tmp_path: Path) -> None:
+def test_fleets_are_replayed_from_a_folder_and_a_file(thorvaldc: Command, tmp_path: Path) -> None:
     short = ["--twist", "0.5,0,0", "--duration", "1"]
     tables = []
     for record in ("all", "all.mcap"):
@@ -141,7 +137,7 @@ def test_fleets_are_played_from_a_folder_and_a_file(thorvaldc: Command, tmp_path
     assert "`all` has no robot six" in result.err
 
 
-def test_of_what_was_not_recorded_there_is_a_dash(thorvaldc: Command, tmp_path: Path) -> None:
+def test_missing_groups_are_dashes(thorvaldc: Command, tmp_path: Path) -> None:
     Path("s.yaml").write_text(SCENARIO + "record: {what: [odometry]}\n")
     for record in ("a.csv", "a.mcap"):
         assert thorvaldc("sim", "s.yaml", "--record", record).status == 0
@@ -151,9 +147,7 @@ def test_of_what_was_not_recorded_there_is_a_dash(thorvaldc: Command, tmp_path: 
         assert result.out.splitlines()[1].split()[-2:] == ["-", "-"]
 
 
-def test_a_record_that_ended_before_its_first_tick_holds_nothing(
-    thorvaldc: Command, tmp_path: Path
-) -> None:
+def test_a_record_without_samples_is_an_error(thorvaldc: Command, tmp_path: Path) -> None:
     result = compile_file(SLIM)
     assert isinstance(result.model, Robot)
     McapRecorder(Path("a.mcap"), [(result.model.name, result.model)], GROUPS).close()
@@ -162,7 +156,7 @@ def test_a_record_that_ended_before_its_first_tick_holds_nothing(
     assert "`a.mcap` has no samples of thorvald_4wd4ws_slim" in result.err
 
 
-def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path) -> None:
+def test_files_that_are_no_records_are_errors(thorvaldc: Command, tmp_path: Path) -> None:
     assert thorvaldc("sim", SLIM, "--twist", "0.5,0,0", "--record", "a.mcap").status == 0
     whole = Path("a.mcap").read_bytes()
     broken = bytearray(whole)
@@ -189,7 +183,7 @@ def test_what_is_no_record_is_told_in_a_line(thorvaldc: Command, tmp_path: Path)
     assert "is it the record of another robot?" in result.err
 
 
-def test_a_record_has_its_own_length_and_motion(thorvaldc: Command, tmp_path: Path) -> None:
+def test_options_of_a_drive_are_refused_for_a_replay(thorvaldc: Command, tmp_path: Path) -> None:
     for option in ("--twist", "--duration", "--log", "--parameters", "--junit"):
         result = thorvaldc("sim", SLIM, "--replay", "a.mcap", option, "1")
         assert result.status == 2

@@ -61,7 +61,7 @@ def test_a_virtual_robot_drives_for_a_time(thorvaldc: Command) -> None:
     assert summary["timing"]["overruns"] == 0
 
 
-def test_with_physics_it_drives_as_far(thorvaldc: Command) -> None:
+def test_a_robot_with_physics_drives_as_far(thorvaldc: Command) -> None:
     status, out, _ = thorvaldc(
         *VIRTUAL, "--fast", "--duration", "3 s", "--twist", "0.5,0,0", "--physics", "mujoco"
     )
@@ -70,7 +70,7 @@ def test_with_physics_it_drives_as_far(thorvaldc: Command) -> None:
     assert "at 1.3" in out or "at 1.4" in out
 
 
-def test_what_happens_is_told_on_stderr(thorvaldc: Command) -> None:
+def test_changes_of_state_go_to_stderr(thorvaldc: Command) -> None:
     status, out, err = thorvaldc(*VIRTUAL, "--fast", "--duration", "1 s")
     assert status == 0
     assert len(out.splitlines()) == 1
@@ -78,7 +78,7 @@ def test_what_happens_is_told_on_stderr(thorvaldc: Command) -> None:
     assert [line[2] for line in lines] == ["init", "preop", "config", "homing", "ready"]
 
 
-def test_the_model_of_a_build_is_enough(thorvaldc: Command) -> None:
+def test_the_model_of_a_build_is_sufficient(thorvaldc: Command) -> None:
     assert thorvaldc("build", "good.yaml", "-o", "out", "--target", "mjcf").status == 0
     Path("good.yaml").unlink()
     for more in ((), ("--physics", "mujoco")):
@@ -98,7 +98,7 @@ faults:
 """
 
 
-def test_a_fault_ends_a_run_that_nobody_watches(thorvaldc: Command) -> None:
+def test_a_fault_ends_an_unattended_run(thorvaldc: Command) -> None:
     Path("faults.yaml").write_text(FAULTS)
     status, out, err = thorvaldc(
         *VIRTUAL, "--fast", "--duration", "20 s", "--twist", "0.5,0,0", "--faults", "faults.yaml"
@@ -139,7 +139,7 @@ def test_usage(arguments: list[str], expected: str, thorvaldc: Command) -> None:
         (["good.yaml", "--bus", "socketcan:can77"], 3, "TV875"),
     ],
 )
-def test_what_cannot_be_run(
+def test_input_that_cannot_run(
     arguments: list[str], status: int, code: str, thorvaldc: Command
 ) -> None:
     summary = thorvaldc("run", *arguments)
@@ -150,8 +150,8 @@ def test_what_cannot_be_run(
         assert len(summary.err.splitlines()) == 2  # and a hint
 
 
-def test_a_bus_without_power_and_nobody_there(thorvaldc: Command) -> None:
-    """On a bus of python-can's with nobody on it the driver gives up within seconds."""
+def test_an_empty_bus(thorvaldc: Command) -> None:
+    """The driver ends within seconds on a python-can bus without devices."""
     status, out, err = thorvaldc("run", "good.yaml", "--bus", "virtual:empty", "--duration", "1 s")
     assert status == 3
     assert out.startswith("fault")
@@ -162,7 +162,7 @@ def test_a_bus_without_power_and_nobody_there(thorvaldc: Command) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
-def test_a_signal_stops_the_robot_and_lets_it_go(number: int, tmp_path: Path) -> None:
+def test_a_signal_stops_the_robot_and_disables_the_drives(number: int, tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(GOOD)
     process = started(tmp_path, "good.yaml", "--bus", "virtual", "--twist", "0.5,0,0")
     assert process.stderr is not None
@@ -180,14 +180,17 @@ ATTEMPTS = 3
 
 
 def held_up(status: int, err: str) -> bool:
-    """A machine with much to do may let the simulated bus wait: then nodes are silent, truly."""
+    """Whether a busy machine delayed the simulated bus, so that nodes were silent."""
     return status != 0 and any(word in err for word in ("no tpdo", "no heartbeat", "no sign"))
 
 
 def over_slcan(
     robot: Robot, folder: Path
 ) -> tuple[int, str, str, SlcanAdapter, dict[int, bytes], float]:
-    """Run the command on a serial line: status, output, the adapter, frames, the fastest wheel."""
+    """Runs the command on a serial line.
+
+    Returns status, stdout, stderr, the adapter, frames by id, and the highest wheel speed.
+    """
     simulated = SimulatedRobot(robot)
     simulated.power_on()
     adapter = SlcanAdapter(simulated)
@@ -237,7 +240,7 @@ def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
 
 
 def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
-    """slcan on a pair of pseudo-terminals: the same frames, and the wheels turn."""
+    """slcan on a pair of pseudo-terminals carries all frames, and the wheels turn."""
     path = tmp_path / "good.yaml"
     path.write_text(GOOD)
     robot = compile_file(path).model
@@ -257,11 +260,11 @@ def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
     assert 0.6 < summary["pose"]["x"] < 1.3
     planned = {f.cob_id for f in robot.buses[0].frames if f.period is not None}
     assert planned <= set(frames_seen)
-    # It left the drives as it found them: nobody commanded, nobody operational.
+    # After the run, all nodes are stopped or pre-operational again.
     assert all(frames_seen[0x700 + node.id] == b"\x7f" for node in robot.buses[0].nodes)
 
 
-def test_the_note_on_hardware_comes_once(
+def test_the_warning_for_hardware_is_shown_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from thorvaldc.cli.hardware_warning import warn_once

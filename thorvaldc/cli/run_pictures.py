@@ -1,4 +1,4 @@
-"""The plot and the film of a run: checked before the run, drawn after it."""
+"""The plot and the video of a run: checked before the run, drawn after it."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
 
 
 class RunPictures:
-    """The plot and the film of a run; an empty path requests none.
+    """The plot and the video of a run; an empty path requests none.
 
-    Make it before the run and before MuJoCo is imported, which is then told how to draw.  Pass
+    The constructor selects the OpenGL backend, which must happen before MuJoCo is imported.  Pass
     ``watch`` to the run and call ``write`` after it.
     """
 
@@ -62,27 +62,27 @@ class RunPictures:
         self.plot = plot
         self.video = video
         self._samples: dict[str, list[Sample]] = {}
-        self._film: VideoRecorder | None = None
+        self._video_recorder: VideoRecorder | None = None
         if plot:
             check_output(plot, PLOT_FORMATS, "--plot")
             with picture_errors():
                 check_plotting()
         if video:
-            self._film = _prepare_film(video, ideal)
+            self._video_recorder = _prepare_video(video, ideal)
 
     def watch(self, loop: ControlLoop) -> None:
         """Keeps the present sample and scene."""
         if self.plot:
             self._samples.setdefault(loop.name, []).append(loop.sample())
-        if self._film is not None and loop.scene is not None:
-            self._film.on_tick(loop.scene)
+        if self._video_recorder is not None and loop.scene is not None:
+            self._video_recorder.on_tick(loop.scene)
 
     def take_record(self, samples: Mapping[str, Sequence[Sample]], replay: Replay | None) -> None:
-        """Takes recorded samples instead of a run; ``replay`` moves the robots for the film."""
+        """Takes recorded samples instead of a run; ``replay`` moves the robots for the video."""
         self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
-        if self._film is not None and replay is not None:
-            for _ in replay.times(self._film.rate):
-                self._film.store(replay.scene)
+        if self._video_recorder is not None and replay is not None:
+            for _ in replay.times(self._video_recorder.rate):
+                self._video_recorder.store(replay.scene)
 
     def write(
         self,
@@ -95,20 +95,20 @@ class RunPictures:
             if self.plot:
                 plot(dict(robots), self._samples, self.plot, model.name)
                 message(self.plot)
-            if self._film is not None and files is not None:
-                progress = Progress(len(self._film), "pictures", self.video)
+            if self._video_recorder is not None and files is not None:
+                progress = Progress(len(self._video_recorder), "pictures", self.video)
                 try:
-                    self._film.write(files, Path(self.video), progress=progress.show)
+                    self._video_recorder.write(files, Path(self.video), progress=progress.show)
                 finally:
                     progress.clear()
                 message(self.video)
 
 
-def _prepare_film(video: str, ideal: bool) -> VideoRecorder:
+def _prepare_video(video: str, ideal: bool) -> VideoRecorder:
     check_output(video, VIDEO_FORMATS, "--video")
     if ideal:
         raise typer.BadParameter(
-            "a run with ideal joints has no scene to film; leave out --ideal",
+            "a run with ideal joints has no scene for a video; leave out --ideal",
             param_hint="'--video'",
         )
     suffix = Path(video).suffix.lower().lstrip(".")

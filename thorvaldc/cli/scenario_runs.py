@@ -77,9 +77,9 @@ def run_scenario(
 
 
 def plan_runs(
-    scenario: str, settings: Sequence[str], draws: str, seed: str, *, own: bool
+    scenario: str, settings: Sequence[str], draws: str, seed: str, *, from_document: bool
 ) -> Variations | None:
-    """Returns the variations of ``--set``; with ``own`` those of the scenario as well.
+    """Returns the variations of ``--set``; ``from_document``: those of the scenario as well.
 
     Returns ``None`` after errors were printed.  Raises ``typer.BadParameter``.
     """
@@ -93,7 +93,7 @@ def plan_runs(
         settings,
         parse_count(draws, "--draws", 1),
         parse_count(seed, "--seed", 0),
-        from_document=own,
+        from_document=from_document,
         report=report,
     )
     if variations is None:
@@ -101,7 +101,7 @@ def plan_runs(
     if report.has_errors:
         show_report(report, {scenario: Path(scenario)})
         return None
-    if not variations.varied and not (own and variations.draws > 1):
+    if not variations.varied and not (from_document and variations.draws > 1):
         raise typer.BadParameter(
             f"{scenario} has no `variations`; name values with --set", param_hint="'--variations'"
         )

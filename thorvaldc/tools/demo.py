@@ -1,4 +1,4 @@
-"""Builds robots and drives each from its generated files, over two processes."""
+"""Builds robots and drives each from its generated files, in two processes."""
 
 from __future__ import annotations
 

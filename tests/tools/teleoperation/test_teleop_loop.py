@@ -62,9 +62,9 @@ def test_a_held_key_moves_the_robot_and_its_end_stops_it() -> None:
     state = drive.vehicle.call("state")
     assert state["pose"]["x"] == pytest.approx(1.5 * 2.0, abs=0.8)
     assert state["in_force"] == {"vx": 0.0, "vy": 0.0, "wz": 0.0}
-    assert state["source"] == ""  # given way before the end
+    assert state["source"] == ""  # the keyboard commands nothing any more
     first, second = drive.shown[10]
-    assert "100 %  asked +1.50 +0.00 m/s +0.00 rad/s" in first
+    assert "100 %  commanded +1.50 +0.00 m/s +0.00 rad/s" in first
     assert "driving  drives: teleop_joy" in second
 
 

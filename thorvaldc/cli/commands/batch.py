@@ -30,7 +30,7 @@ def batch(
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:
-    planned = plan_runs(file, settings, draws, seed, own=variations or not settings)
+    planned = plan_runs(file, settings, draws, seed, from_document=variations or not settings)
     if planned is None:
         return INPUT
     return run_batch(file, planned, robot or None, library, jobs=jobs, output=output, json=json)

@@ -1,4 +1,4 @@
-"""``thorvaldc replay``: a recorded run as table, plot or film, or as another record."""
+"""``thorvaldc replay``: a recorded run as table, plot or video, or as another record."""
 
 from __future__ import annotations
 

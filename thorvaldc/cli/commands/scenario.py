@@ -49,7 +49,7 @@ def scenario(
 ) -> int:
     changes: Sequence[Change] = ()
     if settings:
-        variations = plan_runs(file, settings, "", "", own=False)
+        variations = plan_runs(file, settings, "", "", from_document=False)
         if variations is None:
             return INPUT
         only_changes = single_run(variations)

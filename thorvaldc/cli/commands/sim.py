@@ -84,7 +84,7 @@ def sim(
     name, robot = scenario or file, file if scenario else None
     changes: Sequence[Change] = ()
     if settings or variations:
-        planned = plan_runs(name, settings, draws, seed, own=variations)
+        planned = plan_runs(name, settings, draws, seed, from_document=variations)
         if planned is None:
             return INPUT
         only_changes = single_run(planned)

@@ -168,7 +168,8 @@ def _joystick_search(joystick: str, mapping: str) -> Search:
     if device_and_layout is None:
         where = "under /dev/input" if joystick == "auto" else f"at {joystick}"
         raise OutsideError(
-            f"no joystick is found {where}; is it plugged in, and may you read it (group `input`)?"
+            f"there is no joystick {where}; is it plugged in, and has your user permission to read"
+            " it (group `input`)?"
         )
     device_and_layout[0].close()
     return search

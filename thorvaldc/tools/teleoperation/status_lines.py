@@ -30,7 +30,7 @@ def status_lines(
     if message:
         parts.append(message)
     in_force = _twist_text(Twist(**state["in_force"]))
-    first = f"{share * 100:3.0f} %  asked {command}  in force {in_force}"
+    first = f"{share * 100:3.0f} %  commanded {command}  in force {in_force}"
     return [first, f"{pose}  |  {'  '.join(parts)}"]
 
 
