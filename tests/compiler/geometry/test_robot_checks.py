@@ -10,7 +10,6 @@ import pytest
 from tests.examples import FOLDER, ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
 from tests.workshop import CART, Workshop
-from thorvaldc.compiler.geometry.mobility_checks import feasible_twists
 from thorvaldc.compiler.geometry.robot_checks import check_robot
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.compiler.pipeline import compile_file
@@ -44,60 +43,6 @@ def test_examples_have_no_diagnostics(name: str) -> None:
     assert [
         (d.code.name, d.message) for d in compilation.report if d.severity.value != "note"
     ] == []
-
-
-@pytest.mark.parametrize(
-    "kinds",
-    [
-        ("steered",) * 4,
-        ("steered", "steered", "fixed", "fixed"),
-        ("swivel", "swivel", "fixed", "fixed"),
-        ("steered", "steered", "passive", "passive"),
-        ("swivel", "steered", "passive", "passive"),
-    ],
-)
-def test_controllable_bases(kinds: tuple[str, ...]) -> None:
-    assert codes(on(*kinds)) == []
-
-
-# -- motion -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("kinds", "twists"),
-    [
-        (("steered",) * 4, 3),
-        (("swivel",) * 4, 3),
-        (("steered", "steered", "fixed", "fixed"), 2),
-        (("fixed",) * 4, 1),
-        (("swivel", "swivel", "swivel", "fixed"), 2),
-    ],
-)
-def test_number_of_feasible_twists(kinds: tuple[str, ...], twists: int) -> None:
-    assert feasible_twists(on(*kinds)) == twists
-
-
-@pytest.mark.parametrize(
-    ("kinds", "expected"),
-    [
-        (("steered", "swivel", "swivel", "swivel"), ["twist-uncontrolled"]),
-        (("passive", "passive", "swivel", "swivel"), ["no-drive"]),
-        (("fixed",) * 4, ["skid-steering"]),
-    ],
-)
-def test_uncontrollable_bases(kinds: tuple[str, ...], expected: list[str]) -> None:
-    assert codes(on(*kinds)) == expected
-
-
-def test_one_misaligned_wheel_blocks_motion() -> None:
-    robot = on("fixed", "fixed", "fixed", "fixed")
-    turned = replace(robot.wheels[0], heading=0.2)
-    assert "no-free-motion" in codes(replace(robot, wheels=(turned, *robot.wheels[1:])))
-    # All axles meet in one point: the robot can only turn on the spot.
-    tangents = tuple(replace(w, heading=math.atan2(w.x, -w.y)) for w in robot.wheels)
-    round_robot = replace(robot, wheels=tangents)
-    assert feasible_twists(round_robot) == 1
-    assert codes(round_robot) == []
 
 
 # -- balance ----------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Static loads, springs and contact points, compared with independent computations."""
+"""Static loads, compared with independent computations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from thorvaldc.compiler.geometry.static_loads import Pivot, static_loads
-from thorvaldc.compiler.geometry.wheel_geometry import lowest_point
 from thorvaldc.model import Inertial
 
 G = 9.81
@@ -20,9 +19,6 @@ point = st.tuples(coordinate, coordinate)
 
 def body(x: float, y: float, mass: float = 100.0) -> Inertial:
     return Inertial(mass, (x, y, 0.5), (1.0, 1.0, 1.0, 0.0, 0.0, 0.0))
-
-
-# -- static loads -----------------------------------------------------------------------
 
 
 def test_loads_of_three_wheels_follow_from_the_levers() -> None:
@@ -112,28 +108,3 @@ def test_loads_do_not_depend_on_the_origin(
     loads_at_origin = static_loads(points, body(x, y))
     loads_elsewhere = static_loads([moved(*p) for p in points], body(*moved(x, y)))
     assert loads_elsewhere == pytest.approx(loads_at_origin, rel=1e-6, abs=1e-6)
-
-
-# -- contact ------------------------------------------------------------------------------
-
-
-@settings(deadline=None, max_examples=100)
-@given(
-    st.floats(-math.pi, math.pi),
-    st.floats(-1.2, 1.2),
-    st.floats(0.05, 1.0),
-)
-def test_the_lowest_point_is_on_the_middle_circle(yaw: float, camber: float, radius: float) -> None:
-    axis = (
-        -math.sin(yaw) * math.cos(camber),
-        math.cos(yaw) * math.cos(camber),
-        math.sin(camber),
-    )
-    lowest = np.array(lowest_point((1.0, 2.0, 3.0), axis, radius)) - [1.0, 2.0, 3.0]
-    assert np.linalg.norm(lowest) == pytest.approx(radius)
-    assert lowest @ np.array(axis) == pytest.approx(0.0, abs=1e-9)
-    # No other point of the circle is lower.
-    across = np.cross(axis, lowest)
-    for angle in np.linspace(0, 2 * math.pi, 60):
-        point_of_circle = math.cos(angle) * lowest + math.sin(angle) * across
-        assert point_of_circle[2] >= lowest[2] - 1e-9
