@@ -1,4 +1,4 @@
-"""A small CANopen master for tests: it shares no code with the devices."""
+"""A small CANopen master for tests.  It shares no code with the simulated devices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
 
 class Refused(Exception):
-    """An SDO transfer was aborted, with this code."""
+    """The node aborted an SDO transfer with this code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"{code:#010x}")
@@ -17,44 +17,44 @@ class Refused(Exception):
 
 
 class Master:
-    def __init__(self, client: VirtualTimeInterface) -> None:
-        self.client = client
+    def __init__(self, interface: VirtualTimeInterface) -> None:
+        self.interface = interface
 
     def wait(self, identifier: int, timeout: float = 0.1) -> bytes | None:
-        """The data of the next frame of that identifier; what comes before it is dropped."""
-        limit = self.client.now + timeout
-        while (left := limit - self.client.now) > 0.0:
-            found = self.client.receive(left)
-            if found is None:
+        """Returns the data of the next frame with this identifier; drops earlier frames."""
+        limit = self.interface.now + timeout
+        while (left := limit - self.interface.now) > 0.0:
+            received = self.interface.receive(left)
+            if received is None:
                 return None
-            if found.frame.id == identifier:
-                return found.frame.data
+            if received.frame.id == identifier:
+                return received.frame.data
         return None
 
     def all(self, identifier: int, time: float) -> list[bytes]:
-        """The data of every frame of that identifier for so long."""
-        self.client.sleep(time)
-        found = [r.frame.data for r in self.client.received if r.frame.id == identifier]
-        self.client.received.clear()
-        return found
+        """Returns the data of all frames with this identifier in the next ``time`` s."""
+        self.interface.sleep(time)
+        data = [r.frame.data for r in self.interface.received if r.frame.id == identifier]
+        self.interface.received.clear()
+        return data
 
     def send(self, identifier: int, data: bytes) -> None:
-        assert self.client.send(CanFrame(identifier, data))
+        assert self.interface.send(CanFrame(identifier, data))
 
-    def ask(self, identifier: int, data: bytes, answer: int) -> bytes:
-        self.client.received.clear()
+    def request(self, identifier: int, data: bytes, answer: int) -> bytes:
+        self.interface.received.clear()
         self.send(identifier, data)
-        found = self.wait(answer)
-        assert found is not None, "no answer"
-        return found
+        response = self.wait(answer)
+        assert response is not None, "no answer"
+        return response
 
     def nmt(self, command: int, node: int = 0) -> None:
         self.send(0x000, bytes([command, node]))
 
     def read(self, node: int, index: int, subindex: int = 0) -> bytes:
-        """An SDO upload, expedited or in segments."""
-        ask = 0x600 + node, 0x580 + node
-        reply = self.ask(ask[0], struct.pack("<BHB4x", 0x40, index, subindex), ask[1])
+        """Reads an object by SDO, expedited or in segments."""
+        ids = 0x600 + node, 0x580 + node
+        reply = self.request(ids[0], struct.pack("<BHB4x", 0x40, index, subindex), ids[1])
         if reply[0] == 0x80:
             raise Refused(struct.unpack_from("<I", reply, 4)[0])
         assert struct.unpack_from("<HB", reply, 1) == (index, subindex)
@@ -63,7 +63,7 @@ class Master:
         size = struct.unpack_from("<I", reply, 4)[0]
         data, toggle = b"", 0
         while True:
-            reply = self.ask(ask[0], bytes([0x60 | toggle << 4]) + bytes(7), ask[1])
+            reply = self.request(ids[0], bytes([0x60 | toggle << 4]) + bytes(7), ids[1])
             if reply[0] == 0x80:
                 raise Refused(struct.unpack_from("<I", reply, 4)[0])
             assert reply[0] >> 4 & 1 == toggle
@@ -77,18 +77,18 @@ class Master:
         return int.from_bytes(self.read(node, index, subindex), "little", signed=signed)
 
     def write(self, node: int, index: int, subindex: int, value: int, size: int) -> None:
-        """An expedited SDO download."""
+        """Writes an object by expedited SDO download."""
         head = 0x23 | (4 - size) << 2
         data = (value & (1 << 8 * size) - 1).to_bytes(4, "little")
         request = struct.pack("<BHB", head, index, subindex) + data
-        reply = self.ask(0x600 + node, request, 0x580 + node)
+        reply = self.request(0x600 + node, request, 0x580 + node)
         if reply[0] == 0x80:
             raise Refused(struct.unpack_from("<I", reply, 4)[0])
         assert reply[0] == 0x60
 
     def lss(self, command: int, value: int = 0, more: bytes = b"") -> bytes | None:
-        """An LSS request; the first answer, if any, with time for the others'."""
-        self.client.received.clear()
+        """Sends an LSS request, waits for all responses, and returns the first."""
+        self.interface.received.clear()
         self.send(0x7E5, (struct.pack("<BI", command, value) + more).ljust(8, b"\0"))
         answers = self.all(0x7E4, 0.03)
         return answers[0] if answers else None

@@ -1,4 +1,4 @@
-"""Robots with buses, compiled from the library once for all tests of the simulated bus."""
+"""Robots with buses, compiled once for all tests of the simulated bus."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def compiled(text: str) -> Robot:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.yaml"
         path.write_text(text, encoding="utf-8")
-        done = compile_file(path)
-    assert isinstance(done.model, Robot), list(done.report)
-    return done.model
+        compilation = compile_file(path)
+    assert isinstance(compilation.model, Robot), list(compilation.report)
+    return compilation.model
 
 
 def cia402_robot() -> Robot:
-    """Four steered drives after CiA 402, an IO board, a battery, a foreign device."""
+    """Returns a robot with four CiA 402 drives, an IO board, a battery and a foreign device."""
     return compiled(CIA402)

@@ -1,4 +1,4 @@
-"""What every CANopen device does: states, heartbeats, SDO, emergencies, LSS, storing."""
+"""CANopen devices: NMT states, heartbeats, SDO, emergencies, LSS and storing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def profile(serial: int | None = 0x1001, **more: Any) -> DeviceDescription:
 
 
 class Bench:
-    """A wire with a master and devices with ids as given."""
+    """A wire with a master and one device for each id."""
 
     def __init__(self, *ids: int, **more: Any) -> None:
         self.wire = Wire(Timeline(), RATE)
@@ -39,10 +39,10 @@ class Bench:
         self.boots = self.sleep(0.15)
 
     def sleep(self, seconds: float) -> list[tuple[int, bytes]]:
-        """Let time run; what came meanwhile."""
-        self.master.client.sleep(seconds)
-        found = [(r.frame.id, r.frame.data) for r in self.master.client.received]
-        self.master.client.received.clear()
+        """Lets time run; returns identifier and data of the frames received meanwhile."""
+        self.master.interface.sleep(seconds)
+        found = [(r.frame.id, r.frame.data) for r in self.master.interface.received]
+        self.master.interface.received.clear()
         return found
 
 
@@ -56,9 +56,9 @@ def test_boot_up_then_heartbeats() -> None:
     bench.master.nmt(2)
     assert bench.sleep(0.1)[-1] == (0x705, b"\4")
     bench.master.nmt(1, 6)
-    assert bench.sleep(0.1)[-1] == (0x705, b"\4"), "another node was meant"
+    assert bench.sleep(0.1)[-1] == (0x705, b"\4"), "the command is for another node"
     bench.master.nmt(129, 5)
-    assert bench.sleep(0.25)[:1] == [(0x705, b"\0")], "boots anew"
+    assert bench.sleep(0.25)[:1] == [(0x705, b"\0")], "it boots again"
 
 
 def test_heartbeat_period_is_an_object() -> None:
@@ -90,7 +90,7 @@ def test_sdo_reads_small_and_large() -> None:
         (0x1010, 1, 1, 4, 0x08000020),  # not the signature
     ],
 )
-def test_sdo_refuses_with_the_code_of_the_standard(
+def test_sdo_aborts_with_the_code_of_the_standard(
     index: int, subindex: int, value: int, size: int, code: int
 ) -> None:
     bench = Bench(5)
@@ -101,7 +101,7 @@ def test_sdo_refuses_with_the_code_of_the_standard(
 
 def test_sdo_block_transfer_is_refused_with_its_code() -> None:
     bench = Bench(5)
-    reply = bench.master.ask(0x605, struct.pack("<BHB4x", 0xA0, 0x1008, 0), 0x585)
+    reply = bench.master.request(0x605, struct.pack("<BHB4x", 0xA0, 0x1008, 0), 0x585)
     assert reply[0] == 0x80
     assert struct.unpack_from("<I", reply, 4)[0] == 0x05040001
 
@@ -114,7 +114,7 @@ def test_a_stopped_node_does_not_answer_sdo() -> None:
     assert bench.master.wait(0x585) is None
 
 
-def test_parameters_last_only_when_they_are_saved() -> None:
+def test_parameters_survive_only_when_they_are_saved() -> None:
     bench = Bench(5)
     bench.master.write(5, 0x1017, 0, 250, 2)
     bench.devices[0].power_off()
@@ -134,16 +134,16 @@ def test_parameters_last_only_when_they_are_saved() -> None:
     assert bench.master.number(5, 0x1017) == 100
 
 
-def test_the_answer_to_save_comes_when_it_is_saved() -> None:
+def test_the_response_to_save_follows_the_write() -> None:
     bench = Bench(5)
-    before = bench.master.client.now
+    before = bench.master.interface.now
     bench.master.write(5, 0x1010, 1, SAVE, 4)
-    assert bench.master.client.now - before > bench.devices[0].write_time
+    assert bench.master.interface.now - before > bench.devices[0].write_time
 
 
 @pytest.mark.parametrize("torn", [False, True])
 def test_power_lost_while_writing(torn: bool) -> None:
-    """The old values are there still, or none where writes may be torn."""
+    """The memory contains the old values, or none with torn writes."""
     bench = Bench(5)
     device = bench.devices[0]
     device.torn_writes = torn
@@ -163,16 +163,16 @@ def test_heartbeat_consumer() -> None:
     bench.sleep(1.0)
     assert device.state is NmtState.OPERATIONAL
     bench.devices[1].heartbeat_stopped = True
-    at = bench.master.client.now
+    at = bench.master.interface.now
     found = bench.master.wait(0x085, 1.0)
     assert found is not None
     assert struct.unpack_from("<H", found)[0] == 0x8130
-    assert 0.15 < bench.master.client.now - at < 0.30
-    assert device.state is NmtState.PRE_OPERATIONAL, "what 0x1029 says by default"
+    assert 0.15 < bench.master.interface.now - at < 0.30
+    assert device.state is NmtState.PRE_OPERATIONAL, "default of 0x1029"
     assert bench.master.number(5, 0x1001) & 0x10
 
 
-def test_what_0x1029_says_of_a_lost_heartbeat() -> None:
+def test_0x1029_defines_the_reaction_to_a_lost_heartbeat() -> None:
     for reaction, state in ((1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)):
         bench = Bench(5, 6)
         bench.master.write(5, 0x1029, 1, reaction, 1)
@@ -184,7 +184,7 @@ def test_what_0x1029_says_of_a_lost_heartbeat() -> None:
         assert bench.devices[0].state is state
 
 
-def test_errors_are_told_and_remembered() -> None:
+def test_errors_are_reported_and_recorded() -> None:
     bench = Bench(5)
     bench.devices[0].emergency(0x3210, 0x04, b"\x11\x22")
     found = bench.master.wait(0x085)
@@ -208,7 +208,7 @@ def test_bus_off_and_back() -> None:
 
 
 def test_two_nodes_with_one_id_answer_twice_and_without_an_error() -> None:
-    """Duplicates do not announce themselves: other nodes answer once, this id twice."""
+    """Duplicates cause no error on the bus: other nodes answer once, this id twice."""
     bench = Bench(5, 6, 6)
     assert sorted(bench.boots) == [(0x705, b"\0"), (0x706, b"\0"), (0x706, b"\0")]
     answers = {}
@@ -217,7 +217,7 @@ def test_two_nodes_with_one_id_answer_twice_and_without_an_error() -> None:
             bench.master.send(0x600 + node, struct.pack("<BHB4x", 0x40, 0x1018, subindex))
             answers[node, subindex] = bench.master.all(0x580 + node, 0.02)
     assert [len(answers[5, i]) for i in (1, 4)] == [1, 1]
-    assert len(answers[6, 1]) == 2, "equal, but seldom at the same instant"
+    assert len(answers[6, 1]) == 2, "equal, but rarely at the same time"
     serials = [struct.unpack_from("<I", data, 4)[0] for data in answers[6, 4]]
     assert sorted(serials) == [0x1002, 0x1003], "an identity that changes"
     assert bench.wire.errors == 0
@@ -228,14 +228,14 @@ def test_two_nodes_with_one_id_answer_twice_and_without_an_error() -> None:
 # -- LSS ------------------------------------------------------------------------------------
 
 
-def test_lss_changes_an_id_at_the_reset_and_keeps_it_when_stored() -> None:
+def test_an_lss_id_takes_effect_at_the_reset_and_survives_when_stored() -> None:
     bench = Bench(5, 6)
     master, device = bench.master, bench.devices[0]
     assert not master.select(0x469, 2, 3, 0x9999)
     assert master.select(0x469, 2, 3, 0x1001)
     assert master.lss(0x5E) == b"\x5e\x05" + bytes(6)
     assert master.lss(0x5D) == b"\x5d" + struct.pack("<I", 0x1001) + bytes(3)
-    assert master.lss(0x11, 200) == b"\x11\x01" + bytes(6), "no id"
+    assert master.lss(0x11, 200) == b"\x11\x01" + bytes(6), "not a valid id"
     assert master.lss(0x11, 7) == b"\x11\x00" + bytes(6)
     assert device.node_id == 5, "pending"
     assert master.lss(0x17) == b"\x17\x00" + bytes(6)
@@ -248,7 +248,7 @@ def test_lss_changes_an_id_at_the_reset_and_keeps_it_when_stored() -> None:
     assert (0x707, b"\0") in bench.sleep(0.2)
 
 
-def test_an_id_that_is_not_stored_is_gone_with_the_power() -> None:
+def test_an_id_that_is_not_stored_is_lost_with_the_power() -> None:
     bench = Bench(5)
     assert bench.master.select(0x469, 2, 3, 0x1001)
     bench.master.lss(0x11, 7)
@@ -262,7 +262,7 @@ def test_an_id_that_is_not_stored_is_gone_with_the_power() -> None:
     assert bench.devices[0].node_id == 5
 
 
-def test_an_unconfigured_node_is_silent_and_takes_its_id_at_once() -> None:
+def test_an_unconfigured_node_is_silent_and_its_first_id_needs_no_reset() -> None:
     bench = Bench(255)
     assert bench.boots == []
     assert bench.master.lss(0x4C) == b"\x50" + bytes(7)
@@ -291,21 +291,21 @@ def test_identify_by_ranges() -> None:
 
 
 def fastscan(master: Master) -> list[int] | None:
-    """CiA 305: bit by bit, the lowest of all identities."""
+    """Finds the lowest of all identities bit by bit (CiA 305)."""
 
-    def ask(number: int, bit: int, part: int, following: int) -> bool:
+    def request(number: int, bit: int, part: int, following: int) -> bool:
         more = bytes([bit, part, following])
         return master.lss(0x51, number, more) == b"\x4f" + bytes(7)
 
-    if not ask(0, 0x80, 0, 0):
+    if not request(0, 0x80, 0, 0):
         return None
     found = []
     for part in range(4):
         number = 0
         for bit in reversed(range(32)):
-            if not ask(number, bit, part, part):
+            if not request(number, bit, part, part):
                 number |= 1 << bit
-        assert ask(number, 0, part, (part + 1) % 4)
+        assert request(number, 0, part, (part + 1) % 4)
         found.append(number)
     return found
 
@@ -317,7 +317,7 @@ def test_fastscan_finds_unconfigured_nodes_one_by_one() -> None:
         identity = fastscan(bench.master)
         assert identity is not None
         found.append(identity)
-        assert bench.master.lss(0x5E) == b"\x5e\xff" + bytes(6), "one alone is in configuration"
+        assert bench.master.lss(0x5E) == b"\x5e\xff" + bytes(6), "exactly one is in configuration"
         bench.master.lss(0x11, node_id)
         bench.master.lss(0x04, 0)
         bench.sleep(0.05)
@@ -326,7 +326,7 @@ def test_fastscan_finds_unconfigured_nodes_one_by_one() -> None:
     assert [device.node_id for device in bench.devices] == [11, 7, 12]
 
 
-def test_another_bitrate_is_taken_on_together() -> None:
+def test_all_devices_change_the_bitrate_at_the_same_time() -> None:
     bench = Bench(5, 6)
     master = bench.master
     master.lss(0x04, 1)
@@ -337,8 +337,8 @@ def test_another_bitrate_is_taken_on_together() -> None:
     master.lss(0x17)
     master.send(0x7E5, b"\x15" + struct.pack("<H", 100) + bytes(5))
     bench.sleep(0.1)
-    master.client.controller.bitrate = 250_000
-    master.client.restart()
+    master.interface.controller.bitrate = 250_000
+    master.interface.restart()
     assert [i for i, _ in bench.sleep(0.2)].count(0x705) <= 1, "silent for another 100 ms"
     master.lss(0x04, 0)
     assert master.number(5, 0x1018, 4) == 0x1001
@@ -354,7 +354,7 @@ def test_a_device_without_a_serial_number_has_no_lss() -> None:
     master = Master(VirtualTimeInterface(wire, "master"))
     device = CanopenDevice("d", wire, RATE, 5, profile(None))
     device.power_on()
-    master.client.sleep(0.2)
+    master.interface.sleep(0.2)
     assert master.number(5, 0x1018, 0) == 3
     with pytest.raises(Refused):
         master.read(5, 0x1018, 4)

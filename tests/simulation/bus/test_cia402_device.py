@@ -1,4 +1,4 @@
-"""A drive after CiA 402, driven by its objects as any drive would be."""
+"""A CiA 402 drive, controlled through its objects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 NODE = 10
-COUNT = 4 * 1024 * 42 / math.tau  # counts for a rad
+COUNT = 4 * 1024 * 42 / math.tau  # counts per rad
 TOP, ACCELERATION = 7.0, 7.5
 STOP = math.pi
 LIMIT = 3.078
@@ -37,7 +37,7 @@ STATES = {
 
 
 class Drive:
-    """A drive with a motor between stops half a turn away, and its master."""
+    """A drive and its master; the motor has mechanical stops half a turn to either side."""
 
     def __init__(self, position: float = 0.0, **more: Any) -> None:
         self.wire = Wire(Timeline())
@@ -60,12 +60,12 @@ class Drive:
         )
         self.axis = self.device.axes[0]
         self.device.power_on()
-        self.master.client.sleep(0.2)
+        self.master.interface.sleep(0.2)
         self.master.nmt(1)
 
     def sleep(self, seconds: float) -> None:
-        self.master.client.sleep(seconds)
-        self.master.client.received.clear()
+        self.master.interface.sleep(seconds)
+        self.master.interface.received.clear()
 
     def set(self, index: int, value: float, size: int = 4, subindex: int = 0) -> None:
         self.master.write(NODE, index, subindex, round(value), size)
@@ -98,7 +98,7 @@ class Drive:
 # -- states -------------------------------------------------------------------------------
 
 
-def test_the_way_to_operation_enabled() -> None:
+def test_the_sequence_to_operation_enabled() -> None:
     drive = Drive()
     found = [drive.state]
     for word in (SWITCH_ON, SHUTDOWN, SWITCH_ON, ENABLE, SWITCH_ON, SHUTDOWN, ENABLE, DISABLE):
@@ -107,18 +107,18 @@ def test_the_way_to_operation_enabled() -> None:
         found.append(drive.state)
     assert found == [
         "switch on disabled",
-        "switch on disabled",  # not by this word
+        "switch on disabled",  # this word is not allowed here
         "ready to switch on",
         "switched on",
         "operation enabled",
         "switched on",
         "ready to switch on",
-        "operation enabled",  # both at once, as newer editions of CiA 402 allow
+        "operation enabled",  # two transitions in one, as newer editions of CiA 402 allow
         "switch on disabled",
     ]
 
 
-def test_quick_stop_ramps_and_lets_go() -> None:
+def test_quick_stop_ramps_and_switches_off() -> None:
     drive = Drive()
     drive.enable(3)
     drive.set(0x60FF, 2.0 * COUNT)
@@ -134,7 +134,7 @@ def test_quick_stop_ramps_and_lets_go() -> None:
     assert drive.state == "switch on disabled"
 
 
-def test_quick_stop_that_stays() -> None:
+def test_quick_stop_that_stays_enabled() -> None:
     drive = Drive()
     drive.set(0x605A, 6, 2)
     drive.enable(3)
@@ -173,8 +173,8 @@ def test_nothing_moves_while_it_is_not_enabled() -> None:
         (3, "switch on disabled", 0.0),
     ],
 )
-def test_what_it_does_when_the_master_is_lost(option: int, state: str, speed: float) -> None:
-    """Object 0x6007, by a heartbeat of the master that stays away (0x1016)."""
+def test_reaction_to_a_lost_master(option: int, state: str, speed: float) -> None:
+    """Object 0x6007 defines the reaction to a missing heartbeat of the master (0x1016)."""
     drive = Drive()
     drive.set(0x6007, option, 2)
     drive.set(0x1029, 1, 1, subindex=1)
@@ -190,7 +190,7 @@ def test_what_it_does_when_the_master_is_lost(option: int, state: str, speed: fl
     assert drive.joint[1] == pytest.approx(speed, abs=1e-3)
 
 
-def test_a_fault_needs_a_reset_that_rises() -> None:
+def test_a_fault_reset_needs_a_rising_edge() -> None:
     drive = Drive()
     drive.enable(3)
     drive.axis.fail(0x2310)
@@ -244,7 +244,7 @@ def test_profile_velocity_ramps_by_its_accelerations() -> None:
     assert drive.word & 1 << 12, "speed is zero"
 
 
-def test_speed_is_limited_and_says_so() -> None:
+def test_speed_is_limited_and_the_status_word_reports_it() -> None:
     drive = Drive()
     drive.set(0x607F, 0.5 * COUNT)
     drive.enable(3)
@@ -267,7 +267,7 @@ def test_software_limits_end_a_motion() -> None:
     assert drive.joint[1] == pytest.approx(-1.0, abs=0.01), "back is allowed"
 
 
-def test_without_limits_the_stops_hold_and_it_is_a_fault() -> None:
+def test_without_limits_the_mechanical_stop_causes_a_fault() -> None:
     drive = Drive(lower=None, upper=None)
     drive.enable(3)
     drive.set(0x60FF, 2.0 * COUNT)
@@ -295,7 +295,7 @@ def test_profile_position_moves_and_arrives() -> None:
     assert drive.get(0x6064) == pytest.approx(COUNT, abs=1)
 
 
-def test_profile_position_by_steps_and_at_once() -> None:
+def test_profile_position_in_sequence_and_immediately() -> None:
     drive = Drive()
     drive.set(0x6081, 2.0 * COUNT)
     drive.enable(1)
@@ -312,14 +312,14 @@ def test_profile_position_by_steps_and_at_once() -> None:
     drive.set(0x607A, 0.5 * COUNT)
     drive.control(ENABLE | 0x30)
     drive.sleep(1.2)
-    assert drive.joint[0] == pytest.approx(0.5, abs=1e-3), "at once, from where it was"
+    assert drive.joint[0] == pytest.approx(0.5, abs=1e-3), "immediately, from the present position"
     drive.control(ENABLE)
     drive.control(ENABLE | 0x50)
     drive.sleep(1.2)
-    assert drive.joint[0] == pytest.approx(1.0, abs=1e-3), "relative to the target before"
+    assert drive.joint[0] == pytest.approx(1.0, abs=1e-3), "relative to the previous target"
 
 
-def test_profile_position_halts_and_goes_on() -> None:
+def test_profile_position_halts_and_continues() -> None:
     drive = Drive()
     drive.set(0x6081, 1.0 * COUNT)
     drive.enable(1)
@@ -347,7 +347,7 @@ def test_a_target_beyond_the_limit_ends_at_it() -> None:
 
 
 def cyclic(drive: Drive, targets: list[float]) -> list[tuple[int, int]]:
-    """A control cycle for each target: RPDO, SYNC; the status and positions that come back."""
+    """Runs one control cycle per target (RPDO, SYNC); returns the reported status and position."""
     found = []
     for target in targets:
         drive.master.send(0x20A, struct.pack("<Hi", ENABLE, round(target * COUNT)))
@@ -396,7 +396,7 @@ def test_no_window_no_following_error() -> None:
 
 
 @pytest.mark.parametrize("what", ["blocked", "frozen"])
-def test_a_speed_that_does_not_come_is_a_fault(what: str) -> None:
+def test_a_speed_that_is_not_reached_is_a_fault(what: str) -> None:
     drive = Drive()
     drive.enable(9)
     if what == "blocked":
@@ -419,7 +419,7 @@ def test_cyclic_velocity_needs_no_sync_by_an_event_driven_pdo() -> None:
     assert drive.joint[1] == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_brake_opens_before_it_moves() -> None:
+def test_the_brake_opens_before_the_motor_moves() -> None:
     plain, braked = Drive(), Drive(brake=True)
     for drive in (plain, braked):
         drive.set(0x6060, 9, 1)
@@ -439,7 +439,7 @@ def test_the_brake_opens_before_it_moves() -> None:
     ("method", "home"), [(17, -LIMIT), (18, LIMIT), (-1, -STOP), (-2, STOP), (37, 0.7)]
 )
 def test_homing_finds_zero(method: int, home: float) -> None:
-    """It was switched on anywhere; afterwards it counts from where the offset says."""
+    """The drive starts at any position; after homing it counts from home position plus offset."""
     drive = Drive(position=0.7)
     assert drive.get(0x6064) == 0
     drive.set(0x6098, method & 0xFF, 1)
@@ -455,7 +455,7 @@ def test_homing_finds_zero(method: int, home: float) -> None:
     assert drive.get(0x6064) / COUNT == pytest.approx(joint, abs=0.01)
 
 
-def test_a_homing_method_that_it_lacks_is_an_error() -> None:
+def test_an_unsupported_homing_method_is_an_error() -> None:
     drive = Drive()
     drive.set(0x6098, 5, 1)
     drive.enable(6)
@@ -465,7 +465,7 @@ def test_a_homing_method_that_it_lacks_is_an_error() -> None:
     assert drive.joint == (0.0, 0.0)
 
 
-def test_homing_is_forgotten_with_the_power() -> None:
+def test_a_loss_of_power_loses_the_home_position() -> None:
     drive = Drive(position=0.7)
     drive.set(0x6098, 37, 1)
     drive.enable(6)

@@ -1,4 +1,4 @@
-"""FaultInjector by a script: what is seen on the bus of each, when it comes and when it goes."""
+"""Injected faults of a script: the effect of each on the bus, its beginning and its end."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ FL = "fl_controller"
 
 
 class Run:
-    """The bus with drives after CiA 402 (ids 1 to 4), and faults on it."""
+    """A bus with CiA 402 drives (ids 1 to 4) and injected faults."""
 
     def __init__(self, *faults: BusFault, robot: Robot | None = None, seed: int = 0) -> None:
         self.simulated = SimulatedRobot(robot or cia402_robot(), seed=seed)
         self.master = Master(self.simulated.interface(receive_limit=100_000))
-        self.said: list[tuple[float, str, bool]] = []
+        self.reports: list[tuple[float, str, bool]] = []
         self.faults = FaultInjector(
             self.simulated,
             BusFaults(faults),
-            lambda time, fault, begins: self.said.append((time, fault.kind, begins)),
+            lambda time, fault, begins: self.reports.append((time, fault.kind, begins)),
         )
         self.simulated.power_on()
 
     def beats(self, node: int, seconds: float) -> int:
-        """Heartbeats of a node in the time that follows."""
+        """Returns the number of heartbeats of a node in the next ``seconds``."""
         return len(self.master.all(0x700 + node, seconds))
 
 
@@ -47,24 +47,24 @@ def fault(kind: str, node: str | None = FL, at: float | None = 1.0, **more: Any)
     return BusFault(kind, "main", node, at, more.pop("frame", None), SPAN, **more)
 
 
-def test_power_cut_of_one_and_back() -> None:
+def test_power_cut_of_one_device_and_back() -> None:
     run = Run(fault("power_cut", duration=1.0))
     run.simulated.run(1.0)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     assert run.beats(1, 0.9) == 0
     run.simulated.run(0.1)
     boots = run.master.all(0x701, 0.3)
     assert boots[0] == b"\0"
-    assert run.said == [(1.0, "power_cut", True), (2.0, "power_cut", False)]
+    assert run.reports == [(1.0, "power_cut", True), (2.0, "power_cut", False)]
 
 
 def test_power_cut_of_the_whole_bus() -> None:
     run = Run(fault("power_cut", None, duration=1.0))
     run.simulated.run(1.001)
     assert not any(device.powered for device in run.simulated.devices.values())
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     run.simulated.run(0.9)
-    assert len(run.master.client.received) == 0
+    assert len(run.master.interface.received) == 0
     run.simulated.run(0.2)
     assert all(device.powered for device in run.simulated.devices.values())
 
@@ -81,27 +81,27 @@ def test_a_delay_after_a_frame() -> None:
     run = Run(fault("power_cut", None, at=None, frame=10, delay=0.005))
     run.simulated.run(2.0)
     assert run.simulated.wire().frames >= 10
-    time, _, _ = run.said[0]
+    time, _, _ = run.reports[0]
     assert 0.0 < time < 2.0
 
 
 def test_mute_and_heartbeat_stop() -> None:
     run = Run(fault("mute", duration=1.0), fault("heartbeat_stop", "fr_controller", duration=1.0))
     run.simulated.run(1.0)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     assert run.beats(1, 0.99) == run.beats(2, 0.0) == 0
     run.simulated.run(0.01)
     assert run.beats(1, 1.0) == 10
     again = Run(fault("heartbeat_stop"))
     again.simulated.run(1.05)
-    again.master.client.received.clear()
-    assert again.master.number(1, 0x1018, 4) == 0x101, "it is there, but does not say so"
+    again.master.interface.received.clear()
+    assert again.master.number(1, 0x1018, 4) == 0x101, "it answers, without heartbeats"
 
 
 def test_duplicate_id() -> None:
     run = Run(fault("duplicate_id", id=2))
     run.simulated.run(1.3)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     run.master.send(0x602, struct.pack("<BHB4x", 0x40, 0x1018, 4))
     found = {struct.unpack_from("<I", data, 4)[0] for data in run.master.all(0x582, 0.02)}
     assert found == {0x101, 0x102}
@@ -110,17 +110,17 @@ def test_duplicate_id() -> None:
 def test_babble_takes_the_bus() -> None:
     run = Run(fault("babble", cob_id=0x001, period=150e-6, duration=1.0))
     run.simulated.run(1.0)
-    run.master.client.received.clear()
-    assert run.beats(2, 1.0) <= 1, "nothing of lower priority gets through"
+    run.master.interface.received.clear()
+    assert run.beats(2, 1.0) <= 1, "frames of lower priority must wait"
     run.simulated.run(0.1)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     assert run.beats(2, 1.0) == 10
 
 
 def test_emcy() -> None:
     run = Run(fault("emcy", code=0x2310, register=2))
     run.simulated.run(0.99)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     found = run.master.wait(0x081, 0.1)
     assert found is not None
     assert struct.unpack_from("<HB", found) == (0x2310, 3)
@@ -141,19 +141,19 @@ def test_motors_and_encoders(kind: str) -> None:
     assert flags == (0x99 if kind == "frozen_encoder" else 0x19)
 
 
-def test_wrong_bitrate_is_cured_by_going_back() -> None:
+def test_wrong_bitrate_ends_with_the_right_one() -> None:
     run = Run(fault("wrong_bitrate", bitrate=250_000, duration=2.0))
     run.simulated.run(1.0)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     assert run.beats(1, 1.9) == 0
     assert run.simulated.wire().errors > 10
     run.simulated.run(0.5)
-    run.master.client.received.clear()
+    run.master.interface.received.clear()
     assert run.beats(1, 1.0) == 10
     assert run.beats(2, 1.0) == 10
 
 
-def test_bus_off_comes_back_by_itself() -> None:
+def test_bus_off_recovers_automatically() -> None:
     run = Run(fault("bus_off"))
     states: list[ErrorState] = []
     controller = run.simulated.devices[FL].controller
@@ -169,7 +169,7 @@ def test_bus_off_comes_back_by_itself() -> None:
     assert states == [ErrorState.BUS_OFF, ErrorState.ACTIVE]
 
 
-def test_lost_frames_are_lost_for_the_receiver_alone() -> None:
+def test_lost_frames_affect_one_receiver_only() -> None:
     run = Run(fault("lost_frames", at=0.5, cob_id=0x601, share=1.0, duration=1.0))
     run.simulated.run(0.6)
     run.master.send(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0))
@@ -240,14 +240,14 @@ def test_the_example_is_read() -> None:
         ("  - {fault: mute, node: fl_controller, at: 1 kg}", "wrong-dimension"),
     ],
 )
-def test_what_is_wrong_in_a_document_is_said(text: str, code: str, tmp_path: Path) -> None:
+def test_errors_in_a_document_are_reported(text: str, code: str, tmp_path: Path) -> None:
     script, said = read(text, tmp_path)
     assert code in [name for name, _ in said], said
     assert script is None
 
 
-def test_every_kind_of_fault_can_be_struck() -> None:
-    """All of the schema's kinds are known, and do something or raise nothing."""
+def test_every_kind_of_fault_can_be_injected() -> None:
+    """The injector knows every kind of the schema."""
     more: dict[str, Any] = {
         "id": 9, "cob_id": 0x400, "period": 0.01, "code": 0x1000, "channel": "steering",
         "bitrate": 125_000, "share": 0.5,
@@ -258,6 +258,6 @@ def test_every_kind_of_fault_can_be_struck() -> None:
     ]
     run = Run(*faults)
     run.simulated.run(3.0)
-    begun = [kind for _, kind, begins in run.said if begins]
+    begun = [kind for _, kind, begins in run.reports if begins]
     assert begun == list(FAULT_KINDS)
     assert [f.kind for f in run.faults.active] == ["duplicate_id", "emcy", "bus_off"]

@@ -1,4 +1,4 @@
-"""The simulated bus under python-can and canopen, which know nothing of it."""
+"""The simulated bus with python-can and canopen, both unchanged."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_two_buses_on_a_wire(wire: Wire) -> None:
         got = b.recv(1.0)
         assert got is not None
         assert got.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
-        assert 0.0 < got.timestamp < 0.001, "virtual: it takes its bits and no more"
+        assert 0.0 < got.timestamp < 0.001, "virtual time: the duration of its bits"
         assert a.recv(0.0) is None
         assert a.state is can.BusState.ACTIVE
 
@@ -100,7 +100,7 @@ def test_own_messages_and_remote_frames(wire: Wire) -> None:
 
 
 def test_a_full_queue_and_bus_off_are_errors_of_python_can(wire: Wire) -> None:
-    with interface.SimulatedBus(wire) as bus:  # alone: nobody acknowledges
+    with interface.SimulatedBus(wire) as bus:  # alone on the bus: no acknowledge
         for _ in range(32):
             bus.send(message(0x100))
         assert isinstance(bus.interface, VirtualTimeInterface)
@@ -137,7 +137,7 @@ def test_cyclic_sending_is_virtual(wire: Wire) -> None:
         assert b.recv(0.1) is None
 
 
-# -- by the clock, over a socket ---------------------------------------------------------------
+# -- in real time, over a socket ---------------------------------------------------------------
 
 
 @pytest.fixture
@@ -178,12 +178,12 @@ def test_canopen_reads_and_writes_our_objects(robot: tuple[SimulatedRobot, str])
 
 
 def test_canopen_scans_for_nodes(robot: tuple[SimulatedRobot, str]) -> None:
-    """It sends 127 requests in one go, far more than a controller's queue holds."""
+    """It sends 127 requests in a row, more than the queue of a controller holds."""
     with canopen.Network() as network:
         network.connect(interface="thorvaldc_sim", channel=robot[1])
         network.scanner.search()
         time.sleep(0.3)
-        # Frames of batteries look like PDOs to it, of nodes that there are not.
+        # It takes frames of batteries for PDOs of nodes that do not exist.
         assert {1, 4} <= set(network.scanner.nodes)
 
 
@@ -202,9 +202,9 @@ def test_lss_master_of_canopen(robot: tuple[SimulatedRobot, str]) -> None:
         master.send_switch_state_global(master.WAITING_STATE)
         network.nmt.send_command(0x82)
         master.RESPONSE_TIMEOUT = 0.15
-        # Two have no id: fastscan finds first the one with the lower serial number.
+        # Two devices have no id: fastscan finds the one with the lower serial number first.
         for serial, node_id in ((0x102, 12), (0x103, 13)):
-            # An answer that comes too late, on a machine that is busy, is none: it asks again.
+            # On a busy machine a response can come too late: repeat.
             found, identity = next(
                 (scan for scan in (master.fast_scan() for _ in range(3)) if scan[0]), (False, None)
             )
@@ -227,7 +227,7 @@ def test_several_programs_on_one_bus(wire: Wire, channel: str) -> None:
             for k in range(200):
                 buses[k % 3].send(message(k, bytes([k])), timeout=1.0)
             for i, bus in enumerate(buses):
-                # In the order of arbitration, not in that of sending.
+                # In the order of arbitration, not of sending.
                 expected = [k for k in range(200) if k % 3 != i]
                 got = [m for m in (bus.recv(5.0) for _ in expected) if m is not None]
                 assert sorted(m.arbitration_id for m in got) == expected
@@ -237,8 +237,8 @@ def test_several_programs_on_one_bus(wire: Wire, channel: str) -> None:
                 bus.shutdown()
 
 
-def test_a_message_takes_the_time_of_its_bits_by_the_clock(channel: str) -> None:
-    """200 frames of 8 bytes at 50 kbit/s: half a second, as on a real bus."""
+def test_a_message_takes_the_time_of_its_bits_in_real_time(channel: str) -> None:
+    """200 frames of 8 bytes at 50 kbit/s take half a second, as on a real bus."""
     slow = Wire(Timeline(), 50_000)
     with serving(slow.timeline, {channel: slow}):
         a, b = SimulatedBusClient(channel, "a"), SimulatedBusClient(channel, "b")
@@ -253,7 +253,7 @@ def test_a_message_takes_the_time_of_its_bits_by_the_clock(channel: str) -> None
     assert 0.40 < took < 1.5
 
 
-def test_state_is_told_over_the_socket(wire: Wire, channel: str) -> None:
+def test_the_error_state_is_sent_over_the_socket(wire: Wire, channel: str) -> None:
     with (
         serving(wire.timeline, {channel: wire}),
         can.Bus(interface="thorvaldc_sim", channel=channel) as bus,
@@ -266,7 +266,7 @@ def test_state_is_told_over_the_socket(wire: Wire, channel: str) -> None:
         assert bus.state is can.BusState.PASSIVE
 
 
-def test_a_bus_that_is_stopped_says_so(wire: Wire, channel: str) -> None:
+def test_a_stopped_bus_is_reported(wire: Wire, channel: str) -> None:
     with serving(wire.timeline, {channel: wire}):
         bus = can.Bus(interface="thorvaldc_sim", channel=channel)
     with pytest.raises(can.CanOperationError, match="stopped"):
@@ -282,7 +282,7 @@ def test_no_bus_at_a_channel(channel: str) -> None:
         can.Bus(interface="thorvaldc_sim", channel=channel)
 
 
-def test_a_channel_in_use_is_refused_and_a_dead_one_is_not(wire: Wire, channel: str) -> None:
+def test_a_channel_in_use_is_refused_and_a_stale_one_is_replaced(wire: Wire, channel: str) -> None:
     with (
         serving(wire.timeline, {channel: wire}),
         pytest.raises(OSError, match=r"already runs at"),
@@ -294,7 +294,7 @@ def test_a_channel_in_use_is_refused_and_a_dead_one_is_not(wire: Wire, channel: 
         SimulatedBusClient(channel).close()
 
 
-def test_what_is_no_socket_is_left_alone(wire: Wire, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_socket_is_kept(wire: Wire, tmp_path: Path) -> None:
     precious = tmp_path / "robot.yaml"
     precious.write_text("thorvaldc: 1\n", encoding="utf-8")
     with pytest.raises(OSError, match="is not a socket"):
@@ -306,7 +306,7 @@ def test_what_is_no_socket_is_left_alone(wire: Wire, tmp_path: Path) -> None:
 def welcoming(
     channel: str,
 ) -> Iterator[Callable[[bytes], tuple[SimulatedBusClient, socket.socket]]]:
-    """A server that is scripted: it welcomes a client, and says the given in the same breath."""
+    """A scripted server: sends the welcome and more messages in one packet."""
     welcome = pack_json(protocol.WELCOME, {"bitrate": 500_000, "epoch": 0.0, "now": 0})
     with socket.socket(socket.AF_UNIX) as listener, ExitStack() as ends:
         listener.bind(channel)
@@ -330,7 +330,7 @@ def welcoming(
         yield attach
 
 
-def test_frames_that_come_with_the_welcome_are_not_lost(
+def test_frames_after_the_welcome_are_not_lost(
     welcoming: Callable[[bytes], tuple[SimulatedBusClient, socket.socket]],
 ) -> None:
     frames = [interface.CanFrame(k, bytes([k])) for k in range(1, 4)]
@@ -340,17 +340,17 @@ def test_frames_that_come_with_the_welcome_are_not_lost(
     assert [got.frame for got in (client.receive(2.0) for _ in frames) if got] == frames
 
 
-def test_what_is_on_its_way_to_the_server_counts_as_sent(
+def test_frames_on_the_way_to_the_server_count_as_queued(
     welcoming: Callable[[bytes], tuple[SimulatedBusClient, socket.socket]],
 ) -> None:
-    """A change of state tells what the server dropped; it cannot know what is still to come."""
+    """A STATE message reports dropped frames; the server cannot know those on the way to it."""
     client, server = welcoming(b"")
     assert all(client.send(interface.CanFrame(1)) for _ in range(3))
     passive = {"state": "error-passive", "dropped": 0}
     server.sendall(pack_json(protocol.STATE, passive))
     server.sendall(protocol.pack_frame(protocol.FRAME, interface.CanFrame(2)))
     assert client.receive(2.0) is not None
-    assert not client.send(interface.CanFrame(1)), "three are under way"
+    assert not client.send(interface.CanFrame(1)), "three are on the way"
     active = {"state": "error-active", "dropped": 2}
     server.sendall(pack_json(protocol.STATE, active))
     server.sendall(protocol.pack_frame(protocol.FRAME, interface.CanFrame(2)))
@@ -360,15 +360,13 @@ def test_what_is_on_its_way_to_the_server_counts_as_sent(
 
 def test_after_a_restart_there_is_room_again(wire: Wire, channel: str) -> None:
     with serving(wire.timeline, {channel: wire}), closing(SimulatedBusClient(channel)) as client:
-        while client.send(interface.CanFrame(1)):  # nobody acknowledges
+        while client.send(interface.CanFrame(1)):  # no acknowledge
             pass
         client.restart()
         assert client.send(interface.CanFrame(1), timeout=2.0)
 
 
-def test_clients_are_served_while_the_simulation_falls_behind_the_clock(
-    wire: Wire, channel: str
-) -> None:
+def test_clients_are_served_while_the_simulation_lags(wire: Wire, channel: str) -> None:
     def slow() -> None:
         time.sleep(0.02)
         wire.timeline.after(5_000_000, slow)
@@ -392,7 +390,7 @@ def test_a_channel_name_too_long_for_a_socket(wire: Wire) -> None:
 # -- lockstep ----------------------------------------------------------------------------------
 
 
-def test_lockstep_is_refused_by_the_clock(wire: Wire, channel: str) -> None:
+def test_lockstep_is_refused_in_real_time(wire: Wire, channel: str) -> None:
     with (
         serving(wire.timeline, {channel: wire}),
         pytest.raises(can.CanInitializationError, match="lockstep"),
@@ -413,7 +411,7 @@ def test_a_burst_in_lockstep_waits_for_room(wire: Wire, channel: str) -> None:
 
 
 def play(channel: str, pauses: tuple[float, float]) -> list[tuple[float, int, bytes]]:
-    """Two programs in lockstep, each as slow as it likes; what the second one hears."""
+    """Runs two programs in lockstep with pauses (s); returns the frames of the second one."""
     simulated = SimulatedRobot(cia402_robot(), seed=5)
     simulated.power_on()
     heard: list[tuple[float, int, bytes]] = []
@@ -441,14 +439,14 @@ def play(channel: str, pauses: tuple[float, float]) -> list[tuple[float, int, by
         threads = [threading.Thread(target=work) for work in (master, monitor)]
         for thread in threads:
             thread.start()
-        time.sleep(0.1)  # both are there
+        time.sleep(0.1)  # both are attached
         first.close()
         for thread in threads:
             thread.join(20.0)
     return heard
 
 
-def test_programs_in_lockstep_see_the_same_however_slow_they_are(channel: str) -> None:
+def test_programs_in_lockstep_see_the_same_at_any_speed(channel: str) -> None:
     quick = play(channel, (0.0, 0.0))
     slow = play(channel, (0.01, 0.001))
     assert len(quick) > 60

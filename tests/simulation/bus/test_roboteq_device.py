@@ -1,4 +1,4 @@
-"""The Thorvald's motor controller, spoken to byte by byte as its frames are published."""
+"""The Thorvald's motor controller, by the bytes of its published frames."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DRIVE, HOME, DECOUPLED = 0, 1, 2
 
 
 class Controller:
-    """A controller with its motors; the steering is switched on at ``angle``."""
+    """A controller with its motors; the steering is at ``angle`` (rad) at power-on."""
 
     def __init__(self, angle: float = 0.0, operational: bool = True, **more: object) -> None:
         self.wire = Wire(Timeline())
@@ -50,23 +50,23 @@ class Controller:
         )
         self.sequence = 0
         self.device.power_on()
-        self.master.client.sleep(0.2)
+        self.master.interface.sleep(0.2)
         if operational:
             self.master.nmt(1)
-            self.master.client.sleep(0.02)
+            self.master.interface.sleep(0.02)
 
     def drive(self, seconds: float, speed: int = 0, position: int | None = None) -> None:
-        """Commands at 50 Hz as the base driver gives them."""
+        """Sends commands at 50 Hz, as the base driver does."""
         for _ in range(round(seconds / 0.02)):
             self.sequence += 1
             self.master.send(0x200 + N, struct.pack("<ii", self.sequence, speed))
             if position is not None:
                 self.master.send(0x500 + N, struct.pack("<ii", 0, position))
-            self.master.client.sleep(0.02)
+            self.master.interface.sleep(0.02)
 
     def latest(self, base: int) -> bytes:
-        """The newest frame of a report."""
-        self.master.client.received.clear()
+        """Returns the newest frame of a report."""
+        self.master.interface.received.clear()
         found = self.master.wait(base + N, 2.0)
         assert found is not None
         return found
@@ -97,55 +97,55 @@ def test_position_is_a_thousandth_of_the_steering_limit() -> None:
     assert angle == pytest.approx(-LIMIT / 4, abs=1e-3)
 
 
-def test_the_steering_keeps_to_the_speed_given_with_the_position() -> None:
+def test_the_steering_obeys_the_speed_limit_of_the_command() -> None:
     c = Controller()
     rpm = 300
     for _ in range(50):
         c.master.send(0x500 + N, struct.pack("<ii", rpm, 1000))
-        c.master.client.sleep(0.02)
+        c.master.interface.sleep(0.02)
     _, speed, _ = struct.unpack("<hhi", c.latest(0x180))
     assert speed == pytest.approx(rpm, abs=1)
     assert c.angle() == pytest.approx(rpm * math.pi / 30 / STEERING_GEAR, abs=0.06)
 
 
-def test_nothing_is_followed_before_the_node_is_operational() -> None:
+def test_no_command_counts_before_the_node_is_operational() -> None:
     c = Controller(operational=False)
     c.drive(0.5, 500, 500)
     assert c.propulsion.read(c.wire.timeline.seconds).velocity == 0.0
     assert c.angle() == 0.0
     reports = (0x180, 0x280, 0x380, 0x480)
-    assert not any(r.frame.id - N in reports for r in c.master.client.received)
+    assert not any(r.frame.id - N in reports for r in c.master.interface.received)
 
 
 def test_stale_commands_stop_the_propulsion() -> None:
-    """The same sequence number again and again is no new command."""
+    """A repeated sequence number is not a new command."""
     c = Controller()
     c.drive(1.0, 500)
     for _ in range(100):
         c.master.send(0x200 + N, struct.pack("<ii", c.sequence, 500))
-        c.master.client.sleep(0.02)
+        c.master.interface.sleep(0.02)
     assert c.propulsion.read(c.wire.timeline.seconds).velocity == 0.0
     c.drive(1.0, 500)
     assert c.propulsion.read(c.wire.timeline.seconds).velocity > 3.0
 
 
-def test_reports_come_by_their_cycles_and_the_cycles_can_be_set() -> None:
+def test_reports_have_cycles_that_can_be_set() -> None:
     c = Controller()
 
     def rates(seconds: float) -> list[int]:
-        c.master.client.received.clear()
-        c.master.client.sleep(seconds)
-        found = [r.frame.id - N for r in c.master.client.received]
+        c.master.interface.received.clear()
+        c.master.interface.sleep(seconds)
+        found = [r.frame.id - N for r in c.master.interface.received]
         return [found.count(base) for base in (0x180, 0x280, 0x380, 0x480)]
 
     assert rates(2.0) == [100, 20, 20, 2]
     c.master.send(0x300 + N, struct.pack("<ii", 8, 50))
     c.master.send(0x300 + N, struct.pack("<ii", 11, 0))
-    c.master.client.sleep(1.1)
+    c.master.interface.sleep(1.1)
     assert rates(2.0) == [40, 20, 20, 0]
 
 
-def test_tpdo4_tells_in_turn_what_never_changes() -> None:
+def test_tpdo4_sends_the_constants_in_turn() -> None:
     c = Controller()
     frames = [c.latest(0x480) for _ in range(3)]
     by_content = {frame[3]: frame for frame in frames}
@@ -167,18 +167,18 @@ def test_supply_and_temperature() -> None:
     assert amps == pytest.approx(10 * power / 48, abs=1)
 
 
-def test_settings_1_to_3_are_kept_and_the_others_are_not() -> None:
+def test_settings_1_to_3_are_stored_and_the_others_are_not() -> None:
     c = Controller()
     for setup, value in ((1, 1), (3, 700), (4, 600)):
         c.master.send(0x300 + N, struct.pack("<ii", setup, value))
-        c.master.client.sleep(0.05)
+        c.master.interface.sleep(0.05)
     c.drive(1.5, 1000)
     speed = c.propulsion.read(c.wire.timeline.seconds).velocity
     assert speed == pytest.approx(-600 * math.pi / 30 / GEAR), "reversed, and at most 600 rpm"
     c.device.power_off()
-    c.master.client.sleep(2.0)
+    c.master.interface.sleep(2.0)
     c.device.power_on()
-    c.master.client.sleep(0.2)
+    c.master.interface.sleep(0.2)
     c.master.nmt(1)
     c.drive(3.0, 1000)
     assert c.propulsion.read(c.wire.timeline.seconds).velocity == pytest.approx(-TOP)
@@ -195,11 +195,11 @@ def test_settings_1_to_3_are_kept_and_the_others_are_not() -> None:
         (0x500, 0, -1001),
     ],
 )
-def test_an_illegal_command_is_flagged_and_not_followed(base: int, first: int, second: int) -> None:
+def test_an_illegal_command_is_flagged_and_ignored(base: int, first: int, second: int) -> None:
     c = Controller()
     assert c.flags == 0
     c.master.send(base + N, struct.pack("<ii", first, second))
-    c.master.client.sleep(0.02)
+    c.master.interface.sleep(0.02)
     assert c.flags == 0x02
     c.drive(0.1)
     assert c.flags == 0
@@ -207,8 +207,8 @@ def test_an_illegal_command_is_flagged_and_not_followed(base: int, first: int, s
 
 
 @pytest.mark.parametrize("angle", [2.0, -2.0, 0.3])
-def test_homing_finds_the_switch_and_then_counts_from_straight(angle: float) -> None:
-    """Switched on anywhere, it counts from there; homed, 0 is straight ahead."""
+def test_homing_finds_the_switch_and_counts_from_straight_ahead(angle: float) -> None:
+    """After power-on it counts from the present angle; after homing, 0 is straight ahead."""
     c = Controller(angle=angle)
     assert struct.unpack("<hhi", c.latest(0x180))[2] == 0
     c.drive(0.5, 0, 200)
@@ -217,14 +217,14 @@ def test_homing_finds_the_switch_and_then_counts_from_straight(angle: float) -> 
     c.master.send(0x400 + N, struct.pack("<ii", DRIVE, HOME))
     c.drive(12.0)
     configurations = [f for f in (c.latest(0x480) for _ in range(3)) if f[3] == 1]
-    assert configurations[0][4] == 0x01, "homed, and not homing any more"
+    assert configurations[0][4] == 0x01, "homed, and no longer homing"
     assert c.angle() == pytest.approx(0.0, abs=1e-3)
     c.drive(1.0, 0, 100)
     assert c.angle() == pytest.approx(0.1 * LIMIT, abs=1e-2)
     assert c.flags == 0
 
 
-def test_the_home_count_is_what_is_counted_at_the_switch() -> None:
+def test_the_home_count_is_the_count_at_the_switch() -> None:
     per_radian = 4 * STEERING_PPR * STEERING_GEAR / math.tau
     c = Controller(
         angle=-1.0, home_angle=0.25, nonvolatile={"home_count": round(0.25 * per_radian)}
@@ -236,7 +236,7 @@ def test_the_home_count_is_what_is_counted_at_the_switch() -> None:
     assert counts == pytest.approx(0, abs=per_radian * 1e-2)
 
 
-def test_homing_that_finds_nothing_gives_up() -> None:
+def test_homing_without_a_switch_ends() -> None:
     c = Controller(angle=1.0)
     c.device.home_switch_works = False
     c.master.send(0x400 + N, struct.pack("<ii", DRIVE, HOME))
@@ -258,7 +258,7 @@ def test_decoupled_motors_are_free() -> None:
     assert c.propulsion.read(c.wire.timeline.seconds).velocity > 3.0
 
 
-def test_a_blocked_wheel_is_a_stall_and_a_dead_encoder_an_encoder_fault() -> None:
+def test_a_blocked_wheel_is_a_stall_and_a_frozen_encoder_an_encoder_error() -> None:
     for blocked, flags, code in ((True, 0x19, 0x7121), (False, 0x99, 0x7305)):
         c = Controller()
         if blocked:
@@ -266,7 +266,7 @@ def test_a_blocked_wheel_is_a_stall_and_a_dead_encoder_an_encoder_fault() -> Non
         else:
             c.device.channels[0].encoder.frozen = True
         c.drive(1.5, 500)
-        emergencies = [r.frame.data for r in c.master.client.received if r.frame.id == 0x080 + N]
+        emergencies = [r.frame.data for r in c.master.interface.received if r.frame.id == 0x080 + N]
         assert [struct.unpack_from("<H", data)[0] for data in emergencies] == [code]
         assert c.flags == flags
         assert c.propulsion.read(c.wire.timeline.seconds).velocity == 0.0
@@ -284,11 +284,11 @@ def test_it_has_neither_lss_nor_a_serial_number() -> None:
 def test_the_makers_tool_sets_its_id() -> None:
     c = Controller()
     c.device.change_node_id(7)
-    c.master.client.sleep(0.2)
+    c.master.interface.sleep(0.2)
     assert c.master.number(7, 0x1018, 1) == 0x469
     c.device.power_off()
     c.device.power_on()
-    c.master.client.sleep(0.2)
+    c.master.interface.sleep(0.2)
     assert c.master.number(7, 0x1018, 1) == 0x469
 
 
@@ -299,13 +299,13 @@ def test_two_propulsion_motors_on_one_controller() -> None:
     settings = ChannelSettings(GEAR, PPR, MAX_RPM)
     device = RoboteqController("c", wire, 500_000, N, ((settings, left), (settings, right)))
     device.power_on()
-    master.client.sleep(0.2)
+    master.interface.sleep(0.2)
     master.nmt(1)
     for k in range(100):
         master.send(0x200 + N, struct.pack("<ii", k, 100))
         master.send(0x500 + N, struct.pack("<ii", 0, -200))
-        master.client.sleep(0.02)
+        master.interface.sleep(0.02)
     assert struct.unpack("<hhi", master.all(0x180 + N, 0.05)[-1]) == (300, -600, 0)
     master.send(0x400 + N, struct.pack("<ii", HOME, DRIVE))
-    master.client.sleep(0.01)
+    master.interface.sleep(0.01)
     assert device.illegal_command

@@ -1,4 +1,4 @@
-"""A robot's whole bus, made from its model alone: what is on it is what the CAN map says."""
+"""The whole bus of a robot, made from its model alone: the traffic matches the CAN map."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ENABLE = 0x0F
 
 
 class Bus:
-    """A robot under power, a master, and every frame by identifier with its times (s)."""
+    """A powered robot and a master; ``seen`` has time (s) and data of all frames by identifier."""
 
     def __init__(self, robot: Robot, **options: Any) -> None:
         self.robot = robot
@@ -49,7 +49,7 @@ class Bus:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_what_is_on_the_bus_is_what_the_map_says(name: str) -> None:
+def test_the_traffic_matches_the_can_map(name: str) -> None:
     bus = Bus(example_robot(name))
     bus.master.nmt(1)
     bus.simulated.run(3.2)
@@ -63,25 +63,25 @@ def test_what_is_on_the_bus_is_what_the_map_says(name: str) -> None:
         steps = [b - a for a, b in itertools.pairwise(times)]
         mean = sum(steps) / len(steps)
         assert mean == pytest.approx(frame.period, abs=2e-3), frame.name
-        # The lowest priority may have to wait, but never longer than the map says.
+        # The lowest priority may wait, but at most for the response time in the map.
         assert max(steps) <= frame.period + (frame.response_time or 0.0), frame.name
 
 
-def test_the_model_file_is_all_that_is_needed() -> None:
+def test_the_model_file_is_sufficient() -> None:
     whole, alone = (Bus(robot) for robot in (cia402_robot(), from_json(to_json(cia402_robot()))))
     for bus in (whole, alone):
         bus.simulated.run(1.0)
     assert whole.seen == alone.seen
 
 
-def test_the_seed_alone_decides() -> None:
+def test_the_seed_determines_the_traffic() -> None:
     one, same, other = (Bus(cia402_robot(), seed=seed) for seed in (1, 1, 2))
     assert one.seen == same.seen
     assert one.seen != other.seen
 
 
-def test_cantools_decodes_our_frames_by_our_dbc_to_what_was_sent() -> None:
-    """What the joints do, and what cantools makes of the controllers' frames."""
+def test_cantools_decodes_the_frames_with_our_dbc() -> None:
+    """The state of the joints equals the reports that cantools decodes."""
     bus = Bus(example_robot("4wd4ws_wide"))
     database = bus.database()
     node = bus.robot.buses[0].nodes[0]
@@ -125,7 +125,7 @@ def test_cantools_decodes_our_frames_by_our_dbc_to_what_was_sent() -> None:
     assert charge.decode(bus.seen[charge.frame_id][-1][1])["state_of_charge"] == 90
 
 
-def test_cantools_and_the_drives_after_cia402() -> None:
+def test_cantools_and_the_cia402_drives() -> None:
     bus = Bus(cia402_robot())
     database = bus.database()
     bus.master.nmt(1)
@@ -170,7 +170,7 @@ def test_cantools_and_the_drives_after_cia402() -> None:
 
 @pytest.mark.parametrize("robot", ["cia402", "2wd0ws_greenhouse", "4wd4ws_wide"])
 def test_the_objects_of_the_map_can_be_written_and_read_back(robot: str) -> None:
-    """A device as delivered takes every value that the map has for it."""
+    """A device in its factory state accepts every value of the map."""
     given = cia402_robot() if robot == "cia402" else example_robot(robot)
     nonvolatile = {"fl_controller": {"node_id": 1}} if robot == "cia402" else {}
     bus = Bus(given, delivered=True, nonvolatile=nonvolatile)
@@ -178,7 +178,7 @@ def test_the_objects_of_the_map_can_be_written_and_read_back(robot: str) -> None
         assert not node.lss or bus.master.number(node.id, 0x1018, 4)
         pdos = sorted({o.index for o in node.objects if 0x1400 <= o.index < 0x1C00})
         for index in pdos:
-            if index & 0x200 == 0:  # switched off while it is mapped anew
+            if index & 0x200 == 0:  # switched off while its mapping changes
                 old = bus.master.number(node.id, index, 1)
                 bus.master.write(node.id, index, 1, old | 1 << 31, 4)
                 bus.master.write(node.id, index | 0x200, 0, 0, 1)
@@ -212,14 +212,14 @@ def test_delivered_devices_have_neither_id_nor_parameters() -> None:
     bus = Bus(cia402_robot(), delivered=True)
     bus.simulated.run(1.0)
     found = sorted(bus.seen)
-    assert found == [0x1A0, 0x3C1, 0x3D1, 0x3E1, 0x728], "only what cannot be addressed"
+    assert found == [0x1A0, 0x3C1, 0x3D1, 0x3E1, 0x728], "only devices whose id is not configurable"
     serials = {
         d.description.serial for d in bus.simulated.devices.values() if isinstance(d, CanopenDevice)
     }
     assert serials == {0x101, 0x102, 0x103, 0x104}
 
 
-def test_a_foreign_device_answers_what_it_is_told() -> None:
+def test_a_foreign_device_answers_its_commands() -> None:
     bus = Bus(cia402_robot())
     bus.master.send(0x240, b"spray\1")
     assert bus.master.wait(0x1C0) == b"\1\0\0\0"
@@ -238,7 +238,7 @@ def test_a_clone_has_the_id_but_not_the_serial_number() -> None:
     bus = Bus(cia402_robot())
     bus.simulated.clone("fl_controller", "spare").power_on()
     bus.simulated.run(0.3)
-    bus.master.client.received.clear()
+    bus.master.interface.received.clear()
     bus.master.send(0x601, struct.pack("<BHB4x", 0x40, 0x1018, 4))
     assert len(set(bus.master.all(0x581, 0.02))) == 2
     with pytest.raises(KeyError):
@@ -252,7 +252,7 @@ def test_a_robot_without_a_bus_is_refused() -> None:
 
 
 def test_motors_may_be_the_joints_of_a_base() -> None:
-    """The same frames move a base's joints: here ideal ones, in MuJoCo the same way."""
+    """The same frames move the joints of a base, here an ideal one."""
     robot = example_robot("4wd4ws_wide")
     base = SimBase(robot)
     bus = Bus(robot, base=base)

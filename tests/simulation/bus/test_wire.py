@@ -1,4 +1,4 @@
-"""The wire: who wins, how long it takes, what errors lead to."""
+"""The wire: arbitration, frame times, and the effects of errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BIT = 2000  # ns
 
 
 class Log:
-    """Every frame that gets through: when it was complete (ns), what, from whom."""
+    """Each valid frame: its end (ns), the frame, and the names of its senders."""
 
     def __init__(self, wire: Wire) -> None:
         self.entries: list[tuple[int, str, list[str]]] = []
@@ -73,7 +73,7 @@ def test_frames_follow_without_a_gap() -> None:
     assert times[2] - times[1] == frame_bits(frames[2]) * BIT
 
 
-def test_a_frame_under_way_is_not_interrupted() -> None:
+def test_a_frame_on_the_wire_is_not_interrupted() -> None:
     _, (a, b), log = make("a", "b")
     a.send(CanFrame(0x700, bytes(8)))
     a.sleep(50e-6)
@@ -83,7 +83,7 @@ def test_a_frame_under_way_is_not_interrupted() -> None:
     assert ids(log) == ["700", "001", "100"]
 
 
-def test_a_fifo_sends_in_the_order_of_asking() -> None:
+def test_a_fifo_sends_in_the_order_of_queuing() -> None:
     wire, _, log = make("a")
     fifo = VirtualTimeInterface(wire, "fifo", fifo=True)
     fifo.sleep(0.001)
@@ -102,7 +102,7 @@ def test_standard_wins_over_extended_and_data_over_remote() -> None:
     assert [entry[1] for entry in log.entries] == ["100#01", "100#R0", "04000000#01"]
 
 
-def test_equal_frames_at_once_are_one_on_the_wire() -> None:
+def test_equal_frames_at_the_same_time_are_one_on_the_wire() -> None:
     wire, (a, b, c), log = make("a", "b", "c")
     a.send(CanFrame(0x7E4, bytes(8)))
     b.send(CanFrame(0x7E4, bytes(8)))
@@ -114,7 +114,7 @@ def test_equal_frames_at_once_are_one_on_the_wire() -> None:
 
 
 def test_unequal_frames_of_one_identifier_end_in_error_passive() -> None:
-    """Neither can win nor yield: both count to 128, then the one with the ones gives way."""
+    """Arbitration cannot separate them: both reach 128 errors, then the one with the 1 yields."""
     wire, (a, b, c), log = make("a", "b", "c")
     a.send(CanFrame(0x181, b"\0"))
     b.send(CanFrame(0x181, b"\1"))
@@ -122,14 +122,14 @@ def test_unequal_frames_of_one_identifier_end_in_error_passive() -> None:
     assert wire.errors == 16
     assert [entry[1:] for entry in log.entries] == [("181#00", ["a"]), ("181#01", ["b"])]
     assert [str(r.frame) for r in c.received] == ["181#00", "181#01"]
-    # 16 errors of 8; a then got its frame through, b lost once more before it did.
+    # 16 errors of 8 each; then the frame of a is valid, and b loses once more before its own is.
     assert a.controller.transmit_errors == 127
     assert b.controller.transmit_errors == 128 + 8 - 1
     assert (a.state, b.state) == (ErrorState.ACTIVE, ErrorState.PASSIVE)
 
 
-def test_alone_on_the_bus_nobody_acknowledges() -> None:
-    """An error that never ends, but leads no further than to error-passive (ISO 11898-1)."""
+def test_a_lone_controller_gets_no_acknowledge() -> None:
+    """The error repeats without end, but leads no further than error-passive (ISO 11898-1)."""
     wire, (a,), log = make("a")
     a.send(CanFrame(0x100, b"\1"))
     a.sleep(1.0)
@@ -142,7 +142,7 @@ def test_alone_on_the_bus_nobody_acknowledges() -> None:
     assert [str(r.frame) for r in other.received] == ["100#01"]
 
 
-def test_who_only_listens_does_not_acknowledge() -> None:
+def test_a_listen_only_controller_does_not_acknowledge() -> None:
     wire, (a,), _ = make("a")
     monitor = VirtualTimeInterface(wire, "monitor", listen_only=True)
     a.send(CanFrame(0x100))
@@ -157,7 +157,7 @@ def test_a_wrong_bitrate_destroys_frames_until_it_is_error_passive() -> None:
     a.sleep(0.001)
     a.send(CanFrame(0x100, b"\1"))
     a.sleep(0.1)
-    # Each frame destroyed counts 9 there: 15 of them are too many.
+    # Each destroyed frame adds 9 receive errors: the 15th exceeds 127.
     assert wire.errors == 15
     assert wrong.state is ErrorState.PASSIVE
     assert len(wrong.received) == 0
@@ -178,11 +178,11 @@ def test_a_sender_of_the_wrong_bitrate_goes_off_the_bus() -> None:
     assert wrong.state is ErrorState.BUS_OFF
     assert not wrong.send(CanFrame(0x700))
     assert set(ids(log)) == {"100", "101"}
-    # What they counted meanwhile goes down again with every frame received.
+    # Each received frame reduces their error counters again.
     assert a.state is b.state is ErrorState.ACTIVE
 
 
-def test_the_way_back_from_bus_off() -> None:
+def test_recovery_from_bus_off() -> None:
     wire, (a, b), _ = make("a", "b")
     automatic = CanController(wire, "automatic", RATE)
     wire.attach(automatic)
@@ -194,7 +194,7 @@ def test_the_way_back_from_bus_off() -> None:
     assert states == [ErrorState.BUS_OFF, ErrorState.ACTIVE]
     b.controller.go_bus_off()
     a.sleep(1.0)
-    assert b.state is ErrorState.BUS_OFF, "a program's controller stays off until it is told"
+    assert b.state is ErrorState.BUS_OFF, "the controller of a program needs a restart"
     b.restart()
     assert b.state is ErrorState.ACTIVE
 
@@ -206,7 +206,7 @@ def test_a_full_queue_refuses_the_newest() -> None:
     taken = [small.send(CanFrame(0x100 + i)) for i in range(5)]
     assert taken == [True, True, True, False, False]
     assert small.controller.refused == 2
-    assert small.send(CanFrame(0x110), timeout=0.01), "waits for room where it may"
+    assert small.send(CanFrame(0x110), timeout=0.01), "waits for room"
     small.sleep(0.01)
     assert ids(log) == ["100", "101", "102", "110"]
 
@@ -235,7 +235,7 @@ def test_power_lost_in_a_frame_destroys_it() -> None:
     assert len(a.received) == 1
 
 
-def test_who_joins_in_a_frame_does_not_hear_it() -> None:
+def test_a_controller_that_joins_during_a_frame_does_not_receive_it() -> None:
     wire, (a, b), _ = make("a", "b")
     late = VirtualTimeInterface(wire, "late")
     late.controller.switch_off()
@@ -247,7 +247,7 @@ def test_who_joins_in_a_frame_does_not_hear_it() -> None:
     assert len(b.received) == 2
 
 
-def test_noise_is_repeated_until_all_is_through() -> None:
+def test_frames_destroyed_by_noise_are_sent_again() -> None:
     wire, (a, b), log = make("a", "b", seed=3)
     wire.noise = 0.2
     for i in range(200):
