@@ -1,4 +1,4 @@
-"""Arrays of states and one state at a time: the same to 1e-12, over random robots."""
+"""Batches equal the scalar calculators to 1e-12, for random robots."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TOLERANCE = 1e-12
 
 
 def random_twists(seed: int) -> Array:
-    """Of all sizes, with rest, pure motions and motions about a point near the robot."""
+    """Twists of all sizes: rest, pure motions, and rotations about a point near the robot."""
     rng = np.random.default_rng(seed)
     twists = rng.uniform(-2.0, 2.0, (3, N))
     twists[:, 0] = 0.0
@@ -52,7 +52,7 @@ def random_twists(seed: int) -> Array:
 def random_joints(
     seed: int, wheels: list[WheelGeometry], calculator: BaseCalculator
 ) -> list[Array]:
-    """Speeds, angles and rates; half of them near a motion, half of them anything."""
+    """Random speeds, angles and rates; half of them near a consistent motion."""
     rng = np.random.default_rng(seed)
     n = len(wheels)
     speeds, angles = rng.uniform(-8.0, 8.0, (n, N)), rng.uniform(-3.0, 3.0, (n, N))
@@ -74,7 +74,7 @@ def state(arrays: list[Array], k: int, yaw_rates: Array | None = None) -> JointS
 
 
 def near(got: Array, expected: Array) -> None:
-    """To 1e-12 of the largest that the scalar path has, or of one."""
+    """Compares to 1e-12 of the largest scalar value, or of 1."""
     scale = np.maximum(1.0, np.abs(expected).max(axis=0, initial=0.0))
     assert np.all(np.abs(got - expected) <= TOLERANCE * scale)
 

@@ -1,4 +1,4 @@
-"""What every base calculator keeps, over random robots of 1 to 20 wheels."""
+"""Properties of every base calculator, for random robots with 1 to 20 wheels."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def casters(draw: st.DrawFn) -> list[WheelGeometry]:
 
 @st.composite
 def axle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
-    """Driven wheels on one axle, anywhere and at any heading, with casters."""
+    """Driven wheels on one axle at a random position and heading, with casters."""
     heading = draw(st.sampled_from([0.0, 0.4, math.pi / 2, -2.0]))
     c, s = math.cos(heading), math.sin(heading)
     along = draw(coordinate(1.0))
@@ -136,7 +136,7 @@ SUITED: dict[str, Callable[[], st.SearchStrategy[list[WheelGeometry]]]] = {
     "random_pairs": lambda: any_wheels().filter(lambda w: sum(not v.swivel for v in w) > 1),
 }
 EXACT = sorted(set(PLUGINS.builtin) - {"random_pairs"})
-"""Those whose odometry is that of the joints: not so the mean of random intersections."""
+"""Calculators with exact odometry; the mean of random intersections is not exact."""
 
 twists = st.builds(
     Twist,
@@ -166,7 +166,7 @@ def make(name: str, wheels: list[WheelGeometry]) -> BaseCalculator:
 
 
 def states_of(calculator: BaseCalculator, twist: Twist) -> tuple[JointStates, Twist, bool]:
-    """Joints that follow the command exactly; the twist aimed at; whether all is reached."""
+    """Joint states that follow the command, the target twist, and whether all is reached."""
     command = calculator.command(twist)
     n = len(calculator.geometry.wheels)
     joints = command.joints
@@ -175,7 +175,7 @@ def states_of(calculator: BaseCalculator, twist: Twist) -> tuple[JointStates, Tw
 
 
 def follows(geometry: BaseGeometry, states: JointStates, twist: Twist) -> bool:
-    """Whether no wheel of these states slips in that twist, by the field at each contact."""
+    """Checks that no wheel slips at this twist, by the velocity of each contact."""
     for i, w in enumerate(geometry.wheels):
         if w.swivel:
             continue

@@ -59,8 +59,8 @@ def test_results_are_finite_or_refused(name: str, largest: float) -> None:
         made = General(geometry, GeneralOptions(polish=2 * (trial % 3)), noise)
         states = JointStates(0.0, joints(n), joints(n), [0.0] * n)
         try:
-            told = made.odometry(states)
-            numbers = (*told.twist, *sum(told.covariance, ()), *told.chi_squares)
+            estimate = made.odometry(states)
+            numbers = (*estimate.twist, *sum(estimate.covariance, ()), *estimate.chi_squares)
             assert all(map(math.isfinite, numbers))
         except NotFiniteError:
             pass

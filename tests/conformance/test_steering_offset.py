@@ -1,4 +1,4 @@
-"""A calibrated steering offset on the bus: in the signals once, and so in files and driver."""
+"""A calibrated steering offset on the bus: the signals include it once, in files and driver."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def text_of(kind: str) -> str:
 
 @pytest.fixture(scope="module", params=["roboteq", "cia402"])
 def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The robot as its modules say, and as it was calibrated."""
+    """The robot without and with its calibration."""
     folder: Path = tmp_path_factory.mktemp(request.param)
     text = text_of(request.param)
     (folder / "plain.yaml").write_text(text, encoding="utf-8")
-    (folder / "robot.yaml").write_text(text + "\ncalibration: found.yaml\n", encoding="utf-8")
+    (folder / "robot.yaml").write_text(text + "\ncalibration: calibration.yaml\n", encoding="utf-8")
     plain = compile_file(folder / "plain.yaml").model
     assert isinstance(plain, Robot)
     wheels = "".join(
         f"  {wheel}_wheel: {{steering_offset: {offset!r} rad}}\n"
         for wheel, offset in OFFSETS.items()
     )
-    found = f"thorvaldc: 1\nrobot: {plain.name}\nwheels:\n{wheels}"
-    (folder / "found.yaml").write_text(found, encoding="utf-8")
+    values = f"thorvaldc: 1\nrobot: {plain.name}\nwheels:\n{wheels}"
+    (folder / "calibration.yaml").write_text(values, encoding="utf-8")
     done = compile_file(folder / "robot.yaml")
     assert isinstance(done.model, Robot), [d.message for d in done.report]
     assert not done.report.errors
@@ -55,7 +55,7 @@ def offset_of(robot: Robot, joint: str) -> float:
     return next(a.encoder_offset for a in robot.actuators if a.joint == joint)
 
 
-def test_the_offset_is_in_the_angles_of_the_calibrated_joints_alone(
+def test_only_angles_of_calibrated_joints_have_an_offset(
     pair: tuple[Robot, Robot],
 ) -> None:
     plain, calibrated = pair
@@ -73,13 +73,13 @@ def test_the_offset_is_in_the_angles_of_the_calibrated_joints_alone(
                 joint = calibrated.joint(new.joint)
                 assert joint.lower is not None
                 assert joint.upper is not None
-                # What the controller takes is counted by its encoder.
+                # The controller counts in its encoder's angle.
                 assert new.minimum == pytest.approx(joint.lower + offset)
                 assert new.maximum == pytest.approx(joint.upper + offset)
     assert moved == 2 * len(OFFSETS), "command and report of each"
 
 
-def test_every_file_for_the_bus_has_it(pair: tuple[Robot, Robot]) -> None:
+def test_every_bus_file_has_the_offset(pair: tuple[Robot, Robot]) -> None:
     _, robot = pair
     files = {path: data.decode("cp1252") for path, data in files_of(Can, robot).items()}
     database = cantools.database.load_string(files["can/robot.dbc"], "dbc")
@@ -98,46 +98,46 @@ def test_every_file_for_the_bus_has_it(pair: tuple[Robot, Robot]) -> None:
                     macro = f"{signal['frame']}_{signal['signal']}_offset".upper()
                     assert (macro in files["can/robot_can.h"]) == bool(angle and offset)
                     checked += bool(angle and offset)
-                told = nodes.get(node["name"], {}).get("channels")
-                if told and offset:
-                    axis = told[number]
+                estimate = nodes.get(node["name"], {}).get("channels")
+                if estimate and offset:
+                    axis = estimate[number]
                     assert axis["offset_pos_from_dev"] == pytest.approx(offset)
-                    # It sends target * scale + offset, in the drive's counts.
+                    # The command is target * scale + offset, in the drive's counts.
                     zero = 0.0 * axis["scale_pos_to_dev"] + axis["offset_pos_to_dev"]
                     assert zero * axis["scale_pos_from_dev"] == pytest.approx(-offset)
     assert checked == 2 * len(OFFSETS)
 
 
 def angles(rig: Rig) -> dict[str, tuple[float, float]]:
-    """Of each steering: where the base says that it is, and where it is."""
-    found = {}
+    """Reported and true angle of each steering joint."""
+    values = {}
     for connection in rig.base.connections:
         for controller in connection.controllers:
             for axis in controller.axes:
                 if axis.steering:
                     motor = rig.simulated.motors[axis.actuator.name].read(rig.now)
-                    found[axis.joint] = axis.position, motor.position
-    return found
+                    values[axis.joint] = axis.position, motor.position
+    return values
 
 
-def test_a_calibrated_robot_drives_straight_on_drives_whose_zero_is_wrong(
+def test_calibrated_robot_drives_straight_with_wrong_encoder_zeros(
     pair: tuple[Robot, Robot],
 ) -> None:
-    """The simulated drives count from where the calibration found their zero to be."""
+    """The encoder zeros of the simulated drives are those of the calibration."""
     _, calibrated = pair
     rig = Rig(calibrated)
     rig.drive(FORWARD, 1.5)
-    for joint, (said, true) in angles(rig).items():
-        assert said == pytest.approx(true, abs=2e-3), joint
+    for joint, (reported, true) in angles(rig).items():
+        assert reported == pytest.approx(true, abs=2e-3), joint
         assert true == pytest.approx(0.0, abs=5e-3), joint
 
 
-def test_without_the_calibration_its_wheels_are_askew_by_the_offset(
+def test_without_calibration_the_wheels_are_off_by_the_offset(
     pair: tuple[Robot, Robot],
 ) -> None:
     plain, calibrated = pair
     rig = Rig(plain, drives=calibrated)
     rig.drive(FORWARD, 1.5)
-    for joint, (said, true) in angles(rig).items():
-        assert true - said == pytest.approx(offset_of(calibrated, joint), abs=2e-3), joint
-        assert said == pytest.approx(0.0, abs=5e-3), joint
+    for joint, (reported, true) in angles(rig).items():
+        assert true - reported == pytest.approx(offset_of(calibrated, joint), abs=2e-3), joint
+        assert reported == pytest.approx(0.0, abs=5e-3), joint

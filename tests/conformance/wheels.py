@@ -1,4 +1,4 @@
-"""Wheels as a calculator sees them, for tests."""
+"""Wheel geometries for tests."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def wheel(
     radius: float = 0.2,
     limits: tuple[float | None, float | None] = (-math.pi, math.pi),
 ) -> WheelGeometry:
-    """A wheel of a kind: steered, turned (steered, no drive), fixed, passive or swivel."""
+    """A wheel of a kind: steered, turned (steered, not driven), fixed, passive or swivel."""
     driven = kind in ("steered", "fixed")
     turned = kind in ("steered", "turned")
     return WheelGeometry(

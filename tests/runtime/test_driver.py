@@ -1,4 +1,4 @@
-"""The driver's loop: watchdog, ramps, bad values, odometry."""
+"""The driver's tick: watchdog, ramps, invalid values, odometry."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DT = 1.0 / ROBOT.driver.rate
 
 
 class Faulty(BaseHandle):
-    """A base that can be told to report a NaN, and that keeps what was asked of it."""
+    """A base that can report a NaN and that stores its commands."""
 
     def __init__(self) -> None:
         self.inner = SimBase(ROBOT)
@@ -57,14 +57,14 @@ def made(**settings: float) -> BaseDriver:
     return BaseDriver(ROBOT, SimBase(ROBOT), settings=chosen)
 
 
-def test_drives_as_asked() -> None:
+def test_follows_a_command() -> None:
     driver = made()
     states = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 4.0)
     last = states[-1]
     assert last.mode is DriveMode.DRIVING
     assert last.odometry.twist == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
-    # One tick of delay, half of the way while ramping up to 0.5 m/s at 1.5 m/s^2, and half of
-    # the time in which the ramp is smoothed: that in which steering reaches 4 rad/s.
+    # Delays: one tick, half of the ramp to 0.5 m/s at 1.5 m/s^2, and half of the smoothing time,
+    # in which steering reaches 4 rad/s.
     assert last.pose.x == pytest.approx(0.5 * (4.0 - 0.5 / 1.5 / 2 - 0.1), abs=0.03)
     assert last.odometry.rank == 3
 
@@ -77,7 +77,7 @@ def test_drives_as_asked() -> None:
         (Twist(0.1, 0.0, 0.1), Twist(0.9, 0.0, 0.9)),
     ],
 )
-def test_ramp_keeps_both_accelerations_and_the_curve(slow: Twist, fast: Twist) -> None:
+def test_ramp_keeps_both_accelerations_and_the_direction(slow: Twist, fast: Twist) -> None:
     driver = made(max_linear_acceleration=1.0, max_angular_acceleration=0.5)
     before = run(driver, slow, 0.0, 2.0)[-1].ramped
     assert before == pytest.approx(slow)
@@ -95,13 +95,13 @@ def test_ramp_keeps_both_accelerations_and_the_curve(slow: Twist, fast: Twist) -
     assert fastest == pytest.approx(1.0, abs=1e-6)
 
 
-def test_twist_limits_keep_the_curve() -> None:
+def test_twist_limits_keep_the_centre_of_rotation() -> None:
     driver = made(max_linear_velocity=0.4, max_angular_velocity=0.2)
     last = run(driver, Twist(1.0, 0.0, 1.0), 0.0, 4.0)[-1]
     assert last.ramped == pytest.approx((0.2, 0.0, 0.2))
 
 
-def test_silence_ramps_to_zero_with_the_steering_held() -> None:
+def test_time_out_ramps_to_zero_and_holds_the_steering() -> None:
     driver = made()
     driving = run(driver, Twist(0.4, 0.2, 0.3), 0.0, 3.0)[-1]
     assert driving.joints is not None
@@ -119,20 +119,20 @@ def test_silence_ramps_to_zero_with_the_steering_held() -> None:
     assert states[-1].ramped == ZERO_TWIST
     assert states[-1].joints is not None
     assert not any(states[-1].joints.speeds)
-    # Ramped, not cut: it takes the time that the acceleration needs.
+    # The stop is a ramp with the limited acceleration.
     stopping = [s for s in states if s.mode is DriveMode.TIMED_OUT and s.ramped != ZERO_TWIST]
     assert 0.15 <= len(stopping) * DT <= 0.5
     assert run(driver, Twist(0.4, 0.0, 0.0), 5.0, 6.0)[-1].mode is DriveMode.DRIVING
 
 
-def test_a_bad_twist_is_refused_and_the_last_good_stays() -> None:
+def test_invalid_twist_is_rejected_and_the_last_valid_one_stays() -> None:
     driver = made()
     run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
     for bad in (math.nan, math.inf, -math.inf):
         assert not driver.command(Twist(0.0, bad, 0.0), 1.0)
     state = driver.tick(1.0)
     assert state.commanded_twist == Twist(0.5, 0.0, 0.0)
-    # A refused command does not feed the watchdog.
+    # A rejected command does not reset the watchdog.
     for k in range(51, 90):
         driver.command(Twist(math.nan, 0.0, 0.0), k * DT)
         state = driver.tick(k * DT)
@@ -140,7 +140,7 @@ def test_a_bad_twist_is_refused_and_the_last_good_stays() -> None:
 
 
 @pytest.mark.parametrize("what", ["speeds", "angles", "angle_rates", "positions", "short"])
-def test_bad_joint_states_stop_the_robot_and_keep_what_is_known(what: str) -> None:
+def test_invalid_joint_states_stop_the_robot_and_keep_the_pose(what: str) -> None:
     base = Faulty()
     driver = BaseDriver(ROBOT, base)
     good = run(driver, Twist(0.5, 0.0, 0.2), 0.0, 2.0)[-1]
@@ -160,7 +160,7 @@ def test_bad_joint_states_stop_the_robot_and_keep_what_is_known(what: str) -> No
     assert after.odometry.twist == pytest.approx((0.5, 0.0, 0.2), abs=1e-6)
 
 
-def test_time_that_stands_or_goes_back_does_nothing() -> None:
+def test_tick_at_the_same_or_an_earlier_time_does_nothing() -> None:
     driver = made()
     last = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)[-1]
     assert driver.tick(last.time) is last
@@ -186,7 +186,7 @@ def test_the_pose_can_be_set() -> None:
     assert last.pose_covariance[0][0] < 1e-3
 
 
-def test_covariance_grows_with_the_way() -> None:
+def test_covariance_grows_with_the_distance() -> None:
     driver = made()
     states = run(driver, Twist(0.5, 0.0, 0.1), 0.0, 6.0)
     sizes = [s.pose_covariance[0][0] + s.pose_covariance[1][1] for s in states[::50]]
@@ -194,7 +194,7 @@ def test_covariance_grows_with_the_way() -> None:
     assert sizes[0] == 0.0 < sizes[-1] < 0.01
 
 
-def test_without_turn_counts_the_speeds_are_integrated() -> None:
+def test_without_positions_the_speeds_are_integrated() -> None:
     class SpeedsOnly(SimBase):
         def read(self, now: float) -> JointStates:
             return replace(super().read(now), positions=None)
@@ -206,7 +206,7 @@ def test_without_turn_counts_the_speeds_are_integrated() -> None:
 
 
 def test_after_waiting_for_the_wheels_the_robot_does_not_jump() -> None:
-    """From standing with the wheels forward, a command sideways."""
+    """A command sideways, for a robot at rest with its wheels forward."""
     driver = made(max_linear_acceleration=1.5)
     states = run(driver, Twist(0.0, 1.2, 0.0), 0.0, 4.0)
     speeds = [s.command.twist.speed for s in states if s.command is not None]
@@ -239,7 +239,7 @@ def test_ideal_joints_ramp_and_slew() -> None:
     assert max(states.angles) == pytest.approx(3.078027759)
 
 
-def test_settings_of_the_robot_are_the_default() -> None:
+def test_default_settings_are_those_of_the_robot() -> None:
     settings = DriverSettings(50.0, 0.2, 0.3, 1.0, 1.0, 1.0)
     driver = BaseDriver(replace(ROBOT, driver=settings), SimBase(ROBOT))
     assert run(driver, Twist(1.0, 0.0, 0.0), 0.0, 2.0)[-1].ramped.vx == pytest.approx(0.3)
@@ -247,7 +247,7 @@ def test_settings_of_the_robot_are_the_default() -> None:
     assert states[-1].mode is DriveMode.TIMED_OUT
 
 
-def test_wheels_that_must_go_the_long_way_round_arrive() -> None:
+def test_wheels_that_turn_the_long_way_round_arrive() -> None:
     """At 135 deg, and asked for 177: past the limit, so that they turn back by nearly half a turn.
 
     Drawn to where the wheels happen to point, the ramp once called them back half way, for ever.

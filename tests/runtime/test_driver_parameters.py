@@ -1,4 +1,4 @@
-"""Parameters change between ticks: all or none, and the pose stays."""
+"""Parameter changes between ticks: complete or not at all; the pose stays."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def run(driver: BaseDriver, twist: Twist, start: float, end: float) -> None:
         driver.tick(k * DT)
 
 
-def test_the_pose_stays_and_each_way_has_its_radius() -> None:
-    """At 5 rad/s it drives 1 m/s on 0.2 m, and 0.5 m/s on 0.1 m."""
+def test_each_interval_uses_its_radius_and_the_pose_stays() -> None:
+    """At 5 rad/s the robot drives 1 m/s with a radius of 0.2 m, and 0.5 m/s with 0.1 m."""
     robot = with_sets()
     driver = BaseDriver(robot, SimBase(robot))
     run(driver, Twist(1.0, 0.0, 0.0), 0.0, 3.0)
@@ -52,7 +52,7 @@ def test_the_pose_stays_and_each_way_has_its_radius() -> None:
     assert driver.calculator.geometry.wheels[0].radius == 0.2
     driver.tick(3.0)
     after = driver.state
-    # The interval that ends now was driven on the old radius.
+    # The robot drove the interval that ends now with the old radius.
     assert after.pose.x - before.pose.x == pytest.approx(1.0 * DT)
     assert driver.calculator.geometry.wheels[0].radius == 0.1
     driver.tick(3.0 + DT)
@@ -69,7 +69,7 @@ def test_the_pose_stays_and_each_way_has_its_radius() -> None:
     assert driver.state.odometry.twist.vx == pytest.approx(0.3)
 
 
-def test_a_driver_may_start_with_a_set_and_go_back_to_the_ordinary_values() -> None:
+def test_driver_starts_with_a_set_and_returns_to_the_ordinary_values() -> None:
     robot = with_sets()
     driver = BaseDriver(robot, SimBase(robot), parameters="rail")
     assert driver.parameters == Parameters.from_robot(robot, "rail")
@@ -80,7 +80,7 @@ def test_a_driver_may_start_with_a_set_and_go_back_to_the_ordinary_values() -> N
     assert driver.calculator.noise == Noise()
 
 
-def test_updates_add_up_until_the_tick() -> None:
+def test_updates_accumulate_until_the_tick() -> None:
     driver = BaseDriver(PLAIN, SimBase(PLAIN))
     driver.update(radii={"w1": 0.19})
     driver.update(radii={"w2": 0.21}, noise={"angle": 0.02}, max_linear_velocity=0.5)
@@ -94,7 +94,7 @@ def test_updates_add_up_until_the_tick() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"radii": {"w0": 0.19, "w1": -0.2}}, "the radius of w1 is -0.2 m; it must be positive"),
         ({"radii": {"w1": 0.0}}, "must be positive"),
@@ -112,20 +112,22 @@ def test_updates_add_up_until_the_tick() -> None:
         ({"noise": {"angel": 0.1}}, "there is no noise `angel`; did you mean `angle`?"),
     ],
 )
-def test_what_cannot_be_is_refused_and_all_stays(change: dict[str, object], said: str) -> None:
+def test_invalid_change_is_rejected_and_changes_nothing(
+    change: dict[str, object], message: str
+) -> None:
     driver, other = BaseDriver(PLAIN, SimBase(PLAIN)), BaseDriver(PLAIN, SimBase(PLAIN))
     run(driver, Twist(0.5, 0.1, 0.2), 0.0, 1.0)
     run(other, Twist(0.5, 0.1, 0.2), 0.0, 1.0)
     with pytest.raises(ParameterError) as caught:
         driver.update(**change)  # type: ignore[arg-type]
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     run(driver, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
     run(other, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
     assert driver.state == other.state
     assert driver.parameters == Parameters.from_robot(PLAIN)
 
 
-def test_an_unknown_set_is_refused() -> None:
+def test_unknown_set_is_rejected() -> None:
     robot = with_sets()
     driver = BaseDriver(robot, SimBase(robot))
     with pytest.raises(DiagnosticError) as caught:
@@ -137,7 +139,7 @@ def test_an_unknown_set_is_refused() -> None:
     assert driver.parameters == Parameters.from_robot(robot)
 
 
-def test_a_change_while_driving_keeps_the_steering_and_the_motors_limits() -> None:
+def test_change_while_driving_keeps_steering_and_motor_limits() -> None:
     driver = BaseDriver(with_sets(), SimBase(PLAIN))
     run(driver, Twist(0.8, 0.2, 0.3), 0.0, 2.0)
     first = driver.state.command
@@ -148,7 +150,7 @@ def test_a_change_while_driving_keeps_the_steering_and_the_motors_limits() -> No
         driver.command(Twist(0.8, 0.2, 0.3), k * DT)
         command = driver.tick(k * DT).command
         assert command is not None
-        # The same motion, slower: the wheels keep their directions.
+        # The motion is slower, and the wheels keep their directions.
         assert list(command.joints.angles) == pytest.approx(list(first.joints.angles), abs=1e-3)
         for now, then in zip(command.joints.speeds, before.speeds, strict=True):
             assert abs(now - then) <= 7.5 * DT + 1e-9
@@ -157,7 +159,7 @@ def test_a_change_while_driving_keeps_the_steering_and_the_motors_limits() -> No
 
 @pytest.mark.parametrize("name", sorted(PLUGINS.builtin))
 def test_every_calculator_resumes(name: str) -> None:
-    """One that is replaced by its equal in every tick commands what it would have commanded."""
+    """Replacing a calculator by an equal one in every tick does not change its commands."""
     kinds = {
         "differential": [(0.0, 0.4, "fixed"), (0.0, -0.4, "fixed"), (0.8, 0.0, "swivel")],
         "one_wheel": [(0.8, 0.0, "steered"), (0.0, 0.4, "passive"), (0.0, -0.4, "passive")],
@@ -178,7 +180,7 @@ def test_every_calculator_resumes(name: str) -> None:
         two = made
 
 
-def test_a_calculator_of_ones_own_is_kept() -> None:
+def test_class_of_a_given_calculator_is_kept() -> None:
     class Half(General):
         pass
 

@@ -1,4 +1,4 @@
-"""Who drives: priorities, time-outs and locks, by given times alone."""
+"""The multiplexer: priorities, time-outs and locks."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ def mux() -> Multiplexer:
     return Multiplexer.from_robot(ROBOT)
 
 
-def test_nobody_drives_before_anybody_has_said_so(mux: Multiplexer) -> None:
-    found = mux.select(0.0)
-    assert (found.source, found.twist, found.locks) == ("", ZERO_TWIST, ())
+def test_no_source_is_selected_before_the_first_publication(mux: Multiplexer) -> None:
+    selection = mux.select(0.0)
+    assert (selection.source, selection.twist, selection.locks) == ("", ZERO_TWIST, ())
 
 
-def test_the_highest_that_is_being_published_drives(mux: Multiplexer) -> None:
+def test_active_source_of_the_highest_priority_drives(mux: Multiplexer) -> None:
     mux.publish("auto_nav", SLOW, 0.0)
     assert mux.select(0.1).source == "auto_nav"
     mux.publish("teleop_joy", FAST, 0.1)
     mux.publish("auto_nav", SLOW, 0.2)
-    found = mux.select(0.2)
-    assert (found.source, found.twist, found.time) == ("teleop_joy", FAST, 0.1)
-    # A person who says zero drives, too.
+    selection = mux.select(0.2)
+    assert (selection.source, selection.twist, selection.time) == ("teleop_joy", FAST, 0.1)
+    # A source that publishes a zero twist is active, too.
     mux.publish("teleop_joy", ZERO_TWIST, 0.3)
     assert mux.select(0.4).twist == ZERO_TWIST
 
 
-def test_a_source_that_falls_silent_gives_way(mux: Multiplexer) -> None:
+def test_source_that_times_out_is_replaced(mux: Multiplexer) -> None:
     mux.publish("teleop_joy", FAST, 0.0)
     for tick in range(1, 6):
         mux.publish("auto_nav", SLOW, tick * 0.2)
-    assert mux.select(0.5).source == "teleop_joy"  # on its time-out, not past it
+    assert mux.select(0.5).source == "teleop_joy"  # exactly at its time-out
     assert mux.select(0.51).source == "auto_nav"
     assert mux.select(2.0).source == ""
 
 
-def test_a_lock_holds_back_what_is_below_it(mux: Multiplexer) -> None:
+def test_active_lock_blocks_lower_priorities(mux: Multiplexer) -> None:
     mux.lock("auto_nav_pause", True, 0.0)
     mux.publish("auto_nav", SLOW, 0.0)
     assert mux.select(0.1).source == ""
@@ -63,7 +63,7 @@ def test_a_lock_holds_back_what_is_below_it(mux: Multiplexer) -> None:
     assert mux.select(0.3).source == "teleop_joy"
 
 
-def test_a_lock_lets_its_own_priority_pass_as_in_ros() -> None:
+def test_active_lock_does_not_block_its_own_priority_as_in_ros() -> None:
     mux = Multiplexer(
         [TwistInput("a", "a/cmd_vel", 50, 1.0), TwistInput("b", "b/cmd_vel", 49, 1.0)],
         [TwistInput("l", "l/lock", 50, 0.0)],
@@ -75,12 +75,12 @@ def test_a_lock_lets_its_own_priority_pass_as_in_ros() -> None:
     assert mux.select(0.0).source == "a"
 
 
-def test_a_lock_with_a_time_out_holds_when_it_is_silent() -> None:
+def test_lock_with_a_time_out_is_active_when_it_times_out() -> None:
     mux = Multiplexer(
         [TwistInput("a", "a/cmd_vel", 10, 9.0)], [TwistInput("gate", "gate/lock", 20, 1.0)]
     )
     mux.publish("a", SLOW, 0.0)
-    assert mux.select(0.0).locks == ("gate",)  # it was never heard
+    assert mux.select(0.0).locks == ("gate",)  # never published
     mux.lock("gate", False, 0.0)
     assert mux.select(1.0).source == "a"
     assert mux.select(1.1).source == ""
@@ -88,7 +88,7 @@ def test_a_lock_with_a_time_out_holds_when_it_is_silent() -> None:
     assert mux.select(2.0).source == "a"
 
 
-def test_the_order_of_the_list_does_not_count() -> None:
+def test_order_of_the_sources_does_not_matter() -> None:
     inputs = [TwistInput(name, f"{name}/cmd_vel", n, 1.0) for n, name in enumerate("abcd", 1)]
     for listed in (inputs, inputs[::-1]):
         mux = Multiplexer(listed, ())
@@ -106,14 +106,16 @@ def test_the_order_of_the_list_does_not_count() -> None:
         (FAST, math.nan),
     ],
 )
-def test_what_is_not_finite_is_refused(mux: Multiplexer, twist: Twist, now: float) -> None:
+def test_values_that_are_not_finite_are_rejected(
+    mux: Multiplexer, twist: Twist, now: float
+) -> None:
     assert mux.publish("auto_nav", SLOW, 0.0)
     assert not mux.publish("auto_nav", twist, now)
-    found = mux.select(0.1)
-    assert (found.twist, found.time) == (SLOW, 0.0)
+    selection = mux.select(0.1)
+    assert (selection.twist, selection.time) == (SLOW, 0.0)
 
 
-def test_names_that_there_are_not(mux: Multiplexer) -> None:
+def test_unknown_names(mux: Multiplexer) -> None:
     with pytest.raises(ParameterError, match="did you mean `teleop_joy`"):
         mux.publish("teleop-joy", SLOW, 0.0)
     with pytest.raises(ParameterError, match="known: safety_stop, auto_nav_pause"):
@@ -124,9 +126,9 @@ def test_names_that_there_are_not(mux: Multiplexer) -> None:
 
 
 def drive(mux: Multiplexer, until: float, start: int = 0) -> list[tuple[float, DriveMode, Twist]]:
-    """``auto_nav`` says SLOW from 0 to 2 s; what the driver asks for and does."""
+    """``auto_nav`` publishes SLOW from 0 to 2 s; returns time, mode and ramped twist per tick."""
     driver = BaseDriver(ROBOT, SimBase(ROBOT))
-    found = []
+    samples = []
     for tick in range(start, round(until * 50)):
         now = tick * 0.02
         if now <= 2.0:
@@ -137,16 +139,16 @@ def drive(mux: Multiplexer, until: float, start: int = 0) -> list[tuple[float, D
             mux.lock("auto_nav_pause", False, now)
         mux.feed(driver, now)
         state = driver.tick(now)
-        found.append((now, state.mode, state.ramped))
-    return found
+        samples.append((now, state.mode, state.ramped))
+    return samples
 
 
-def test_a_lock_stops_the_robot_at_once_and_silence_after_the_time_out(mux: Multiplexer) -> None:
+def test_lock_stops_the_robot_immediately_and_silence_after_the_time_out(mux: Multiplexer) -> None:
     seen = drive(mux, 4.0)
     speed = {round(now, 2): twist.vx for now, _, twist in seen}
     mode = {round(now, 2): mode for now, mode, _ in seen}
     assert speed[0.98] == pytest.approx(0.2)
-    assert 0.0 < speed[1.0] < 0.2  # by the ramp
+    assert 0.0 < speed[1.0] < 0.2  # on the ramp
     assert speed[1.3] == 0.0
     assert mode[1.68] is DriveMode.IDLE
     assert speed[2.1] == pytest.approx(0.2)
@@ -156,5 +158,5 @@ def test_a_lock_stops_the_robot_at_once_and_silence_after_the_time_out(mux: Mult
     assert speed[3.0] == 0.0
 
 
-def test_a_run_repeats() -> None:
+def test_runs_are_repeatable() -> None:
     assert drive(Multiplexer.from_robot(ROBOT), 3.0) == drive(Multiplexer.from_robot(ROBOT), 3.0)

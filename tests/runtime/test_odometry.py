@@ -1,4 +1,4 @@
-"""Pose from joints: honest growth of its covariance, and what bad joints do to it."""
+"""Odometry: the pose, the growth of its covariance, and invalid joint states."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def joints(odometry: Odometry, twist: Twist, time: float) -> JointStates:
 
 
 def driven(odometry: Odometry, twist: Twist, start: float, end: float, dt: float = 0.02) -> float:
-    """Drive, tell, return when."""
+    """Drives, updates the odometry, and returns the time of the last update."""
     steps = round((end - start) / dt)
     for k in range(steps + 1):
         odometry.update(joints(odometry, twist, start + k * dt), start + k * dt)
@@ -47,14 +47,14 @@ def size(covariance: se2.Cov3) -> float:
     return covariance[0][0] + covariance[1][1]
 
 
-def test_the_way_is_exact() -> None:
+def test_constant_twists_are_integrated_exactly() -> None:
     odometry = made()
     driven(odometry, Twist(0.5, 0.2, 0.4), 0.0, 10.0)
     assert odometry.pose == pytest.approx(se2.exp(Twist(0.5, 0.2, 0.4), 10.0), abs=1e-9)
     assert 0.0 < size(odometry.covariance) < 0.01
 
 
-def test_a_gap_keeps_the_pose_and_admits_that_it_is_not_known() -> None:
+def test_gap_keeps_the_pose_and_increases_its_covariance() -> None:
     odometry = made()
     now = driven(odometry, Twist(0.5, 0.0, 0.1), 0.0, 2.0)
     pose, before = odometry.pose, odometry.covariance
@@ -67,7 +67,7 @@ def test_a_gap_keeps_the_pose_and_admits_that_it_is_not_known() -> None:
     assert odometry.estimate.twist == pytest.approx((0.5, 0.0, 0.1))
 
 
-def test_time_that_goes_back_is_a_gap_of_its_own() -> None:
+def test_decreasing_time_is_a_gap() -> None:
     odometry = made()
     now = driven(odometry, Twist(0.5, 0.0, 0.1), 0.0, 2.0)
     pose, before = odometry.pose, size(odometry.covariance)
@@ -82,7 +82,7 @@ def test_time_that_goes_back_is_a_gap_of_its_own() -> None:
 
 @pytest.mark.parametrize("lost", [3, 40])
 @pytest.mark.parametrize("how", ["missing", "stale", "nan", "short"])
-def test_without_joints_the_covariance_grows_until_there_are(how: str, lost: int) -> None:
+def test_covariance_grows_while_joint_states_are_missing(how: str, lost: int) -> None:
     odometry = made()
     twist = Twist(0.5, 0.0, 0.1)
     now = driven(odometry, twist, 0.0, 2.0)
@@ -109,7 +109,7 @@ def test_without_joints_the_covariance_grows_until_there_are(how: str, lost: int
         sizes.append(size(odometry.covariance))
     assert sizes == sorted(set(sizes))
     odometry.update(joints(odometry, twist, now + 0.02), now + 0.02)
-    if (lost + 1) * 0.02 <= LONGEST_INTERVAL:  # the wheels tell what happened meanwhile
+    if (lost + 1) * 0.02 <= LONGEST_INTERVAL:  # the wheel positions contain the motion in between
         step = se2.exp(twist, (lost + 1) * 0.02)
         assert odometry.pose.relative_to(pose) == pytest.approx(step, abs=1e-9)
         assert size(odometry.covariance) < sizes[1]
@@ -118,7 +118,7 @@ def test_without_joints_the_covariance_grows_until_there_are(how: str, lost: int
         assert size(odometry.covariance) >= sizes[-1]
 
 
-def test_resetting_the_pose() -> None:
+def test_reset_sets_the_pose() -> None:
     odometry = made()
     driven(odometry, Twist(0.5, 0.0, 0.0), 0.0, 2.0)
     odometry.reset(Pose2(5.0, 1.0, math.pi / 2))
@@ -127,8 +127,8 @@ def test_resetting_the_pose() -> None:
     assert odometry.pose == pytest.approx((5.0, 2.0, math.pi / 2), abs=1e-9)
 
 
-def test_counted_ways_beat_speeds() -> None:
-    """A speed that was higher between the ticks than at them."""
+def test_positions_are_more_accurate_than_speeds() -> None:
+    """The speed is higher between the ticks than at the ticks."""
     odometry = made()
     zeros = [0.0] * 4
     for k in range(11):
@@ -137,22 +137,22 @@ def test_counted_ways_beat_speeds() -> None:
     assert odometry.pose == pytest.approx((0.2, 0.0, 0.0))
 
 
-def test_what_no_wheel_sees_goes_on() -> None:
-    """One wheel and casters: turning about the wheel is not seen, and does not average out."""
+def test_unmeasured_rotation_does_not_average_out() -> None:
+    """One wheel and casters do not measure a rotation about the wheel, which may be constant."""
     wheels = [wheel("d", 0.5, 0.0, "steered"), wheel("c", -0.5, 0.3, "swivel")]
     odometry = Odometry(General(BaseGeometry.from_wheels(wheels)), FASTEST)
     zeros = [0.0] * 2
     for k in range(501):
         odometry.update(JointStates(0.02 * k, zeros, zeros, zeros), 0.02 * k)
-    # For 10 s it may have turned at whatever the estimate leaves open.
+    # The unmeasured rotation may have been constant for 10 s.
     assert math.sqrt(odometry.covariance[2][2]) >= 10.0 * math.sqrt(
         odometry.estimate.covariance[2][2]
     )
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3])
-def test_pose_errors_are_as_large_as_the_covariance_says(correlation: float) -> None:
-    """NEES / 3 of the pose near 1, with errors of their own each tick and with lasting ones."""
+def test_pose_errors_agree_with_the_covariance(correlation: float) -> None:
+    """NEES / 3 of the pose is near 1, for independent and for correlated errors."""
     rng = random.Random(8)
     noise = Noise(correlation=correlation)
     dt, steps, runs = 0.02, 300, 25
@@ -179,12 +179,12 @@ def test_pose_errors_are_as_large_as_the_covariance_says(correlation: float) -> 
                 true = true.moved(se2.exp(mean, dt))
             last = twist
         total += nees(true.relative_to(odometry.pose), odometry.covariance)
-    # 75 degrees of freedom; the floors of the noise are assumed but not made: below 1.
+    # 75 degrees of freedom.  The simulated noise has no floors, so the result may be below 1.
     assert 0.65 <= total / runs / 3.0 <= 1.35
 
 
 def nees(e: Pose2, p: se2.Cov3) -> float:
-    """e^T P^-1 e, by elimination."""
+    """Returns e' P^-1 e, by elimination."""
     a = [[*row, v] for row, v in zip(p, e, strict=True)]
     for i in range(3):
         for j in range(3):

@@ -1,4 +1,4 @@
-"""Planar motion: integration and covariance."""
+"""Planar motion on SE(2): integration and covariance."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def test_exp_is_the_limit_of_small_steps(wz: float) -> None:
     assert se2.exp(twist, 1.0) == pytest.approx(pose, abs=1e-9)
 
 
-def test_series_and_closed_form_meet() -> None:
+def test_series_and_closed_form_agree() -> None:
     for a in (1e-3 * (1 - 1e-12), 1e-3 * (1 + 1e-12)):
         step = se2.exp(Twist(1.0, 0.0, a), 1.0)
         assert step.x == pytest.approx(math.sin(1e-3) / 1e-3, abs=1e-14)
         assert step.y == pytest.approx((1 - math.cos(1e-3)) / 1e-3, abs=1e-13)
 
 
-def test_a_motion_in_one_step_or_in_many() -> None:
+def test_motion_in_one_step_equals_motion_in_many() -> None:
     twist = Twist(1.0, 0.2, 0.7)
     pose = ORIGIN
     for _ in range(770):
@@ -53,15 +53,15 @@ def test_chord_over_arc() -> None:
 
 
 def log(pose: Pose2) -> list[float]:
-    """The twist that makes a small motion in 1 s."""
+    """Returns the twist of a small motion in 1 s."""
     half = pose.yaw / 2.0
     k = half / math.tan(half) if abs(half) > 1e-9 else 1.0
     return [k * pose.x + half * pose.y, k * pose.y - half * pose.x, pose.yaw]
 
 
 @pytest.mark.parametrize("twist", [Twist(0.8, -0.5, 0.9), Twist(-0.4, 0.9, -1e-4)])
-def test_covariance_follows_small_changes_of_pose_and_twist(twist: Twist) -> None:
-    """Against differences: a small motion before the step, and a small change of the twist."""
+def test_covariance_agrees_with_finite_differences(twist: Twist) -> None:
+    """Finite differences: a small motion before the step, and a small change of the twist."""
     dt, eps = 0.7, 1e-6
     end = se2.exp(twist, dt)
     unit = [[1.0 if i == j else 0.0 for j in range(3)] for i in range(3)]
@@ -79,14 +79,14 @@ def test_covariance_follows_small_changes_of_pose_and_twist(twist: Twist) -> Non
                 if one == "twist":
                     source = tuple(tuple(v / dt**2 for v in row) for row in source)
                 arguments = {one: source, zero: ZERO_COV}
-                found = se2.propagate(arguments["pose"], twist, arguments["twist"], dt)
+                covariance = se2.propagate(arguments["pose"], twist, arguments["twist"], dt)
                 for i in range(3):
                     for j in range(3):
-                        assert found[i][j] == pytest.approx(change[i] * change[j], abs=1e-5)
+                        assert covariance[i][j] == pytest.approx(change[i] * change[j], abs=1e-5)
 
 
-def test_pose_covariance_is_that_of_many_runs() -> None:
-    """Twists with noise, integrated: the scatter of the ends is the covariance told."""
+def test_pose_covariance_agrees_with_many_runs() -> None:
+    """The scatter of the ends of many noisy runs is the propagated covariance."""
     random.seed(1)
     twist, dt, n = Twist(1.0, 0.1, 0.4), 0.1, 40
     sigma = (0.05, 0.03, 0.04)

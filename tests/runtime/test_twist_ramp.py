@@ -1,4 +1,4 @@
-"""Ramps between twists: their corners, their straightness, and waiting for the wheels."""
+"""Ramps between twists: smoothed corners, straight lines, limited lead."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def test_acceleration_begins_and_ends_gently() -> None:
     assert max(map(abs, jerks)) <= 1.5 / 0.2 + 1e-6
     assert seen[-1] == 1.2
     without = [t.vx for t in steps(Ramp(SETTINGS, 1.0, 0.0), Twist(1.2, 0.0, 0.0), 2.0)]
-    # Later by half of what it is smoothed over.
+    # The delay is half of the smoothing time.
     assert sum(without) - sum(seen) == pytest.approx(1.2 * 0.1 / DT)
 
 
-def test_the_way_from_rest_and_to_rest_keeps_the_centre_of_rotation() -> None:
+def test_ramps_from_rest_and_to_rest_keep_the_centre_of_rotation() -> None:
     ramp, goal = Ramp(SETTINGS, 1.0, 0.2), Twist(0.8, -0.2, 0.5)
     for twist in (*steps(ramp, goal, 1.5), *steps(ramp, ZERO_TWIST, 1.5)):
         assert twist.vx * goal.wz == pytest.approx(twist.wz * goal.vx, abs=1e-12)
@@ -40,7 +40,7 @@ def test_the_way_from_rest_and_to_rest_keeps_the_centre_of_rotation() -> None:
     assert ramp.twist == ZERO_TWIST
 
 
-def test_it_waits_for_the_wheels() -> None:
+def test_ramp_waits_for_the_wheels() -> None:
     ramp = Ramp(SETTINGS, 2.0, 0.2)
     steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
     ramp.limit_lead(Twist(0.2, 0.0, 0.0))

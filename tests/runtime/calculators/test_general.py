@@ -1,4 +1,4 @@
-"""The general calculator on arrangements that are special."""
+"""The general calculator with special arrangements of wheels."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def followed(command: BaseCommand) -> JointStates:
 
 
 def test_turn_on_the_spot_points_wheels_across_their_arms() -> None:
-    made = general(*four(*["steered"] * 4))
-    command = made.command(Twist(0.0, 0.0, 1.0))
+    calculator = general(*four(*["steered"] * 4))
+    command = calculator.command(Twist(0.0, 0.0, 1.0))
     arm = math.hypot(0.55, 0.45)
     for (x, y), angle, speed in zip(
         SQUARE, command.joints.angles, command.joints.speeds, strict=True
@@ -88,21 +88,21 @@ def test_fixed_wheels_roll_along_and_a_turned_one_rolls_backwards() -> None:
     assert calculator.estimator.least_squares(followed(command)) == pytest.approx(twist)
 
 
-def test_one_fixed_axle_takes_the_turn_and_decides_the_swing() -> None:
-    made = general(*four("steered", "steered", "fixed", "fixed"))
-    command = made.command(Twist(0.5, 0.0, 0.3))
+def test_one_fixed_axle_keeps_the_rotation_and_determines_the_lateral_speed() -> None:
+    calculator = general(*four("steered", "steered", "fixed", "fixed"))
+    command = calculator.command(Twist(0.5, 0.0, 0.3))
     assert command.target == pytest.approx((0.5, 0.3 * 0.55, 0.3))
     assert command.infeasible == pytest.approx((0.0, -0.3 * 0.55, 0.0))
-    sideways = made.command(Twist(0.0, 0.5, 0.0))
+    sideways = calculator.command(Twist(0.0, 0.5, 0.0))
     assert sideways.target == ZERO_TWIST
     assert sideways.infeasible == pytest.approx((0.0, 0.5, 0.0))
 
 
-def test_two_axles_leave_turning_about_one_point() -> None:
+def test_two_axles_only_allow_rotation_about_one_point() -> None:
     across = wheel("a", 1.0, 0.0, "fixed", heading=math.pi / 2)
     along = wheel("b", 0.0, 1.0, "fixed")
-    made = general(across, along)
-    allowed = made.feasible(Twist(1.0, 1.0, 0.5))
+    calculator = general(across, along)
+    allowed = calculator.feasible(Twist(1.0, 1.0, 0.5))
     # Their axle lines are y = 0 and x = 0.
     assert allowed == pytest.approx((0.0, 0.0, 0.5))
     third = wheel("c", 1.0, 1.0, "passive", heading=0.9)
@@ -110,73 +110,75 @@ def test_two_axles_leave_turning_about_one_point() -> None:
 
 
 def test_nearly_parallel_wheels_are_one_axle() -> None:
-    """Five degrees of toe is no reason to stand still."""
+    """Five degrees of toe do not stop the robot."""
     toe = math.radians(5)
-    made = general(
+    calculator = general(
         wheel("l", 0.0, 0.4, "fixed", heading=toe), wheel("r", 0.0, -0.4, "fixed", heading=-toe)
     )
-    command = made.command(Twist(0.5, 0.0, 0.2))
-    # Their axle lines meet the middle a little before base_link.
+    command = calculator.command(Twist(0.5, 0.0, 0.2))
+    # The mean axle line passes slightly in front of base_link.
     assert command.target == pytest.approx((0.5, -0.2 * 0.4 * math.tan(toe), 0.2), abs=1e-12)
 
 
-def test_skid_steering_asks_for_more_and_measures_what_it_gets() -> None:
-    """Wheels at (+-a, +-b) turn the robot by b^2 / (a^2 + b^2) of what their speeds say."""
-    made = general(*four(*["fixed"] * 4))
+def test_skid_steering_commands_more_and_measures_the_true_rotation() -> None:
+    """Wheels at (+-a, +-b) turn the robot by b^2 / (a^2 + b^2) of pure rolling."""
+    calculator = general(*four(*["fixed"] * 4))
     twist = Twist(0.0, 0.0, 0.5)
-    command = made.command(twist)
+    command = calculator.command(twist)
     gain = (0.55**2 + 0.45**2) / 0.45**2
     assert command.joints.speeds[1] * 0.2 == pytest.approx(gain * 0.45 * 0.5)
     assert command.joints.speeds[0] == pytest.approx(-command.joints.speeds[1])
-    estimate = made.odometry(followed(command))
+    estimate = calculator.odometry(followed(command))
     assert estimate.twist == pytest.approx(twist, abs=1e-9)
     arc = Twist(0.6, 0.0, 0.3)
-    assert made.odometry(followed(made.command(arc))).twist == pytest.approx(arc, abs=1e-9)
+    assert calculator.odometry(followed(calculator.command(arc))).twist == pytest.approx(
+        arc, abs=1e-9
+    )
 
 
-def test_two_axles_behind_a_steered_one_act_as_one_between_them() -> None:
-    made = general(
+def test_two_parallel_fixed_axles_act_as_one_in_the_middle() -> None:
+    calculator = general(
         wheel("f", 1.5, 0.0, "steered"),
         wheel("a", -0.4, 0.0, "fixed"),
         wheel("b", -0.8, 0.0, "fixed"),
     )
-    assert made.command(Twist(0.5, 0.0, 0.2)).target == pytest.approx((0.5, 0.12, 0.2))
+    assert calculator.command(Twist(0.5, 0.0, 0.2)).target == pytest.approx((0.5, 0.12, 0.2))
 
 
 def test_saturation_keeps_the_centre_of_rotation() -> None:
-    made = general(*four(*["steered"] * 4))
-    command = made.command(Twist(1.4, 0.0, 1.0))
+    calculator = general(*four(*["steered"] * 4))
+    command = calculator.command(Twist(1.4, 0.0, 1.0))
     assert command.scale < 1.0
     assert command.target == pytest.approx(Twist(1.4, 0.0, 1.0).scaled(command.scale))
     assert max(abs(v) for v in command.joints.speeds) == pytest.approx(7.5)
-    assert made.odometry(followed(command)).twist == pytest.approx(command.target, abs=1e-12)
+    assert calculator.odometry(followed(command)).twist == pytest.approx(command.target, abs=1e-12)
 
 
 def test_wheel_at_the_centre_of_rotation_holds() -> None:
-    made = general(*four(*["steered"] * 4))
-    made.command(Twist(0.5, 0.1, 0.0))
-    before = made.command(Twist(0.5, 0.1, 0.0)).joints.angles[0]
+    calculator = general(*four(*["steered"] * 4))
+    calculator.command(Twist(0.5, 0.1, 0.0))
+    before = calculator.command(Twist(0.5, 0.1, 0.0)).joints.angles[0]
     # About the first wheel: v = -w x r.
-    command = made.command(Twist(0.45 * 0.5, -0.55 * 0.5, 0.5))
+    command = calculator.command(Twist(0.45 * 0.5, -0.55 * 0.5, 0.5))
     assert command.joints.angles[0] == before
     assert command.joints.speeds[0] == 0.0
     assert command.unreachable == ()
-    assert made.odometry(followed(command)).twist == pytest.approx(command.target, abs=1e-12)
+    assert calculator.odometry(followed(command)).twist == pytest.approx(command.target, abs=1e-12)
 
 
-def test_unreachable_wheel_holds_and_is_named() -> None:
+def test_unreachable_wheel_holds_and_is_listed() -> None:
     wheels = four(*["steered"] * 4)
     wheels[2] = replace(wheels[2], lower=-0.5, upper=0.5)
-    made = general(*wheels)
-    command = made.command(Twist(0.0, 0.5, 0.0))
+    calculator = general(*wheels)
+    command = calculator.command(Twist(0.0, 0.5, 0.0))
     assert command.unreachable == (2,)
     assert command.joints.speeds[2] == 0.0
     assert command.joints.angles[2] == 0.0
-    # With the wheels' real angles the others do not drag it along.
-    made.reset(followed(made.command(ZERO_TWIST)))
-    command = made.command(Twist(0.0, 0.5, 0.0), None, 0.02)
+    # With the real angles of the wheels, the others do not drag it along.
+    calculator.reset(followed(calculator.command(ZERO_TWIST)))
+    command = calculator.command(Twist(0.0, 0.5, 0.0), None, 0.02)
     for _ in range(100):
-        command = made.command(Twist(0.0, 0.5, 0.0), followed(command), 0.02)
+        command = calculator.command(Twist(0.0, 0.5, 0.0), followed(command), 0.02)
     assert math.hypot(*command.twist[:2]) < 0.05
 
 
@@ -189,12 +191,12 @@ def test_two_wheels_on_one_steering_joint_turn_together() -> None:
         ],
         steering=["s", "s", None],
     )
-    made = General(geometry)
+    calculator = General(geometry)
     twist = Twist(0.5, 0.25, 0.5)
-    command = made.command(twist)
+    command = calculator.command(twist)
     left, right, _ = command.joints.angles
     assert left == right
-    assert made.odometry(followed(command)).twist == pytest.approx(command.target, abs=1e-12)
+    assert calculator.odometry(followed(command)).twist == pytest.approx(command.target, abs=1e-12)
 
 
 def test_two_wheels_on_one_axle_get_one_speed() -> None:
@@ -211,16 +213,16 @@ def test_two_wheels_on_one_axle_get_one_speed() -> None:
 
 
 def scrub(twist: Twist, coordinated: bool) -> float:
-    """Mean way (m) that four contacts slip while their wheels turn from forward to a twist.
+    """Mean distance (m) that four contacts slip while their wheels turn from forward to a twist.
 
     The robot is taken to move as the plain least squares fit of its wheels' velocities.
     """
     wheels = [replace(w, max_rate=2.0, max_speed=100.0) for w in four(*["steered"] * 4)]
-    made, dt, slipped = general(*wheels), 0.01, 0.0
+    calculator, dt, slipped = general(*wheels), 0.01, 0.0
     goals = general(*wheels).command(twist).joints
     angles, speeds = [0.0] * 4, [0.0] * 4
     for _ in range(150):
-        command = made.command(twist, JointStates(0.0, speeds, angles, [0.0] * 4), dt)
+        command = calculator.command(twist, JointStates(0.0, speeds, angles, [0.0] * 4), dt)
         speeds = list(command.joints.speeds)
         if not coordinated:
             away = [a - goal for a, goal in zip(angles, goals.angles, strict=True)]
@@ -245,7 +247,7 @@ def test_coordinated_speeds_scrub_far_less_than_the_cosine_rule() -> None:
 
 
 def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
-    """Wheels whose contacts lie beside and behind the steering axis, turning to a new motion.
+    """Wheels with contacts beside and behind the steering axis turn to a new motion.
 
     What the joints tell while they move is the motion that the calculator says they make.
     """
@@ -254,17 +256,17 @@ def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
         wheel("b", 0.5, -0.4, "steered", lateral=-0.1, sign=-1.0, trail=-0.08),
         wheel("c", -0.5, 0.0, "steered", lateral=0.1, heading=0.5),
     ]
-    made, dt = general(*(replace(w, max_acceleration=1e3) for w in wheels)), 0.01
+    calculator, dt = general(*(replace(w, max_acceleration=1e3) for w in wheels)), 0.01
     angles = [0.0] * 3
     states = JointStates(0.0, [0.0] * 3, angles, [0.0] * 3)
-    made.reset(states)
+    calculator.reset(states)
     worst = 0.0
     for k in range(250):
         twist = Twist(0.3, 0.0, 0.0) if k < 60 else Twist(0.0, 0.3, 0.2)
-        command = made.command(twist, states, dt)
+        command = calculator.command(twist, states, dt)
         rates = [(b - a) / dt for a, b in zip(angles, command.joints.angles, strict=True)]
-        told = made.odometry(JointStates(0.0, command.joints.speeds, angles, rates)).twist
-        apart = [abs(a - b) for a, b in zip(told, command.twist, strict=True)]
+        estimate = calculator.odometry(JointStates(0.0, command.joints.speeds, angles, rates)).twist
+        apart = [abs(a - b) for a, b in zip(estimate, command.twist, strict=True)]
         worst = max(worst, *apart)
         angles = list(command.joints.angles)
         states = JointStates(0.0, command.joints.speeds, angles, rates)
@@ -272,44 +274,46 @@ def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
     assert command.twist == pytest.approx((0.0, 0.3, 0.2), abs=1e-9)
 
 
-def test_wheels_arrive_together_if_asked() -> None:
+def test_option_arrive_together() -> None:
     def arrivals(together: bool) -> set[int]:
-        made = general(*four(*["steered"] * 4), options=GeneralOptions(arrive_together=together))
+        calculator = general(
+            *four(*["steered"] * 4), options=GeneralOptions(arrive_together=together)
+        )
         twist = Twist(0.3, 0.1, 0.5)
         goal = general(*four(*["steered"] * 4)).command(twist).joints.angles
-        found: dict[int, int] = {}
+        arrival_ticks: dict[int, int] = {}
         for tick in range(100):
-            angles = made.command(twist, None, 0.02).joints.angles
+            angles = calculator.command(twist, None, 0.02).joints.angles
             for i in range(4):
-                if i not in found and abs(angles[i] - goal[i]) < 0.02:
-                    found[i] = tick
-        return set(found.values())
+                if i not in arrival_ticks and abs(angles[i] - goal[i]) < 0.02:
+                    arrival_ticks[i] = tick
+        return set(arrival_ticks.values())
 
     assert max(arrivals(True)) - min(arrivals(True)) <= 4
     assert max(arrivals(False)) - min(arrivals(False)) > 4
 
 
-def test_what_servos_leave_costs_no_speed() -> None:
-    """Half a degree at every wheel, each its own way: the robot goes on at the speed asked for."""
-    made = general(*four(*["steered"] * 4))
-    states = followed(made.command(Twist(0.8, 0.0, 0.2)))
+def test_servo_errors_cost_no_speed() -> None:
+    """With half a degree of error at every wheel, the robot keeps its commanded speed."""
+    calculator = general(*four(*["steered"] * 4))
+    states = followed(calculator.command(Twist(0.8, 0.0, 0.2)))
     states.angles = [a + math.radians(0.5) * (-1) ** i for i, a in enumerate(states.angles)]
-    command = made.command(Twist(0.8, 0.0, 0.2), states, 0.02)
+    command = calculator.command(Twist(0.8, 0.0, 0.2), states, 0.02)
     assert command.twist == command.target == Twist(0.8, 0.0, 0.2)
-    # Thirty degrees do: wheels that point apart roll slowly.
+    # Thirty degrees cost speed: wheels that point apart roll slowly.
     states.angles = [a + math.radians(30.0) * (-1) ** i for i, a in enumerate(states.angles)]
     for _ in range(100):
-        command = made.command(Twist(0.8, 0.0, 0.2), states, 0.02)
+        command = calculator.command(Twist(0.8, 0.0, 0.2), states, 0.02)
     assert command.twist.speed < 0.1
 
 
 def test_motors_keep_their_accelerations_together() -> None:
     wheels = four(*["steered"] * 4)
     wheels[1] = replace(wheels[1], max_acceleration=1.0)
-    made = general(*wheels)
+    calculator = general(*wheels)
     dt, before = 0.02, [0.0] * 4
     for tick in range(200):
-        command = made.command(Twist(0.5, 0.0, 0.0), None, dt)
+        command = calculator.command(Twist(0.5, 0.0, 0.0), None, dt)
         speeds = list(command.joints.speeds)
         assert abs(speeds[1] - before[1]) <= 1.0 * dt + 1e-12
         assert speeds == pytest.approx([speeds[0]] * 4)
@@ -320,18 +324,18 @@ def test_motors_keep_their_accelerations_together() -> None:
     assert speeds[0] == pytest.approx(2.5)
 
 
-def test_required_rates_say_who_is_late() -> None:
-    made = general(*four(*["steered"] * 4))
-    made.command(Twist(0.5, 0.0, 0.0))
-    command = made.command(Twist(0.5, 0.0, 0.0), None, 0.02)
+def test_required_rates_show_late_wheels() -> None:
+    calculator = general(*four(*["steered"] * 4))
+    calculator.command(Twist(0.5, 0.0, 0.0))
+    command = calculator.command(Twist(0.5, 0.0, 0.0), None, 0.02)
     assert list(command.required_rates) == [0.0] * 4
-    command = made.command(Twist(0.0, 0.5, 0.0), None, 0.02)
+    command = calculator.command(Twist(0.0, 0.5, 0.0), None, 0.02)
     assert list(map(abs, command.required_rates)) == pytest.approx([math.pi / 2 / 0.02] * 4)
     assert max(map(abs, command.required_rates)) > 4.0
-    assert not any(made.command(Twist(0.5, 0.1, 0.0)).required_rates)
+    assert not any(calculator.command(Twist(0.5, 0.1, 0.0)).required_rates)
 
 
-def test_robots_without_a_drive_are_refused() -> None:
+def test_robots_without_a_drive_are_rejected() -> None:
     assert General.unsuited_reason(BaseGeometry.from_wheels([])) == "it has no wheels"
     geometry = BaseGeometry.from_wheels([wheel("c", 0.0, 0.0, "swivel")])
     assert "motor" in str(General.unsuited_reason(geometry))

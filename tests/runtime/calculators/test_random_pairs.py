@@ -1,4 +1,4 @@
-"""The paper's odometry: right without noise, repeatable, and what it cannot do."""
+"""The paper's odometry: exact without noise, repeatable, and its limits."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def joints(twist: Twist, error: float = 0.0) -> JointStates:
         ZERO_TWIST,
     ],
 )
-def test_without_noise_it_finds_the_twist(twist: Twist, special: bool) -> None:
+def test_exact_without_noise(twist: Twist, special: bool) -> None:
     made = RandomPairs(GEOMETRY, RandomPairsOptions(special_cases=special))
     assert made.odometry(joints(twist)).twist == pytest.approx(twist, abs=1e-9)
 
@@ -50,8 +50,8 @@ def test_pairs_repeat_with_their_seed() -> None:
     assert one.odometry(states) == first[0]
 
 
-def test_hardly_bent_counts_as_straight() -> None:
-    """Directions within `parallel` of one another have no intersection worth having."""
+def test_almost_parallel_lines_count_as_parallel() -> None:
+    """Directions that differ by less than `parallel` have no useful intersection."""
     states = joints(Twist(0.5, 0.0, 0.002), 0.002)
     assert RandomPairs(GEOMETRY).odometry(states).twist.wz == 0.0
     plain = RandomPairs(GEOMETRY, RandomPairsOptions(special_cases=False))
@@ -64,13 +64,13 @@ def test_one_wheel_has_no_pair() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"pairs_per_wheel": 0}, "1 to 1000"),
         ({"parallel": 0.0}, "between 0 and 1"),
         ({"hysteresis": -1.0}, "0 to 10"),
     ],
 )
-def test_options_out_of_range(options: dict[str, float], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_options_out_of_range(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         RandomPairsOptions(**options)  # type: ignore[arg-type]

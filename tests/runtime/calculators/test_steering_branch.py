@@ -1,4 +1,4 @@
-"""The choice of a steering angle, and the way there."""
+"""The choice of a steering angle, and the motion to it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def turned(joint: SteeringJoint, angle: float) -> SteeringJoint:
     return joint
 
 
-def test_takes_the_nearer_of_two_opposite_angles() -> None:
+def test_chooses_the_nearer_of_two_opposite_angles() -> None:
     joint = turned(steering(), 0.2)
     joint.choose(-1.0, 0.0, 0.0, 0.2, 0.0)
     assert joint.target == pytest.approx(0.0)
@@ -34,7 +34,7 @@ def test_takes_the_nearer_of_two_opposite_angles() -> None:
     assert joint.direction == 1.0
 
 
-def test_goes_the_long_way_where_the_cable_ends() -> None:
+def test_turns_the_long_way_at_a_cable_limit() -> None:
     """From 150 deg, a direction of -160 deg (200) is 50 deg away but past the limit."""
     angle = math.radians(150)
     joint = turned(steering((-LIMIT, LIMIT)), angle)
@@ -43,8 +43,8 @@ def test_goes_the_long_way_where_the_cable_ends() -> None:
     assert joint.direction == -1.0
 
 
-def test_half_a_turn_past_the_limit_by_rounding_stays() -> None:
-    """A target at +-pi, rounded either way, in a joint limited to +-3.14159."""
+def test_rounding_at_the_limit_does_not_cause_half_a_turn() -> None:
+    """A target at +-pi with rounding errors, in a joint limited to +-3.14159."""
     joint = turned(steering((-3.14159, 3.14159)), 3.14159)
     for k in range(50):
         noise = (-1) ** k * 1e-12
@@ -54,7 +54,7 @@ def test_half_a_turn_past_the_limit_by_rounding_stays() -> None:
         assert joint.direction == 1.0
 
 
-def test_hysteresis_keeps_the_branch_between_equals() -> None:
+def test_hysteresis_keeps_the_branch_at_equal_costs() -> None:
     joint = turned(steering(), 0.0)
     joint.choose(0.0, 1.0, 0.0, 0.0, 0.0)
     first = joint.direction
@@ -64,7 +64,7 @@ def test_hysteresis_keeps_the_branch_between_equals() -> None:
         assert joint.direction == first
 
 
-def test_a_fast_wheel_does_not_reverse_for_a_few_degrees() -> None:
+def test_fast_wheel_does_not_reverse_for_a_small_gain() -> None:
     """Turning 100 deg takes 0.44 s; stopping and reversing from 1.5 m/s takes 2 s."""
     joint = turned(steering(), 0.0)
     joint.choose(1.0, 0.0, 0.0, 0.0, 1.5)
@@ -75,7 +75,7 @@ def test_a_fast_wheel_does_not_reverse_for_a_few_degrees() -> None:
     assert joint.direction == -1.0
 
 
-def test_narrow_limits_may_reach_nothing() -> None:
+def test_narrow_limits_may_have_no_reachable_angle() -> None:
     joint = turned(steering((-0.7, 0.7)), 0.1)
     joint.choose(0.0, 1.0, 0.0, 0.1, 0.0)
     assert joint.unreachable
@@ -85,7 +85,7 @@ def test_narrow_limits_may_reach_nothing() -> None:
     assert joint.target == pytest.approx(math.atan2(0.2, -1.0) - math.pi)
 
 
-def test_slow_is_held_and_resumes_later() -> None:
+def test_slow_wheel_holds_and_resumes_later() -> None:
     joint = turned(steering(), 0.3)
     joint.choose(0.0, 0.0015, 0.0, 0.3, 0.0)
     assert joint.holding
@@ -98,7 +98,7 @@ def test_slow_is_held_and_resumes_later() -> None:
     assert joint.holding
 
 
-def test_a_trailing_contact_points_past_the_velocity() -> None:
+def test_wheel_with_trail_leads_the_velocity() -> None:
     joint = SteeringJoint(wheel("w", 1.0, 0.0, "steered", trail=-0.1), (0,), 1.5, 0.02)
     wz = 0.5
     joint.choose(1.0, wz * 1.0, wz, 0.0, 0.0)
@@ -107,7 +107,7 @@ def test_a_trailing_contact_points_past_the_velocity() -> None:
 
 
 def test_expected_travel_is_the_mean_over_all_directions() -> None:
-    """Against a count over directions, for wide, narrow and lopsided limits."""
+    """Comparison with a mean over directions, for wide, narrow and asymmetric limits."""
     for limits in ((-LIMIT, LIMIT), (-math.pi, math.pi), (-1.0, 5.0), (-math.pi / 2, math.pi / 2)):
         joint = steering(limits)
         low, high = limits
@@ -122,8 +122,8 @@ def test_expected_travel_is_the_mean_over_all_directions() -> None:
             assert joint.expected_travel(at) == pytest.approx(total / n, abs=0.02)
 
 
-def test_avoids_the_ends_of_the_range() -> None:
-    """From 80 deg, 168 deg is nearer than -12 deg, but next to the limit."""
+def test_avoids_angles_near_the_limits() -> None:
+    """From 80 deg, 168 deg is nearer than -12 deg, but close to the limit."""
     joint = turned(steering(), math.radians(80))
     theta = math.radians(168)
     joint.choose(math.cos(theta), math.sin(theta), 0.0, math.radians(80), 0.0)
@@ -131,7 +131,7 @@ def test_avoids_the_ends_of_the_range() -> None:
 
 
 def test_travel_is_near_the_optimum() -> None:
-    """Independent directions, +-180 deg: dynamic programming reaches 48.04 deg in the mean."""
+    """Independent directions, +-180 deg: dynamic programming has a mean of 48.04 deg."""
     random.seed(7)
     joint = turned(steering(hysteresis=0.0), 0.0)
     travel, n = 0.0, 40000
@@ -145,7 +145,7 @@ def test_travel_is_near_the_optimum() -> None:
 
 
 @pytest.mark.parametrize(("start", "goal"), [(0.0, 2.0), (2.5, -1.0), (0.0, 0.01), (1.0, 1.0001)])
-def test_the_way_keeps_rate_and_change_and_does_not_overshoot(start: float, goal: float) -> None:
+def test_motion_keeps_rate_and_rate_change_without_overshoot(start: float, goal: float) -> None:
     joint = turned(steering(), start)
     joint.target = goal
     dt, before, rate = 0.02, start, 0.0
@@ -159,5 +159,5 @@ def test_the_way_keeps_rate_and_change_and_does_not_overshoot(start: float, goal
         before, rate = joint.angle, now
         ticks += 1
         assert ticks < 200
-    # The shortest time is way / rate + rate / change.
+    # The shortest time is distance / rate + rate / change.
     assert ticks * dt <= abs(goal - start) / 4.0 + 4.0 / 20.0 + 4 * dt

@@ -1,4 +1,4 @@
-"""Wheels that slip, stall or are not where their encoders say: found, named, left out."""
+"""Rejection of wheels that slip, stall or have wrong steering angles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MOTIONS = [Twist(0.8, 0.0, 0.0), Twist(0.5, 0.3, 0.4), Twist(-0.3, 0.6, -0.3), T
 def joints(
     wheels: list[WheelGeometry], twist: Twist, noise: Noise | None = None, seed: int = 1
 ) -> JointStates:
-    """What the joints say in that motion, with errors of ``noise``, or with none."""
+    """Joint states of that motion, with errors of ``noise`` or without errors."""
     rng = random.Random(seed)
     command = General(BaseGeometry.from_wheels(wheels)).command(twist)
     speeds, angles = list(command.joints.speeds), list(command.joints.angles)
@@ -65,7 +65,7 @@ def sigmas(covariance: Cov3) -> list[float]:
 @pytest.mark.parametrize("wrong", ["1.1", "1.3", "2", "0", "-1", "+20 deg", "both"])
 @pytest.mark.parametrize("wheels", [FOUR, SIX], ids=["4", "6"])
 @pytest.mark.parametrize("motion", MOTIONS, ids=str)
-def test_one_wrong_wheel_is_named_and_does_no_harm(
+def test_one_faulty_wheel_is_dropped_and_has_no_effect(
     wheels: list[WheelGeometry], motion: Twist, wrong: str
 ) -> None:
     states = joints(wheels, motion)
@@ -74,18 +74,20 @@ def test_one_wrong_wheel_is_named_and_does_no_harm(
     assert healthy.dropped == ()
     assert max(healthy.chi_squares) < 1e-9
     for i in range(len(wheels)):
-        told = found.estimate(spoilt(states, i, wrong))
-        assert told.dropped == (i,)
-        assert told.chi_squares[i] == max(told.chi_squares)
-        assert max(d for k, d in enumerate(told.chi_squares) if k != i) < 1e-2
-        # The part of it that is kept is within what it is believed to err by.
-        for got, true, sigma in zip(told.twist, motion, sigmas(told.covariance), strict=True):
+        estimate = found.estimate(spoilt(states, i, wrong))
+        assert estimate.dropped == (i,)
+        assert estimate.chi_squares[i] == max(estimate.chi_squares)
+        assert max(d for k, d in enumerate(estimate.chi_squares) if k != i) < 1e-2
+        # The error of the row that is kept is within its assumed noise.
+        for got, true, sigma in zip(
+            estimate.twist, motion, sigmas(estimate.covariance), strict=True
+        ):
             assert abs(got - true) <= 0.25 * sigma
-        for got, true in zip(sigmas(told.covariance), sigmas(healthy.covariance), strict=True):
+        for got, true in zip(sigmas(estimate.covariance), sigmas(healthy.covariance), strict=True):
             assert got >= true * 0.999
 
 
-def test_what_agrees_of_a_wrong_wheel_is_still_used() -> None:
+def test_correct_row_of_a_faulty_wheel_is_still_used() -> None:
     states = joints(FOUR, MOTIONS[1])
     found = estimator(FOUR)
     slips = found.estimate(spoilt(states, 2, "1.5")).covariance
@@ -93,92 +95,94 @@ def test_what_agrees_of_a_wrong_wheel_is_still_used() -> None:
     assert all(a < b for a, b in zip(sigmas(slips), sigmas(none), strict=True))
 
 
-def test_two_wrong_wheels_are_named_where_the_others_suffice() -> None:
+def test_two_faulty_wheels_are_dropped_if_the_others_suffice() -> None:
     rng = random.Random(4)
     named = total = 0
     for seed in range(60):
         i, k = rng.sample(range(6), 2)
         states = joints(SIX, MOTIONS[seed % 3], Noise(), seed)
         both = spoilt(spoilt(states, i, "1.4"), k, rng.choice(["0", "+20 deg", "0.7"]))
-        told = estimator(SIX).estimate(both)
+        estimate = estimator(SIX).estimate(both)
         alone = estimator(SIX, faulty=1).estimate(both)
         total += 1
-        named += set(told.dropped) == {i, k}
-        # Who may leave out one only cannot explain it, and says so.
+        named += set(estimate.dropped) == {i, k}
+        # With one rejection only, no hypothesis explains it.
         assert alone.dropped == () or set(alone.dropped) <= {i, k}
         for got, true, sigma in zip(
-            told.twist, MOTIONS[seed % 3], sigmas(told.covariance), strict=True
+            estimate.twist, MOTIONS[seed % 3], sigmas(estimate.covariance), strict=True
         ):
             assert abs(got - true) <= 6.0 * sigma
     assert named >= 0.95 * total
 
 
 def test_two_slipping_wheels_of_four() -> None:
-    """Directions are left that tell which."""
+    """The directions of the wheels identify them."""
     rng = random.Random(5)
     named = 0
     for seed in range(40):
         i, k = rng.sample(range(4), 2)
         states = joints(FOUR, MOTIONS[seed % 3], Noise(), seed)
-        told = estimator(FOUR).estimate(spoilt(spoilt(states, i, "1.5"), k, "0"))
-        named += set(told.dropped) == {i, k}
+        estimate = estimator(FOUR).estimate(spoilt(spoilt(states, i, "1.5"), k, "0"))
+        named += set(estimate.dropped) == {i, k}
     assert named >= 34
 
 
-def test_without_an_explanation_all_are_kept_and_the_covariance_grows() -> None:
+def test_without_a_hypothesis_all_wheels_are_kept_and_the_covariance_grows() -> None:
     states = joints(FOUR, MOTIONS[1])
     angles = [a + d for a, d in zip(states.angles, (0.5, -0.4, 0.3, -0.6), strict=True)]
     speeds = [v * f for v, f in zip(states.speeds, (0.3, 1.7, -1.0, 0.8), strict=True)]
     bad = JointStates(0.0, speeds, angles, states.angle_rates)
-    told = estimator(FOUR).estimate(bad)
+    estimate = estimator(FOUR).estimate(bad)
     plain = estimator(FOUR, faulty=0).estimate(bad)
-    assert told.dropped == ()
-    assert told.twist == plain.twist
-    assert min(sigmas(told.covariance)) >= 5.0 * min(sigmas(plain.covariance))
+    assert estimate.dropped == ()
+    assert estimate.twist == plain.twist
+    assert min(sigmas(estimate.covariance)) >= 5.0 * min(sigmas(plain.covariance))
 
 
-def test_two_wheels_that_disagree_name_none() -> None:
-    """Either may be wrong; the covariance covers both."""
+def test_of_two_wheels_that_disagree_none_is_dropped() -> None:
+    """Either may be faulty; the covariance covers both cases."""
     wheels = FOUR[:2]
     states = joints(wheels, Twist(0.8, 0.0, 0.0))
-    told = estimator(wheels).estimate(spoilt(states, 0, "+20 deg"))
-    assert told.dropped == ()
-    assert told.covariance[2][2] > 10.0 * estimator(wheels).estimate(states).covariance[2][2]
+    estimate = estimator(wheels).estimate(spoilt(states, 0, "+20 deg"))
+    assert estimate.dropped == ()
+    assert estimate.covariance[2][2] > 10.0 * estimator(wheels).estimate(states).covariance[2][2]
 
 
-def test_of_three_wheels_on_an_axle_none_can_be_named() -> None:
-    """Each pair agrees: three explanations, as likely, and what they differ by is told."""
+def test_of_three_wheels_on_an_axle_none_is_dropped() -> None:
+    """Each pair agrees: three equally likely hypotheses; the covariance has their differences."""
     wheels = [wheel(f"w{i}", 0.0, y, "fixed") for i, y in enumerate((0.5, 0.0, -0.5))]
     states = joints(wheels, Twist(0.5, 0.0, 0.0))
     found = estimator(wheels)
-    told = found.estimate(spoilt(states, 0, "1.5"))
-    assert told.dropped == ()
+    estimate = found.estimate(spoilt(states, 0, "1.5"))
+    assert estimate.dropped == ()
     # 0.25 m/s too much at one end: 0.5 m/s or 0.75 m/s, or the turn between.
-    assert math.sqrt(told.covariance[0][0]) > 0.05
-    assert math.sqrt(told.covariance[2][2]) > 0.1
+    assert math.sqrt(estimate.covariance[0][0]) > 0.05
+    assert math.sqrt(estimate.covariance[2][2]) > 0.1
 
 
-def test_wheels_that_scrub_by_their_place_are_not_blamed() -> None:
-    """A skid steered robot in a turn: no wheel agrees, and none is at fault."""
+def test_skidding_wheels_are_not_dropped() -> None:
+    """In a turn of a skid-steered robot no wheel agrees with the others, and none is faulty."""
     wheels = [
         wheel(f"w{i}", x, y, "fixed")
         for i, (x, y) in enumerate([(0.4, 0.3), (0.4, -0.3), (-0.4, 0.3), (-0.4, -0.3)])
     ]
-    told = estimator(wheels).estimate(JointStates(0.0, [2.0, 5.0, 2.0, 5.0], [0.0] * 4, [0.0] * 4))
-    assert told.dropped == ()
-    assert told.chi_squares == (0.0,) * 4
+    estimate = estimator(wheels).estimate(
+        JointStates(0.0, [2.0, 5.0, 2.0, 5.0], [0.0] * 4, [0.0] * 4)
+    )
+    assert estimate.dropped == ()
+    assert estimate.chi_squares == (0.0,) * 4
 
 
-def test_casters_keep_their_place_among_the_wheels() -> None:
+def test_casters_count_in_the_indices_of_wheels() -> None:
     wheels = [wheel("c", 0.0, 0.0, "swivel"), *FOUR]
     states = joints(wheels, MOTIONS[1])
-    told = estimator(wheels).estimate(spoilt(states, 3, "0"))
-    assert told.dropped == (3,)
-    assert len(told.chi_squares) == 5
-    assert told.chi_squares[0] == 0.0
+    estimate = estimator(wheels).estimate(spoilt(states, 3, "0"))
+    assert estimate.dropped == (3,)
+    assert len(estimate.chi_squares) == 5
+    assert estimate.chi_squares[0] == 0.0
 
 
-def test_healthy_wheels_are_seldom_left_out() -> None:
+def test_healthy_wheels_are_rarely_dropped() -> None:
     found = estimator(FOUR)
     noise = Noise()
     dropped = sum(
@@ -188,18 +192,18 @@ def test_healthy_wheels_are_seldom_left_out() -> None:
     assert dropped <= 0.015 * 1500
 
 
-def test_slips_say_how_fast_and_where() -> None:
+def test_slips_have_size_and_direction() -> None:
     states = joints(FOUR, Twist(0.8, 0.0, 0.0))
     found = estimator(FOUR)
     slips = found.slips(spoilt(states, 1, "1.5"), Twist(0.8, 0.0, 0.0))
     assert slips[0] == pytest.approx((0.0, 0.0))
-    assert slips[1] == pytest.approx((-0.4, 0.0))  # the tread runs backwards over the ground
+    assert slips[1] == pytest.approx((-0.4, 0.0))  # the tread slides backwards over the ground
     sideways = found.slips(states, Twist(0.8, 0.1, 0.0))
     assert sideways[3] == pytest.approx((0.0, 0.1))
 
 
-def test_polish_goes_to_the_maximum_of_the_likelihood() -> None:
-    """With directions as bad as 4 deg the first step is not quite there; then it stays."""
+def test_polish_converges_to_maximum_likelihood() -> None:
+    """With direction errors of 4 deg, the first step is close, and further steps converge."""
     noise = Noise(speed_ratio=0.002, angle=math.radians(4.0))
     geometry = BaseGeometry.from_wheels(FOUR)
     steps = [
@@ -212,15 +216,15 @@ def test_polish_goes_to_the_maximum_of_the_likelihood() -> None:
     assert moved[4] < 1e-3 * moved[0]
 
 
-def test_a_gyro_tells_what_no_wheel_does() -> None:
+def test_gyro_measures_a_rotation_that_no_wheel_measures() -> None:
     wheels = [wheel("d", 0.5, 0.0, "steered"), wheel("c", -0.5, 0.3, "swivel")]
     speeds, angles = [5.0, 0.0], [0.1, 0.0]
     blind = estimator(wheels).estimate(JointStates(0.0, speeds, angles, [0.0, 0.0]))
-    told = estimator(wheels).estimate(JointStates(0.0, speeds, angles, [0.0, 0.0], None, 0.4))
-    assert (blind.rank, told.rank) == (2, 3)
-    assert told.twist.wz == pytest.approx(0.4, abs=1e-6)
-    assert math.sqrt(told.covariance[2][2]) == pytest.approx(Noise().gyro, rel=1e-3)
-    # It also helps where the wheels know by themselves, and never harms.
+    estimate = estimator(wheels).estimate(JointStates(0.0, speeds, angles, [0.0, 0.0], None, 0.4))
+    assert (blind.rank, estimate.rank) == (2, 3)
+    assert estimate.twist.wz == pytest.approx(0.4, abs=1e-6)
+    assert math.sqrt(estimate.covariance[2][2]) == pytest.approx(Noise().gyro, rel=1e-3)
+    # It also improves a twist of rank 3.
     states = joints(FOUR, MOTIONS[1])
     with_gyro = JointStates(0.0, states.speeds, states.angles, states.angle_rates, None, 0.4)
     alone, both = estimator(FOUR).estimate(states), estimator(FOUR).estimate(with_gyro)
@@ -228,13 +232,13 @@ def test_a_gyro_tells_what_no_wheel_does() -> None:
     assert both.twist == pytest.approx(alone.twist, abs=1e-9)
 
 
-def test_a_passive_wheel_that_holds_its_direction_tells_of_side_slip() -> None:
+def test_passive_fixed_wheel_measures_side_slip() -> None:
     wheels = [*FOUR, wheel("p", -1.5, 0.0, "passive")]
     states = joints(FOUR, Twist(0.8, 0.0, 0.0))
     more = JointStates(0.0, [*states.speeds, 0.0], [*states.angles, 0.0], [0.0] * 5)
-    without, told = estimator(FOUR).estimate(states), estimator(wheels).estimate(more)
-    assert told.covariance[2][2] < without.covariance[2][2]
-    # Dragged sideways it disagrees, with one degree of freedom.
+    without, estimate = estimator(FOUR).estimate(states), estimator(wheels).estimate(more)
+    assert estimate.covariance[2][2] < without.covariance[2][2]
+    # When dragged sideways it disagrees, with one degree of freedom.
     askew = joints(FOUR, Twist(0.8, 0.3, 0.0))
     more = JointStates(0.0, [*askew.speeds, 0.0], [*askew.angles, 0.0], [0.0] * 5)
     assert estimator(wheels).estimate(more).dropped == (4,)
@@ -243,7 +247,7 @@ def test_a_passive_wheel_that_holds_its_direction_tells_of_side_slip() -> None:
 @pytest.mark.parametrize(
     "options", [{"gate": 0.0}, {"gate": 1.0}, {"faulty": 3}, {"polish": -1}, {"polish": 11}]
 )
-def test_options_out_of_range_are_refused(options: dict[str, float]) -> None:
+def test_options_out_of_range_are_rejected(options: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=f"{next(iter(options))} is"):
         EstimatorOptions(**options)  # type: ignore[arg-type]
 
@@ -258,7 +262,7 @@ def test_options_of_general_are_checked(options: dict[str, int]) -> None:
 
 
 @pytest.mark.parametrize("name", ["angle", "speed_floor", "correlation", "gyro"])
-def test_noise_that_cannot_be_is_refused(name: str) -> None:
+def test_invalid_noise_is_rejected(name: str) -> None:
     for value in (-0.1, math.nan, math.inf):
         with pytest.raises(ValueError, match=f"noise {name} is"):
             Noise(**{name: value})

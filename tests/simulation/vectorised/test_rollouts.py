@@ -1,4 +1,4 @@
-"""Many runs at once are what single ones are."""
+"""Rollouts of many runs equal single runs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
-    found = compile_file(ROOT / "examples/4wd2ws_tall/robot.yaml").model
-    assert isinstance(found, Robot)
-    return found
+    robot = compile_file(ROOT / "examples/4wd2ws_tall/robot.yaml").model
+    assert isinstance(robot, Robot)
+    return robot
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +36,14 @@ def commands(n: int, ticks: int, wheels: int) -> tuple[np.ndarray, np.ndarray]:
     return speeds, np.cumsum(chance.normal(0.0, 0.05, (n, ticks, wheels)), axis=1)
 
 
-def test_runs_are_those_of_single_steps(robot: Robot, files: dict[str, bytes]) -> None:
+def test_rollouts_equal_single_steps(robot: Robot, files: dict[str, bytes]) -> None:
     n, ticks, period = 5, 8, 0.05
     speeds, angles = commands(n, ticks, 4)
     rollouts = Rollouts(robot, files, threads=2)
     starts = np.array([[k, -k, 0.5 * k] for k in range(n)], dtype=float)
-    found = rollouts.run(speeds, angles, period=period, states=rollouts.at(starts))
+    trajectories = rollouts.run(speeds, angles, period=period, states=rollouts.at(starts))
     rollouts.close()
-    assert found.time == pytest.approx(period * np.arange(1, ticks + 1))
+    assert trajectories.time == pytest.approx(period * np.arange(1, ticks + 1))
     for run in range(n):
         scene = MujocoScene(files)
         base = MujocoBase(robot, scene)
@@ -53,23 +53,23 @@ def test_runs_are_those_of_single_steps(robot: Robot, files: dict[str, bytes]) -
             base.write(JointCommands(speeds[run, k], angles[run, k]), 0.0)
             joints = base.read((k + 1) * period)
             pose, twist = base.true_pose(), base.true_twist()
-            assert found.poses[run, k, :2] == pytest.approx(pose[:2], abs=1e-6)
-            turn = math.remainder(found.poses[run, k, 2] - pose.yaw, math.tau)
+            assert trajectories.poses[run, k, :2] == pytest.approx(pose[:2], abs=1e-6)
+            turn = math.remainder(trajectories.poses[run, k, 2] - pose.yaw, math.tau)
             assert turn == pytest.approx(0.0, abs=1e-6)
-            assert found.twists[run, k] == pytest.approx(tuple(twist), abs=1e-4)
-            assert found.speeds[run, k] == pytest.approx(joints.speeds, abs=1e-3)
-            assert found.angles[run, k] == pytest.approx(joints.angles, abs=1e-5)
-            assert found.uprightness[run, k] == pytest.approx(base.uprightness(), abs=1e-6)
+            assert trajectories.twists[run, k] == pytest.approx(tuple(twist), abs=1e-4)
+            assert trajectories.speeds[run, k] == pytest.approx(joints.speeds, abs=1e-3)
+            assert trajectories.angles[run, k] == pytest.approx(joints.angles, abs=1e-5)
+            assert trajectories.uprightness[run, k] == pytest.approx(base.uprightness(), abs=1e-6)
 
 
-def test_threads_and_parts_change_nothing(
+def test_threads_and_parts_do_not_change_the_result(
     robot: Robot, files: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     speeds, angles = commands(7, 6, 4)
     one = Rollouts(robot, files).run(speeds, angles)
     two = Rollouts(robot, files, threads=2).run(speeds, angles)
     assert (one.poses == two.poses).all()
-    # Its end is where another run goes on.
+    # A run can continue from the final states of another.
     rollouts = Rollouts(robot, files)
     first = rollouts.run(speeds[:, :3], angles[:, :3])
     then = rollouts.run(speeds[:, 3:], angles[:, 3:], states=first.states)
@@ -79,15 +79,15 @@ def test_threads_and_parts_change_nothing(
     assert parts.poses == pytest.approx(one.poses, abs=1e-6)
 
 
-def test_a_run_that_diverges_is_no_number_and_the_others_are(
+def test_diverging_run_is_nan_and_the_others_are_finite(
     robot: Robot, files: dict[str, bytes]
 ) -> None:
     rollouts = Rollouts(robot, files)
     states = np.repeat(rollouts.start[None], 2, axis=0)
     states[1, 1 + rollouts.scene.model.nq] = math.nan
-    found = rollouts.run(np.zeros((2, 3, 4)), states=states)
-    assert np.isfinite(found.poses[0]).all()
-    assert np.isnan(found.poses[1]).all()
+    trajectories = rollouts.run(np.zeros((2, 3, 4)), states=states)
+    assert np.isfinite(trajectories.poses[0]).all()
+    assert np.isnan(trajectories.poses[1]).all()
 
 
 def test_shapes_are_checked(robot: Robot, files: dict[str, bytes]) -> None:
