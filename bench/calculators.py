@@ -1,4 +1,4 @@
-"""Time of the base calculators and of a driver's tick, and how far simulation is from real time."""
+"""Time of a command and of the odometry of a base calculator, and of a simulation."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Iterator
 
 from bench.figure import EXAMPLE, Figure
-from bench.robots import places, wheel
+from bench.robots import wheel, wheel_positions
 
 
 def _fastest(work: Callable[[], object], calls: int, rounds: int = 100) -> float:
-    """Time (s) of a call, undisturbed: the least over rounds of their mean."""
+    """Least time (s) of a call over all rounds; other programs on the machine only add time."""
     times = []
     for _ in range(rounds):
         start = time.perf_counter()
@@ -28,7 +28,7 @@ def figures() -> Iterator[Figure]:
     from thorvaldc.runtime.se2 import Twist
 
     for n in (4, 6, 9):
-        wheels = [wheel(f"w{i}", x, y) for i, (x, y) in enumerate(places(n))]
+        wheels = [wheel(f"w{i}", x, y) for i, (x, y) in enumerate(wheel_positions(n))]
         calculator = General(BaseGeometry.from_wheels(wheels))
         twists = [
             Twist(0.8, 0.1 * math.sin(k), 0.3 * math.cos(k)) for k in (0.1 * j for j in range(63))
@@ -36,15 +36,15 @@ def figures() -> Iterator[Figure]:
         zeros = [0.0] * n
         joints = calculator.command(twists[0]).joints
         states = JointStates(0.0, joints.speeds, joints.angles, zeros)
-        turn = iter(range(10**9))
+        counter = iter(range(10**9))
 
         def inverse(
             calculator: General = calculator,
             states: JointStates = states,
-            turn: Iterator[int] = turn,
+            counter: Iterator[int] = counter,
             twists: list[Twist] = twists,
         ) -> object:
-            return calculator.command(twists[next(turn) % 63], states, 0.02)
+            return calculator.command(twists[next(counter) % 63], states, 0.02)
 
         def odometry(calculator: General = calculator, states: JointStates = states) -> object:
             return calculator.odometry(states)
@@ -55,7 +55,7 @@ def figures() -> Iterator[Figure]:
             "us",
             None,
             "lower",
-            "general: choice of angles, rates, coordination and saturation, wheels on the move",
+            "general: choice of angles, rates, coordination and saturation, while wheels steer",
         )
         yield Figure(
             f"calculator odometry, N={n}",
@@ -72,10 +72,12 @@ def _simulation() -> Iterator[Figure]:
     from thorvaldc.compiler.pipeline import compile_file, emit
     from thorvaldc.simulation.simulation_run import Simulation
 
-    done = compile_file(EXAMPLE)
-    if done.model is None:
-        raise RuntimeError("the example has faults")
-    simulation = Simulation(done.model, emit(done.model, ["mjcf"], done.report))
+    compilation = compile_file(EXAMPLE)
+    if compilation.model is None:
+        raise RuntimeError("the example has errors")
+    simulation = Simulation(
+        compilation.model, emit(compilation.model, ["mjcf"], compilation.report)
+    )
     factors = sorted(simulation.demonstrate().real_time_factor for _ in range(5))
     yield Figure(
         "simulation of 4WD4WS",

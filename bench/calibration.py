@@ -1,7 +1,7 @@
-"""How well self-calibration finds wheels that are wrong by 1 % and 1 deg.
+"""Accuracy of self-calibration for wheel errors of 1 % and 1 deg, in simulation.
 
-A run as long as the paper's (77 s, about 80 m, forwards, sideways and turning mixed) of the
-six-wheeler that has no two rows alike, in simulation.
+The run is as long as that of the paper (77 s, about 80 m, with forward, sideways and turning
+motions), with the six-wheeled robot that has no two equal rows.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ SEEDS = (1, 2, 3)
 
 @dataclass(frozen=True)
 class Errors:
-    """Radii over the file's and offsets (rad) by wheel: as many too large as too small."""
+    """True radius ratios and offsets (rad) by wheel; half of them are too large."""
 
     radii: dict[str, float]
     offsets: dict[str, float]
 
     @staticmethod
     def of(robot: Robot, seed: int) -> Errors:
-        chance = random.Random(seed)
+        rng = random.Random(seed)
         names = [wheel.name for wheel in robot.wheels]
         signs = [1.0 if i % 2 else -1.0 for i in range(len(names))]
-        chance.shuffle(signs)
+        rng.shuffle(signs)
         radii = {name: 1.0 + RADIUS * s for name, s in zip(names, signs, strict=True)}
-        chance.shuffle(signs)
+        rng.shuffle(signs)
         return Errors(radii, {name: OFFSET * s for name, s in zip(names, signs, strict=True)})
 
 
@@ -67,14 +67,14 @@ def figures() -> Iterator[Figure]:
 
     robot = compile_file(ROOT / "examples" / "6wd6ws_asymmetric" / "robot.yaml").model
     if not isinstance(robot, Robot):
-        raise RuntimeError("the example has faults")
+        raise RuntimeError("the example has errors")
     files = emit(robot, ["mjcf"], Report())
     yield from _rolling(robot)
     yield from _physics(robot, files)
 
 
 def _rolling(robot: Robot) -> Iterator[Figure]:
-    """Where wheels give way to the ground: what is measured is what they are."""
+    """Ideal ground: the wheels roll freely, so the log shows their true radii."""
     radius = offset = before = after = taken = 0.0
     squares: list[float] = []
     for seed in SEEDS:
@@ -84,7 +84,7 @@ def _rolling(robot: Robot) -> Iterator[Figure]:
         start = time.process_time()
         result = _calibrated(robot, log)
         taken = max(taken, time.process_time() - start)
-        r, o, z = _missed(result, errors)
+        r, o, z = _errors_of(result, errors)
         radius, offset = max(radius, r), max(offset, o)
         squares += z
         before = max(before, _end_error(robot, log, true))
@@ -93,27 +93,32 @@ def _rolling(robot: Robot) -> Iterator[Figure]:
     yield Figure("calibration, radius 1 %", 100 * radius, "%", 0.05, "lower", how)
     yield Figure("calibration, offset 1 deg", math.degrees(offset), "deg", 0.05, "lower", how)
     size = sum(squares) / len(squares)
-    told = "squares of the errors over their standard errors', mean; 1 is honest"
-    yield Figure("calibration, errors", size, "", 2.0, "lower", told)
+    ratio = "mean of (error / standard error)^2; 1 is exact"
+    yield Figure("calibration, errors", size, "", 2.0, "lower", ratio)
     yield Figure(
-        "end error before", before, "m", None, "lower", "odometry by the file; ideal ground, worst"
+        "end error before",
+        before,
+        "m",
+        None,
+        "lower",
+        "odometry with the radii and offsets of the file; ideal ground, worst run",
     )
     yield Figure(
-        "end error after", after, "m", 1.0, "lower", "odometry by what was found; the same runs"
+        "end error after", after, "m", 1.0, "lower", "odometry with the calibration; the same runs"
     )
     yield Figure("calibration, time", taken, "s", 5.0, "lower", "of a log of 77 s at 50 Hz")
 
 
 def _physics(robot: Robot, files: Mapping[str, bytes]) -> Iterator[Figure]:
-    """The same in MuJoCo."""
+    """The same run in MuJoCo."""
     errors = Errors.of(robot, SEEDS[0])
-    # Who drives knows the wheels, who calibrates does not.
+    # The driver knows the true wheels; the calibration does not.
     radii = {w.name: w.radius * errors.radii[w.name] for w in robot.wheels}
     known, rolling = _with(robot, radii, errors.offsets), Errors(errors.radii, {})
     log, true = _drive(known, errors=rolling, files=files, open_loop=True)
     result = _calibrated(robot, log)
-    radius, offset, _ = _missed(result, errors)
-    how = "MuJoCo, wheels that point as their driver, who knows the offsets, wants"
+    radius, offset, _ = _errors_of(result, errors)
+    how = "MuJoCo, a driver with calibrated encoders"
     yield Figure("physics, radius 1 %", 100 * radius, "%", 0.05, "lower", how)
     yield Figure("physics, offset 1 deg", math.degrees(offset), "deg", 0.05, "lower", how)
     yield Figure("physics, end error before", _end_error(robot, log, true), "m", None, "lower", how)
@@ -125,11 +130,11 @@ def _physics(robot: Robot, files: Mapping[str, bytes]) -> Iterator[Figure]:
         errors = Errors.of(robot, seed)
         log, _ = _drive(robot, errors=errors, files=files, open_loop=True)
         result = _calibrated(robot, log)
-        radius = max(radius, _missed(result, errors)[0])
+        radius = max(radius, _errors_of(result, errors)[0])
         claims += sum(w.offset is not None and w.offset.determined for w in result.wheels)
-    how = "MuJoCo, drives that give way, steering held against the ground, nobody knows; worst"
+    how = "MuJoCo, open-loop drives, steering held against the ground, uncalibrated; worst run"
     yield Figure("blind physics, radius 1 %", 100 * radius, "%", 0.1, "lower", how)
-    how = "offsets claimed to be known there, where no log can tell them"
+    how = "offsets reported as determined there, although no log can determine them"
     yield Figure("blind physics, claims", claims, "", 0, "lower", how)
 
     log, _ = _drive(robot, errors=errors, files=files, open_loop=False)
@@ -139,7 +144,7 @@ def _physics(robot: Robot, files: Mapping[str, bytes]) -> Iterator[Figure]:
         for wheel in result.wheels
         for estimate in (wheel.offset, wheel.ratio)
     )
-    how = "values claimed to be known from drives that hold their speed"
+    how = "values reported as determined with speed-controlled drives"
     yield Figure("speed control, claims", claims, "", 0, "lower", how)
 
 
@@ -153,7 +158,7 @@ def _drive(
     errors: Errors | None = None,
     files: Mapping[str, bytes] | None = None,
 ) -> tuple[JointLog, Pose2]:
-    """The log of the run, and where it truly ended."""
+    """Returns the log of the run and the true end pose."""
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.se2 import Twist
     from thorvaldc.simulation.manoeuvre import Segment
@@ -178,17 +183,17 @@ def _drive(
 
 
 def _noisy(log: JointLog, seed: int) -> JointLog:
-    """White noise of 1 % on speeds and 0.5 deg on angles; what was commanded is left out."""
-    chance = random.Random(seed)
+    """Adds white noise of 1 % to speeds and 0.5 deg to angles, and removes the commands."""
+    rng = random.Random(seed)
     positions = {}
     for joint, values in log.positions.items():
-        made = [values[0]]
+        noisy = [values[0]]
         for i in range(1, len(values)):
             step = values[i] - values[i - 1]
-            made.append(made[-1] + step * (1.0 + chance.gauss(0.0, 0.01)))
-        positions[joint] = made
+            noisy.append(noisy[-1] + step * (1.0 + rng.gauss(0.0, 0.01)))
+        positions[joint] = noisy
     angles = {
-        joint: [value + chance.gauss(0.0, math.radians(0.5)) for value in values]
+        joint: [value + rng.gauss(0.0, math.radians(0.5)) for value in values]
         for joint, values in log.angles.items()
     }
     return replace(log, positions=positions, angles=angles, commands={})
@@ -208,31 +213,31 @@ def _calibrated(robot: Robot, log: JointLog) -> CalibrationResult:
     return result
 
 
-def _missed(result: CalibrationResult, errors: Errors) -> tuple[float, float, list[float]]:
-    """Largest errors of the ratios and of the offsets (rad); squares over the standard errors'."""
+def _errors_of(result: CalibrationResult, errors: Errors) -> tuple[float, float, list[float]]:
+    """Returns the largest errors of ratios and offsets (rad), and (error / standard error)^2."""
     scale = math.exp(sum(math.log(r) for r in errors.radii.values()) / len(errors.radii))
     radius = offset = 0.0
     squares: list[float] = []
     for wheel in result.wheels:
         if wheel.ratio is not None:
-            off = wheel.ratio.value - errors.radii[wheel.name] / scale
-            radius = max(radius, abs(off))
-            squares.append((off / wheel.ratio.error) ** 2)
+            error = wheel.ratio.value - errors.radii[wheel.name] / scale
+            radius = max(radius, abs(error))
+            squares.append((error / wheel.ratio.error) ** 2)
         if wheel.offset is not None:
-            off = wheel.offset.value - errors.offsets[wheel.name]
-            offset = max(offset, abs(off))
-            squares.append((off / wheel.offset.error) ** 2)
+            error = wheel.offset.value - errors.offsets[wheel.name]
+            offset = max(offset, abs(error))
+            squares.append((error / wheel.offset.error) ** 2)
     return radius, offset, squares
 
 
 def _with(robot: Robot, radii: Mapping[str, float], offsets: Mapping[str, float]) -> Robot:
-    """The robot with these radii (m) and offsets (rad) by wheel."""
-    turned = {w.steering_joint: offsets.get(w.name, 0.0) for w in robot.wheels}
+    """Returns the robot with these radii (m) and offsets (rad) by wheel."""
+    offset_of_joint = {w.steering_joint: offsets.get(w.name, 0.0) for w in robot.wheels}
     return replace(
         robot,
         wheels=tuple(replace(w, radius=radii.get(w.name, w.radius)) for w in robot.wheels),
         actuators=tuple(
-            replace(a, encoder_offset=turned.get(a.joint, 0.0)) for a in robot.actuators
+            replace(a, encoder_offset=offset_of_joint.get(a.joint, 0.0)) for a in robot.actuators
         ),
     )
 
@@ -244,7 +249,7 @@ def _applied(robot: Robot, result: CalibrationResult) -> Robot:
 
 
 def _end_error(robot: Robot, log: JointLog, true: Pose2) -> float:
-    """How far the end of the log by the robot's odometry is from the true one, m."""
+    """Returns the distance (m) between the end pose of the odometry and the true one."""
     from thorvaldc.runtime.base_interface import JointStates
     from thorvaldc.runtime.calculators import for_robot
     from thorvaldc.runtime.odometry import Odometry

@@ -1,4 +1,4 @@
-"""How near odometry is to the best that there is, with healthy wheels and with a faulty one."""
+"""Accuracy of odometry relative to the Cramer-Rao bound, with healthy and with faulty wheels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 
 STATES = 4000
 PAIRED = 500
-"""States for random_pairs, which takes them one by one."""
+"""Number of states for random_pairs, which has no batch."""
 FAULTS = 1000
 LEVELS = {
     "1 %, 0.5 deg": Noise(),
@@ -31,15 +31,15 @@ PAIRS = {
     "random_pairs as the paper says": RandomPairsOptions(special_cases=False),
     "random_pairs with special cases": RandomPairsOptions(),
 }
-WRONG = ("x1.1", "x1.3", "x2", "stalled", "+20 deg")
+FAULTS_OF_A_WHEEL = ("x1.1", "x1.3", "x2", "stalled", "+20 deg")
 
 
 def figures() -> Iterator[Figure]:
     robots = {name: geometry_of(name) for name in ROBOTS}
     yield from _efficiency(robots)
-    yield from _false_drops(robots)
+    yield from _false_rejections(robots)
     for name, geometry in robots.items():
-        if name != "2WD":  # whose two wheels agree whatever they say
+        if name != "2WD":  # two wheels always agree
             yield from _faults(name, geometry)
     yield from _run(robots["6WD6WS asymmetric"])
     yield from _batch(robots["4WD4WS"])
@@ -60,15 +60,15 @@ def _efficiency(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
                 *((how, _random_pairs(geometry, driven, how), None) for how in PAIRS),
             )
             for how, estimates, bound in rows:
-                some = estimates.shape[1]
-                of = Drive(driven.twists[:, :some], *_none(), driven.information[:some])
+                count = estimates.shape[1]
+                part = Drive(driven.twists[:, :count], *_none(), driven.information[:count])
                 yield Figure(
                     f"{how}, {name}, {level}",
-                    of.efficiency(estimates),
+                    part.efficiency(estimates),
                     "x bound",
                     bound,
                     "lower",
-                    f"sqrt(NEES/3) against the Cramer-Rao bound, {some} motions",
+                    f"sqrt(NEES/3) against the Cramer-Rao bound, {count} motions",
                 )
 
 
@@ -97,11 +97,11 @@ def _random_pairs(geometry: BaseGeometry, driven: Drive, how: str, states: int =
     still = [0.0] * len(geometry.wheels)
     joints = zip(driven.speeds.T[:states].tolist(), driven.angles.T[:states].tolist(), strict=True)
     twists = [calculator.odometry(JointStates(0.0, *j, still)).twist for j in joints]
-    found: Array = np.array(twists).T
-    return found
+    estimates: Array = np.array(twists).T
+    return estimates
 
 
-def _false_drops(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
+def _false_rejections(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
     for name, geometry in robots.items():
         rng = np.random.default_rng(2)
         twists = random_twists(geometry, 5 * STATES, rng)
@@ -123,15 +123,15 @@ def _false_drops(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
 def _faults(name: str, geometry: BaseGeometry) -> Iterator[Figure]:
     noise = Noise()
     steered = all(w.steered for w in geometry.wheels)
-    for wrong in WRONG:
+    for fault in FAULTS_OF_A_WHEEL:
         rng = np.random.default_rng(3)
         twists = random_twists(geometry, FAULTS, rng)
         driven = drive(geometry, twists, noise, rng)
-        faulty = _spoil(geometry, driven, wrong, rng)
+        faulty = _apply_fault(geometry, driven, fault, rng)
         estimates = np.empty_like(twists)
         dropped = _batch_of(geometry, noise).estimate(driven.speeds, driven.angles, estimates)
         yield Figure(
-            f"one wheel {wrong}, {name}",
+            f"one wheel {fault}, {name}",
             driven.efficiency(estimates),
             "x bound",
             1.6 if len(geometry.wheels) == 4 else 1.25,
@@ -141,24 +141,26 @@ def _faults(name: str, geometry: BaseGeometry) -> Iterator[Figure]:
         )
         named = sum(dropped.get(k) == (int(i),) for k, i in enumerate(faulty))
         yield Figure(
-            f"one wheel {wrong} named, {name}",
+            f"one wheel {fault} named, {name}",
             100.0 * named / FAULTS,
             "% of ticks",
             95.0 if steered else None,
             "higher",
-            "that wheel and no other is left out",
+            "only the faulty wheel is left out",
         )
 
 
-def _spoil(geometry: BaseGeometry, driven: Drive, wrong: str, rng: np.random.Generator) -> Array:
-    """Make one wheel of each state wrong; which."""
-    some = [i for i, w in enumerate(geometry.wheels) if w.steered or "deg" not in wrong]
-    faulty = np.array(rng.choice(some, driven.twists.shape[1]))
+def _apply_fault(
+    geometry: BaseGeometry, driven: Drive, fault: str, rng: np.random.Generator
+) -> Array:
+    """Gives one random wheel of each state a fault, and returns the indices of these wheels."""
+    candidates = [i for i, w in enumerate(geometry.wheels) if w.steered or "deg" not in fault]
+    faulty = np.array(rng.choice(candidates, driven.twists.shape[1]))
     states = np.arange(len(faulty))
-    if wrong == "+20 deg":
+    if fault == "+20 deg":
         driven.angles[faulty, states] += math.radians(20.0)
     else:
-        factor = 0.0 if wrong == "stalled" else float(wrong[1:])
+        factor = 0.0 if fault == "stalled" else float(fault[1:])
         driven.speeds[faulty, states] *= factor
     return faulty
 
@@ -168,10 +170,10 @@ def _spoil(geometry: BaseGeometry, driven: Drive, wrong: str, rng: np.random.Gen
 DT, TICKS = 0.02, 3850
 RUNS, LEAST_RUNS, PAIRED_RUNS = 100, 20, 5
 LASTING = 2.0
-"""How long (s) an error lasts, for the run as on real ground."""
-HAND = 0.5
-"""Time constant (s) with which whoever drives goes from one motion to the next."""
-# Seconds, m/s forward and to the left, rad/s: straight, to the side, aslant and in bends.
+"""Time constant (s) of the errors in the run with correlated errors."""
+TRANSITION = 0.5
+"""Time constant (s) of the change from one motion to the next."""
+# (s, m/s forward, m/s to the left, rad/s): straight, sideways, diagonal and curved motions.
 MANUAL = (
     (8.0, 1.2, 0.0, 0.0),
     (6.0, 1.0, 0.0, 0.5),
@@ -191,12 +193,12 @@ LENGTH = 80.2
 
 
 def paper_drive() -> Array:
-    """Twists (3, ticks) of 77 s and 80.2 m with motions of all kinds; it ends where it began."""
-    asked = np.array([twist for seconds, *twist in MANUAL for _ in range(round(seconds / DT))])
-    twists, now = np.empty((3, TICKS)), np.zeros(3)
-    for k, twist in enumerate(asked):
-        now = now + (DT / HAND) * (twist - now)
-        twists[:, k] = now
+    """Returns twists (3, ticks) of a run of 77 s and 80.2 m with motions of all kinds."""
+    commands = np.array([twist for seconds, *twist in MANUAL for _ in range(round(seconds / DT))])
+    twists, current = np.empty((3, TICKS)), np.zeros(3)
+    for k, twist in enumerate(commands):
+        current = current + (DT / TRANSITION) * (twist - current)
+        twists[:, k] = current
     twists *= LENGTH / float(np.hypot(twists[0], twists[1]).sum() * DT)
     return twists
 
@@ -205,11 +207,11 @@ def _run(geometry: BaseGeometry) -> Iterator[Figure]:
     twists = paper_drive()
     rng = np.random.default_rng(4)
     true = _end(twists)
-    made = Noise(speed_floor=1e-9, slip_floor=1e-9)
+    simulated = Noise(speed_floor=1e-9, slip_floor=1e-9)
     ends: dict[str, list[float]] = {how: [] for how in ("weighted", "least squares", *PAIRS)}
     nees: list[float] = []
     for run in range(RUNS):
-        driven = drive(geometry, twists, made, rng)
+        driven = drive(geometry, twists, simulated, rng)
         end, off = _estimated(geometry, Noise(), driven, true)
         nees.append(off)
         ends["weighted"].append(_distance(end, true))
@@ -221,7 +223,7 @@ def _run(geometry: BaseGeometry) -> Iterator[Figure]:
                 plain = _end(_random_pairs(geometry, driven, how, TICKS))
                 ends[how].append(_distance(plain, true))
     typical = {how: math.sqrt(sum(d * d for d in off) / len(off)) for how, off in ends.items()}
-    said = "77 s, 80.2 m, 6WD6WS asymmetric, 50 Hz, 1 % and 0.5 deg"
+    conditions = "77 s, 80.2 m, 6WD6WS asymmetric, 50 Hz, 1 % and 0.5 deg"
     for how, distance in typical.items():
         yield Figure(
             f"end of the paper's run, {how}",
@@ -229,7 +231,7 @@ def _run(geometry: BaseGeometry) -> Iterator[Figure]:
             "m",
             None,
             "lower",
-            f"root mean square of {len(ends[how])} runs: {said}",
+            f"root mean square of {len(ends[how])} runs: {conditions}",
         )
     for how, bound in zip(PAIRS, (10.0, None), strict=True):
         yield Figure(
@@ -240,23 +242,23 @@ def _run(geometry: BaseGeometry) -> Iterator[Figure]:
             "higher",
             "end errors of the paper's run",
         )
-    yield from _within("pose NEES/3", sum(nees) / RUNS / 3.0, f"{RUNS} runs: {said}")
+    yield from _within("pose NEES/3", sum(nees) / RUNS / 3.0, f"{RUNS} runs: {conditions}")
     yield from _lasting(geometry, twists, true)
 
 
 def _lasting(geometry: BaseGeometry, twists: Array, true: Pose2) -> Iterator[Figure]:
-    """The same with errors that last: such as of the ground, the tyres, the steering's play."""
+    """The same run with correlated errors, such as those of ground, tyres and steering play."""
     rng = np.random.default_rng(5)
     noise = Noise(correlation=LASTING)
-    made = Noise(speed_floor=1e-9, slip_floor=1e-9)
-    left = math.exp(-DT / LASTING)
+    simulated = Noise(speed_floor=1e-9, slip_floor=1e-9)
+    correlation = math.exp(-DT / LASTING)
     distances, nees = [], []
     for _ in range(RUNS):
         errors = rng.standard_normal((2, len(geometry.wheels), TICKS))
-        errors[:, :, 1:] *= math.sqrt(1.0 - left * left)
+        errors[:, :, 1:] *= math.sqrt(1.0 - correlation * correlation)
         for k in range(1, TICKS):
-            errors[:, :, k] += left * errors[:, :, k - 1]
-        driven = drive(geometry, twists, made, rng, errors)
+            errors[:, :, k] += correlation * errors[:, :, k - 1]
+        driven = drive(geometry, twists, simulated, rng, errors)
         end, off = _estimated(geometry, noise, driven, true)
         nees.append(off)
         distances.append(_distance(end, true))
@@ -266,7 +268,7 @@ def _lasting(geometry: BaseGeometry, twists: Array, true: Pose2) -> Iterator[Fig
         "m",
         None,
         "lower",
-        f"errors that last {LASTING:g} s; the real robot's end was 2.2 m off",
+        f"errors with a time constant of {LASTING:g} s; the real robot ended 2.2 m off",
     )
     yield from _within(
         "pose NEES/3, lasting errors", sum(nees) / RUNS / 3.0, f"{RUNS} runs, {LASTING:g} s"
@@ -288,7 +290,7 @@ def _end(twists: Array) -> Pose2:
 def _estimated(
     geometry: BaseGeometry, noise: Noise, driven: Drive, true: Pose2
 ) -> tuple[Pose2, float]:
-    """Where odometry says that the run ended, and the NEES of that."""
+    """Returns the end pose of the odometry, and its NEES."""
     twists, covariances = np.empty_like(driven.twists), np.empty((6, TICKS))
     _batch_of(geometry, noise).estimate(driven.speeds, driven.angles, twists, covariances)
     pose, covariance = ORIGIN, ZERO_COV

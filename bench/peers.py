@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from bench.figure import Figure, least_times
-from bench.robots import places, wheel
+from bench.robots import wheel, wheel_positions
 
 TICKS = 126
 REPEATS = 8
@@ -36,10 +36,10 @@ def _compare(n: int) -> Iterator[Figure]:
     from thorvaldc.runtime.se2 import Twist
 
     geometry = BaseGeometry.from_wheels(
-        [wheel(f"w{i}", x, y) for i, (x, y) in enumerate(places(n))]
+        [wheel(f"w{i}", x, y) for i, (x, y) in enumerate(wheel_positions(n))]
     )
     calculator = General(geometry)
-    peer = Wpimath(places(n))
+    peer = Wpimath(wheel_positions(n))
 
     def inverse_and_odometry(twist: Twist, states: JointStates) -> None:
         calculator.command(twist)

@@ -1,4 +1,4 @@
-"""Robots and steered wheels to measure with."""
+"""Robots and wheels for the measurements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def example(name: str) -> Path:
 
 
 def built(path: Path) -> tuple[Robot, dict[str, bytes]]:
-    """A robot and its MJCF."""
+    """Returns a compiled robot and its MJCF files."""
     from thorvaldc.compiler.pipeline import compile_file, emit
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Robot
@@ -29,21 +29,21 @@ def built(path: Path) -> tuple[Robot, dict[str, bytes]]:
     return model, emit(model, ["mjcf"], Report())
 
 
-def places(wheels: int) -> list[tuple[float, float]]:
-    """Places (m) of steered wheels, in pairs along a frame."""
+def wheel_positions(wheels: int) -> list[tuple[float, float]]:
+    """Returns positions (m) of wheels, in pairs along a frame."""
     pairs = (wheels + 1) // 2
-    found = [(0.55 * (2 * i / (pairs - 1) - 1), y) for i in range(pairs) for y in (0.45, -0.45)]
-    return found[:wheels]
+    positions = [(0.55 * (2 * i / (pairs - 1) - 1), y) for i in range(pairs) for y in (0.45, -0.45)]
+    return positions[:wheels]
 
 
 def wheel(name: str, x: float, y: float, **changes: Any) -> WheelGeometry:
-    """A driven and steered wheel with the limits of the original's modules."""
+    """Returns a driven and steered wheel with the limits of the original Thorvald modules."""
     from thorvaldc.runtime.calculators import WheelGeometry
 
-    made = WheelGeometry(
+    geometry = WheelGeometry(
         name, x, y, 0.0, 1.0, 0.0, 0.0, 0.2,
         driven=True, steered=True, swivel=False, encoder=True,
         max_speed=7.48, max_acceleration=7.5, lower=-3.078, upper=3.078,
         max_rate=4.0, max_rate_change=20.0,
     )  # fmt: skip
-    return replace(made, **changes)
+    return replace(geometry, **changes)

@@ -1,4 +1,4 @@
-"""Motions of robots and what their joints would tell of them, with errors; over arrays."""
+"""Random motions of robots and their noisy joint states, over arrays."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ ROBOTS = {
     "2WD": "2wd0ws_greenhouse",
 }
 SLOWEST = 0.1
-"""Speed (m/s) that every wheel has at least: one that stands neither slips nor stalls."""
+"""Least speed (m/s) of every wheel; a standing wheel can neither slip nor stall."""
 
 
 def geometry_of(name: str) -> BaseGeometry:
-    """The wheels of an example."""
-    done = compile_file(ROOT / "examples" / ROBOTS[name] / "robot.yaml")
-    if not isinstance(done.model, Robot):
-        raise RuntimeError(f"the example {ROBOTS[name]} is no robot without faults")
-    return BaseGeometry.from_robot(done.model)
+    """Returns the wheels of an example."""
+    compilation = compile_file(ROOT / "examples" / ROBOTS[name] / "robot.yaml")
+    if not isinstance(compilation.model, Robot):
+        raise RuntimeError(f"the example {ROBOTS[name]} does not compile to a robot")
+    return BaseGeometry.from_robot(compilation.model)
 
 
 @dataclass(frozen=True)
 class Drive:
-    """True twists (3, n), and the joints (wheels, n) that tell of them: rad/s and rad.
+    """True twists (3, n), and joint states (wheels, n) in rad/s and rad.
 
-    ``information`` (n, 3, 3) is Fisher's: its inverse is the Cramer-Rao bound.
+    ``information`` (n, 3, 3): Fisher information; its inverse is the Cramer-Rao bound.
     """
 
     twists: Array
@@ -49,28 +49,28 @@ class Drive:
     information: Array
 
     def efficiency(self, estimates: Array) -> float:
-        """sqrt(NEES / 3) against the Cramer-Rao bound: 1 is the best that there is."""
+        """Returns sqrt(NEES / 3) relative to the Cramer-Rao bound: 1 is optimal."""
         errors = (estimates - self.twists).T
         nees = np.einsum("ni,nij,nj->n", errors, self.information, errors)
         return math.sqrt(float(nees.mean()) / 3.0)
 
 
 def random_twists(geometry: BaseGeometry, n: int, rng: np.random.Generator) -> Array:
-    """Up to 1 m/s and 1 rad/s in all directions that the robot can drive.
+    """Returns random feasible twists up to 1 m/s and 1 rad/s.
 
-    Every wheel moves, none faster than its motor can.
+    Every wheel moves, and no wheel exceeds the speed of its motor.
     """
     fixed = FixedWheels(geometry.wheels)
-    allowed = np.array([fixed.feasible(Twist(*unit)) for unit in np.eye(3)]).T
-    found = np.empty((3, 0))
-    while found.shape[1] < n:
-        some = allowed @ rng.uniform(-1.0, 1.0, (3, 2 * n))
-        fine = np.full(some.shape[1], True)
+    feasible = np.array([fixed.feasible(Twist(*unit)) for unit in np.eye(3)]).T
+    twists = np.empty((3, 0))
+    while twists.shape[1] < n:
+        candidates = feasible @ rng.uniform(-1.0, 1.0, (3, 2 * n))
+        valid = np.full(candidates.shape[1], True)
         for w in geometry.wheels:
-            moving = np.hypot(*velocity(w.x, w.y, some))
-            fine &= (moving >= SLOWEST) & (moving <= w.max_speed * w.radius)
-        found = np.concatenate([found, some[:, fine]], axis=1)
-    return found[:, :n]
+            moving = np.hypot(*velocity(w.x, w.y, candidates))
+            valid &= (moving >= SLOWEST) & (moving <= w.max_speed * w.radius)
+        twists = np.concatenate([twists, candidates[:, valid]], axis=1)
+    return twists[:, :n]
 
 
 def velocity(x: float, y: float, twists: Array) -> tuple[Array, Array]:
@@ -84,12 +84,11 @@ def drive(
     rng: np.random.Generator,
     errors: Array | None = None,
 ) -> Drive:
-    """Joints for these twists, with errors of ``noise``.
+    """Returns joint states for these twists, with errors of ``noise``.
 
-    A steered wheel is where the motion asks it to be, forward or reversed; its speed
-    and its direction are measured with errors.  A wheel that does not turn slips sideways
-    by what the noise says for its direction: the twists are changed by that.
-    ``errors``: standard normal, (2, wheels, n), along and across.
+    A steered wheel points along the motion, forward or reversed; its speed and its direction are
+    measured with errors.  Fixed wheels slip sideways by the noise of their direction, which
+    changes the twists.  ``errors``: standard normal, (2, wheels, n), along and across.
     """
     n, wheels = twists.shape[1], geometry.wheels
     if errors is None:
@@ -121,25 +120,25 @@ def drive(
 
 
 def _outer(row: tuple[Array | float, ...], variance: Array) -> Array:
-    """What a row with an error of this variance tells, (n, 3, 3)."""
+    """Returns the information (n, 3, 3) of a row with this variance."""
     full = np.array([np.broadcast_to(v, variance.shape) for v in row])
-    told: Array = np.einsum("in,jn,n->nij", full, full, 1.0 / variance)
-    return told
+    information: Array = np.einsum("in,jn,n->nij", full, full, 1.0 / variance)
+    return information
 
 
 def _slipped(
     geometry: BaseGeometry, twists: Array, noise: Noise, rng: np.random.Generator
 ) -> Array:
-    """What wheels that do not turn say of side slip, all of them together, comes true."""
+    """Adds the common side slip of all fixed wheels to the twists."""
     rows = FixedWheels(geometry.wheels).rows
     if not rows:
         return twists
-    certainty = np.zeros(twists.shape[1])
+    axle_information = np.zeros(twists.shape[1])
     for w in geometry.wheels:
         if w.fixed:
             moving = np.hypot(*velocity(w.x, w.y, twists))
-            certainty += 1.0 / ((noise.angle * moving) ** 2 + noise.slip_floor**2)
-    slip = rng.standard_normal(twists.shape[1]) / np.sqrt(certainty)
+            axle_information += 1.0 / ((noise.angle * moving) ** 2 + noise.slip_floor**2)
+    slip = rng.standard_normal(twists.shape[1]) / np.sqrt(axle_information)
     slipped = twists.copy()
     slipped[0] += rows[0][0] * slip
     slipped[1] += rows[0][1] * slip

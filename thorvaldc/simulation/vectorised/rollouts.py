@@ -1,7 +1,7 @@
-"""Many open-loop runs of one robot at once, on threads: for planning and identification.
+"""Many open-loop runs of one robot in parallel threads, for planning and identification.
 
-No driver and no odometry: joint commands in, the truth out, by ``mujoco.rollout``.  What
-needs the driver, faults or noise is a batch of scenarios.
+``mujoco.rollout`` converts joint commands to true motions, without driver and odometry.  For
+runs with the driver, injected faults or noise, use a batch of scenarios.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Array = NDArray[np.float64]
-_ROOM = 1 << 23
-"""Numbers of MuJoCo's states that are kept at a time."""
+_MAX_STATE_NUMBERS = 1 << 23
+"""Numbers of MuJoCo states in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectories:
-    """n runs at the ends of t ticks; a run that diverged is NaN from then on.
+    """n runs, sampled at the ends of t ticks; a run that diverges is NaN from then on.
 
     ``time`` (t,) in s; ``poses`` (n, t, 3): x, y, yaw (not wrapped) of ``base_link`` in the
-    scene; ``twists`` (n, t, 3): its vx, vy, wz in itself; ``uprightness`` (n, t): cosine of the
-    tilt; ``speeds``, ``angles`` (n, t, wheels): rad/s of the spin and rad of the steering
-    joints.  ``states`` (n, state) are MuJoCo's at the end, to go on from.
+    scene; ``twists`` (n, t, 3): vx, vy, wz in ``base_link``; ``uprightness`` (n, t): cosine of
+    the tilt; ``speeds``, ``angles`` (n, t, wheels): rad/s of the spin and rad of the steering
+    joints.  ``states`` (n, state): MuJoCo states at the end, from which a run can continue.
     """
 
     time: Array
@@ -44,12 +44,12 @@ class Trajectories:
 
 
 class Rollouts:
-    """A robot alone in its scene, ready to run many times."""
+    """A robot alone in its scene, prepared for many runs."""
 
     def __init__(
         self, robot: Robot, files: Path | str | Mapping[str, bytes], threads: int = 1
     ) -> None:
-        """``files`` as of ``MujocoScene``.  Raises ``DiagnosticError``."""
+        """``files``: as for ``MujocoScene``.  Raises ``DiagnosticError``."""
         import mujoco
         from mujoco.rollout import Rollout
 
@@ -63,20 +63,20 @@ class Rollouts:
         start = np.empty(mujoco.mj_stateSize(model, self._physics))
         mujoco.mj_getState(model, self.scene.data, start, self._physics)
         self.start: Array = start
-        """MuJoCo's state of the robot at rest at home."""
+        """MuJoCo state of the robot at rest in its initial pose."""
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._rollout = Rollout(nthread=threads)
         self._home = self.scene.data.ctrl.copy()
 
     def at(self, poses: ArrayLike) -> Array:
-        """States (n, state) of the robot at rest at ``poses`` (n, 3): x, y in m, yaw in rad."""
-        wanted = np.atleast_2d(np.asarray(poses, dtype=np.float64))
-        states = np.repeat(self.start[None], len(wanted), axis=0)
+        """Returns states (n, state) of the robot at rest at ``poses`` (n, 3): x, y (m), yaw."""
+        targets = np.atleast_2d(np.asarray(poses, dtype=np.float64))
+        states = np.repeat(self.start[None], len(targets), axis=0)
         first = 1 + self._joints.base
         w, i, j, k = self.start[first + 3 : first + 7]
-        half = wanted[:, 2] / 2.0
+        half = targets[:, 2] / 2.0
         c, s = np.cos(half), np.sin(half)
-        states[:, first : first + 2] = wanted[:, :2]
+        states[:, first : first + 2] = targets[:, :2]
         turned = np.stack([c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w], axis=1)
         states[:, first + 3 : first + 7] = turned
         return states
@@ -89,48 +89,55 @@ class Rollouts:
         period: float = 0.1,
         states: Array | None = None,
     ) -> Trajectories:
-        """Run ``speeds`` (rad/s) and ``angles`` (rad), each (n, t, wheels), from ``states``.
+        """Runs ``speeds`` (rad/s) and ``angles`` (rad), each (n, t, wheels), from ``states``.
 
-        Commands hold for ``period`` s each, a whole number of the scene's steps; entries of
-        wheels without such a motor are not looked at.  ``states``: (n, state), by default all
-        at ``start``.  The result does not depend on the number of threads.
+        Each command is constant for ``period`` s, a whole number of the scene's time steps.
+        Entries of wheels without such a motor are unused.  ``states``: (n, state), by default
+        all at ``start``.  The result does not depend on the number of threads.
         """
-        asked = np.asarray(speeds, dtype=np.float64)
-        turned = np.zeros_like(asked) if angles is None else np.asarray(angles, dtype=np.float64)
+        speed_commands = np.asarray(speeds, dtype=np.float64)
+        if angles is None:
+            angle_commands = np.zeros_like(speed_commands)
+        else:
+            angle_commands = np.asarray(angles, dtype=np.float64)
         steps = round(period / self.scene.timestep)
-        if asked.ndim != 3 or asked.shape[2] != len(self.robot.wheels):
-            raise ValueError(f"speeds are (n, t, {len(self.robot.wheels)}), not {asked.shape}")
-        if turned.shape != asked.shape:
-            raise ValueError(f"angles are {turned.shape}, and speeds {asked.shape}")
+        if speed_commands.ndim != 3 or speed_commands.shape[2] != len(self.robot.wheels):
+            raise ValueError(
+                f"speeds are (n, t, {len(self.robot.wheels)}), not {speed_commands.shape}"
+            )
+        if angle_commands.shape != speed_commands.shape:
+            raise ValueError(
+                f"angles are {angle_commands.shape}, and speeds {speed_commands.shape}"
+            )
         if steps < 1 or not math.isclose(steps * self.scene.timestep, period, rel_tol=1e-6):
             raise ValueError(
                 f"a period of {period:g} s is no whole number of {self.scene.timestep:g} s"
             )
-        n, ticks, _ = asked.shape
-        control = self._joints.control(self._home, asked, turned)
-        now = np.repeat(self.start[None], n, axis=0) if states is None else np.array(states)
-        if now.shape != (n, len(self.start)):
-            raise ValueError(f"states are {now.shape}; they must be {(n, len(self.start))}")
-        found = np.empty((n, ticks, len(self.start)))
-        at_once = max(1, _ROOM // (n * steps * len(self.start)))
-        for first in range(0, ticks, at_once):
-            part = control[:, first : first + at_once]
+        n, ticks, _ = speed_commands.shape
+        control = self._joints.control(self._home, speed_commands, angle_commands)
+        current = np.repeat(self.start[None], n, axis=0) if states is None else np.array(states)
+        if current.shape != (n, len(self.start)):
+            raise ValueError(f"states are {current.shape}; they must be {(n, len(self.start))}")
+        samples = np.empty((n, ticks, len(self.start)))
+        ticks_per_part = max(1, _MAX_STATE_NUMBERS // (n * steps * len(self.start)))
+        for first in range(0, ticks, ticks_per_part):
+            part = control[:, first : first + ticks_per_part]
             state, _ = self._rollout.rollout(
-                self.scene.model, self._data, now, np.repeat(part, steps, axis=1)
+                self.scene.model, self._data, current, np.repeat(part, steps, axis=1)
             )
-            found[:, first : first + at_once] = state[:, steps - 1 :: steps]
-            now = np.ascontiguousarray(state[:, -1])
-        bad = ~np.isfinite(found).all(axis=2)
-        found[np.maximum.accumulate(bad, axis=1)] = np.nan
-        return self._joints.trajectories(found, period * np.arange(1, ticks + 1), now)
+            samples[:, first : first + ticks_per_part] = state[:, steps - 1 :: steps]
+            current = np.ascontiguousarray(state[:, -1])
+        diverged = ~np.isfinite(samples).all(axis=2)
+        samples[np.maximum.accumulate(diverged, axis=1)] = np.nan
+        return self._joints.trajectories(samples, period * np.arange(1, ticks + 1), current)
 
     def close(self) -> None:
-        """End the threads."""
+        """Ends the threads."""
         self._rollout.close()
 
 
 class _Joints(MujocoBase):
-    """Where a robot's joints are in MuJoCo's states and controls."""
+    """Indices of a robot's joints in MuJoCo's states and controls."""
 
     def __init__(self, robot: Robot, scene: MujocoScene) -> None:
         super().__init__(robot, scene)
@@ -147,7 +154,7 @@ class _Joints(MujocoBase):
         return control
 
     def trajectories(self, states: Array, time: Array, last: Array) -> Trajectories:
-        # A state is the time, qpos, qvel and the rest.
+        # A MuJoCo state is: time, qpos, qvel, activations and more.
         base = 1 + self._base
         moving = 1 + self.scene.model.nq + self._base_velocity
         x, y, _, w, i, j, k = np.moveaxis(states[:, :, base : base + 7], 2, 0)
