@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.plugins import PluginTable
-from thorvaldc.runtime.can_base.motor_controller import MASTER, driver_class, frames_of
+from thorvaldc.runtime.can_base.motor_controller import MASTER, driver_class, node_codecs
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 LOW_CHARGE = 0.1
@@ -46,10 +46,7 @@ class BatteryDriver(abc.ABC):
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
-        self.codecs = {
-            frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
-            for frame in frames_of(bus, node)
-        }
+        self.codecs = node_codecs(bus, node)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
         """By COB-ID: called with data and time (s) of the newest frame of each cycle."""
         self.state = BatteryState()
@@ -109,12 +106,9 @@ class IoBoardDriver:
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
-        codecs = {
-            frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
-            for frame in frames_of(bus, node)
-        }
-        self._command = next((c for c in codecs.values() if c.frame.producer == MASTER), None)
-        self._report = next((c for c in codecs.values() if c.frame.producer == node.name), None)
+        codecs = node_codecs(bus, node).values()
+        self._command = next((c for c in codecs if c.frame.producer == MASTER), None)
+        self._report = next((c for c in codecs if c.frame.producer == node.name), None)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
         if self._report is not None:
             self.handlers[self._report.cob_id] = self._handle_report

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
+from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.robot import Actuator, Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
@@ -84,10 +84,7 @@ class MotorController(abc.ABC):
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         self.robot = robot
         self.node = node
-        self.codecs = {
-            frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
-            for frame in frames_of(bus, node)
-        }
+        self.codecs = node_codecs(bus, node)
         self.axes = tuple(_axes(robot, node))
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
         """By COB-ID: called with data and time (s) of the newest frame of each cycle."""
@@ -213,14 +210,17 @@ class MotorController(abc.ABC):
         return next((axis for axis in self.axes if axis.channel == channel), None)
 
 
-def frames_of(bus: Bus, node: Node) -> list[FrameDefinition]:
-    """Returns the frames that a node sends, and those that the master sends to it alone."""
-    return [
-        frame
+def node_codecs(bus: Bus, node: Node) -> dict[str, FrameCodec]:
+    """Returns the codecs of the frames that a node sends or that the master sends to it alone.
+
+    The keys are the names of the frames without the name of the node: ``tpdo1``.
+    """
+    return {
+        frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
         for frame in bus.frames
         if frame.producer == node.name
         or (frame.producer == MASTER and frame.consumers == (node.name,))
-    ]
+    }
 
 
 def _axes(robot: Robot, node: Node) -> Iterator[Axis]:
