@@ -9,33 +9,48 @@ from pathlib import Path
 import pytest
 
 from tests.examples import FOLDER
+from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc import backends
-from thorvaldc.backends import Backend, TargetError
+from thorvaldc.backends import TargetError
 from thorvaldc.compiler.pipeline import MODEL_FILE, emit
 from thorvaldc.diagnostics import Report
+from thorvaldc.model.statics import standing_pose
 
 MODULE = """
 from thorvaldc.backends import Backend
+from thorvaldc.backends.statics_backend import StaticsBackend
 
-class Wheels(Backend):
+class Parts(Backend):
+    name = "parts"
+    summary = "the names of all links, as text"
+
+    def emit(self, robot):
+        return {"parts/parts.txt": "\\n".join(link.name for link in robot.links).encode()}
+
+class Wheels(StaticsBackend):
     name = "wheels"
     summary = "the penetration of each wheel, as text"
 
-    def emit(self, robot, statics):
+    def emit_with_statics(self, robot, statics):
         lines = [f"{name} {contact.penetration!r}" for name, contact in statics.wheels.items()]
         return {"wheels/wheels.txt": "\\n".join(lines).encode()}
 """
 
 
+ROBOT = make_robot(FOUR_STEERED)
+STATICS = standing_pose.solve_statics(ROBOT)
+
+
 @pytest.fixture
 def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with an installed package that offers one good and one broken backend."""
+    """A folder with an installed package that offers two good backends and a broken one."""
     (tmp_path / "wheel_targets.py").write_text(MODULE)
     info = tmp_path / "wheel_targets-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: wheel-targets\nVersion: 1\n")
     (info / "entry_points.txt").write_text(
-        "[thorvaldc.backends]\nwheels = wheel_targets:Wheels\nbroken = wheel_targets:Gone\n"
+        "[thorvaldc.backends]\nwheels = wheel_targets:Wheels\nparts = wheel_targets:Parts\n"
+        "broken = wheel_targets:Gone\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "wheel_targets", raising=False)
@@ -48,6 +63,15 @@ def test_the_keys_are_the_names_of_the_backends() -> None:
     assert set(backends.DEFAULT_TARGETS) <= set(backends.TARGETS)
 
 
+def test_statics_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    solved: list[str] = []
+    monkeypatch.setattr(standing_pose, "solve_statics", lambda r: solved.append(r.name) or STATICS)
+    emit(ROBOT, ["urdf", "can"])
+    assert solved == []
+    emit(ROBOT, ["urdf", "mjcf"])
+    assert solved == [ROBOT.name]
+
+
 def test_unknown_target() -> None:
     with pytest.raises(TargetError) as caught:
         backends.load("mjfc")
@@ -55,16 +79,16 @@ def test_unknown_target() -> None:
 
 
 @pytest.mark.usefixtures("packages")
-def test_a_backend_of_another_package_gets_the_statics() -> None:
+def test_backends_of_another_package() -> None:
     from thorvaldc.compiler.pipeline import compile_file
 
     assert {"wheels", "broken"} <= set(backends.names())
     model = compile_file(FOLDER / "4wd4ws_slim" / "robot.yaml").model
     assert model is not None
-    files = emit(model, ["wheels"], Report())
-    assert set(files) == {MODEL_FILE, "wheels/wheels.txt"}
+    files = emit(model, ["wheels", "parts"], Report())
+    assert set(files) == {MODEL_FILE, "wheels/wheels.txt", "parts/parts.txt"}
+    assert files["parts/parts.txt"].startswith(b"base_link")
     assert files["wheels/wheels.txt"].startswith(b"fl_wheel 0.00")
-    assert isinstance(backends.load("wheels"), Backend)
 
 
 @pytest.mark.usefixtures("packages")

@@ -29,6 +29,7 @@ from tests.examples import FLEETS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc import backends
 from thorvaldc.backends import Backend
+from thorvaldc.backends.statics_backend import StaticsBackend
 from thorvaldc.diagnostics import CODES
 from thorvaldc.model import Fleet, Link, Placement, Pose, Robot
 from thorvaldc.model.serialize import to_json
@@ -113,8 +114,8 @@ def check_files(files: Mapping[str, bytes]) -> None:
 
 def check_purity(backend: type[Backend], robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that a second call gives the same bytes, with the outside world out of reach."""
-    model, statics = to_json(robot), solve_statics(robot)
-    files = backend().emit(robot, statics)
+    model = to_json(robot)
+    files = backend().emit(robot)
     diagnostics = list(backend().unsupported(robot))
 
     def unreachable(*_: object, **__: object) -> object:
@@ -130,13 +131,12 @@ def check_purity(backend: type[Backend], robot: Robot, monkeypatch: pytest.Monke
         ):
             for name in names:
                 patch.setattr(module, name, unreachable)
-        again = backend().emit(robot, statics)
+        again = backend().emit(robot)
         diagnostics_again = list(backend().unsupported(robot))
     assert again == files
     assert list(again) == list(files)
     assert diagnostics_again == diagnostics
     assert to_json(robot) == model, "the backend changed the model"
-    assert statics == solve_statics(robot), "the backend changed the statics"
 
 
 def check_fleet(backend: type[Backend], fleet: Fleet) -> None:
@@ -159,6 +159,16 @@ def test_class(name: str) -> None:
 
 def test_purity(backend: type[Backend], robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     check_purity(backend, robot, monkeypatch)
+
+
+def test_statics_are_only_read(robot: Robot) -> None:
+    """Backends that share the statics give the same files, and the files of ``emit``."""
+    statics = solve_statics(robot)
+    for name in TARGETS:
+        backend = backends.load(name)
+        if isinstance(backend, StaticsBackend):
+            assert backend.emit_with_statics(robot, statics) == backend.emit(robot)
+    assert statics == solve_statics(robot)
 
 
 def test_paths_and_contents(backend: type[Backend], robot: Robot) -> None:
@@ -241,24 +251,24 @@ class Bad(Backend):
     name = "bad"
     summary = "the base of bad backends"
 
-    def emit(self, robot: Robot, statics: object) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         return {"bad/file": b"same"}
 
 
 class ReadsTheClock(Bad):
-    def emit(self, robot: Robot, statics: object) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         return {"bad/file": str(time.time()).encode()}
 
 
 class ReadsAFile(Bad):
-    def emit(self, robot: Robot, statics: object) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         return {"bad/file": Path(__file__).read_bytes()}
 
 
 class CountsItsCalls(Bad):
     calls = 0
 
-    def emit(self, robot: Robot, statics: object) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         CountsItsCalls.calls += 1
         return {"bad/file": str(self.calls).encode()}
 
@@ -292,7 +302,7 @@ def test_bad_files_fail(files: Mapping[str, bytes]) -> None:
 
 def test_a_fleet_without_a_robot_s_own_files_fails() -> None:
     class Forgets(Bad):
-        def emit_fleet(self, fleet: Fleet, statics: object) -> dict[str, bytes]:
+        def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
             return {"bad/scene": hashlib.sha256(fleet.name.encode()).digest()}
 
     with pytest.raises((AssertionError, KeyError)):

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from collections.abc import Iterable
+from typing import ClassVar, NamedTuple
 
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
-
-if TYPE_CHECKING:  # the solver is not loaded where only names of targets are needed
-    from thorvaldc.model.statics.standing_pose import Statics
 
 
 class Backend(abc.ABC):
@@ -25,22 +22,15 @@ class Backend(abc.ABC):
     summary: ClassVar[str]
 
     @abc.abstractmethod
-    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
-        """Return the files of one robot by their POSIX path relative to the build folder.
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        """Return the files of one robot by their POSIX path relative to the build folder."""
 
-        ``statics`` has the numbers that are derived from the whole robot: its standing pose, the
-        wheel contacts and the inertia on each joint.  A backend derives none itself.
-        """
-
-    def emit_fleet(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
-        """Return the files of a fleet; by default those of each robot in a folder of its name.
-
-        ``statics`` has those of each placement, in order.
-        """
+    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
+        """Return the files of a fleet; by default those of each robot in a folder of its name."""
         return {
             f"{placement.name}/{path}": data
-            for placement, robot_statics in zip(fleet.placements, statics, strict=True)
-            for path, data in self.emit(placement.robot, robot_statics).items()
+            for placement in fleet.placements
+            for path, data in self.emit(placement.robot).items()
         }
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import mesh_files
 from thorvaldc.backends.mjcf_robot import WORLD, RobotWriter, body_names
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
 from thorvaldc.backends.mjcf_sections import ModelSections
 from thorvaldc.backends.mjcf_world import add_world
+from thorvaldc.backends.statics_backend import StaticsBackend
 from thorvaldc.backends.xml_writer import Element, parse, to_bytes
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import Fleet, Pose, Robot
@@ -24,7 +24,7 @@ from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics
 
 
-class Mjcf(Backend):
+class Mjcf(StaticsBackend):
     """Writes ``robot.xml`` and ``scene.xml``; of a fleet also one scene with all robots."""
 
     name = "mjcf"
@@ -50,7 +50,7 @@ class Mjcf(Backend):
                     "rename it in the extra, or give the robot a `namespace`",
                 )
 
-    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
+    def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
         tree = JointTree(robot.links, robot.joints)
         sections = ModelSections(robot.name, [robot], ["../meshes"])
         RobotWriter(sections, robot, tree, 0, statics).write(None)
@@ -64,8 +64,8 @@ class Mjcf(Backend):
             **mesh_files(robot),
         }
 
-    def emit_fleet(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
-        files = super().emit_fleet(fleet, statics)
+    def emit_fleet_with_statics(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
+        files = super().emit_fleet_with_statics(fleet, statics)
         robots = [placement.robot for placement in fleet.placements]
         poses = [placement.pose for placement in fleet.placements]
         folders = [f"../{placement.name}/meshes" for placement in fleet.placements]

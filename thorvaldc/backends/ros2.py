@@ -12,7 +12,6 @@ from thorvaldc.backends.ros2_parameter_file import Value, parameter_file
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import Actuator, Joint, Wheel
-from thorvaldc.model.statics.standing_pose import Statics
 
 # Diagonal of the covariance of the measured twist: the default of the original base driver.
 TWIST_COVARIANCE = (0.001, 0.001, 0.001, 0.001, 0.001, 0.03)
@@ -25,7 +24,7 @@ class Ros2(Backend):
     name = "ros2"
     summary = "parameter files of the base driver, twist_mux, teleop and robot_state_publisher"
 
-    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         nodes: dict[str, tuple[str, Callable[[Robot], Parameters]]] = {
             "base_driver": ("base_driver", base_driver),
             "twist_mux": ("twist_mux", twist_mux),

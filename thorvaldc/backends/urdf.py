@@ -9,7 +9,6 @@ from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
 from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_bytes
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.standing_pose import Statics
 
 # URDF requires limits of revolute and prismatic joints; this value means "no limit".
 UNLIMITED = 1e9
@@ -19,7 +18,7 @@ class Urdf(Backend):
     name = "urdf"
     summary = "robot description for ROS 2 (urdf/robot.urdf) with its meshes"
 
-    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         files = {"urdf/robot.urdf": urdf_text(robot).encode()}
         files.update(mesh_files(robot))
         return files

@@ -108,21 +108,30 @@ def emit(
     Raises ``KeyError`` for an unknown target.  Elements of the model that a format cannot
     express are reported, with spans as in the model.
     """
-    from thorvaldc.model.statics.standing_pose import solve_statics  # `check` does not need it
+    # Imported here because `check` does not need them.
+    from thorvaldc.backends.statics_backend import StaticsBackend
+    from thorvaldc.model.statics.standing_pose import solve_statics
 
     files = {MODEL_FILE: to_json(model).encode()}
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
-    statics = [solve_statics(robot) for robot in robots]
-    for target in dict.fromkeys(targets):
-        backend = backends.load(target)
+    emitters = [backends.load(target) for target in dict.fromkeys(targets)]
+    needed = any(isinstance(backend, StaticsBackend) for backend in emitters)
+    statics = [solve_statics(robot) for robot in robots] if needed else []
+    for backend in emitters:
         if report is not None:
             for robot in robots:
                 for diagnostic in backend.unsupported(robot):
                     report.put(diagnostic)
-        if isinstance(model, Fleet):
-            files.update(backend.emit_fleet(model, statics))
+        if isinstance(backend, StaticsBackend):
+            files.update(
+                backend.emit_fleet_with_statics(model, statics)
+                if isinstance(model, Fleet)
+                else backend.emit_with_statics(model, statics[0])
+            )
         else:
-            files.update(backend.emit(model, statics[0]))
+            files.update(
+                backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model)
+            )
     return files
 
 

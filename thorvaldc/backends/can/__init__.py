@@ -12,14 +12,13 @@ from thorvaldc.backends import Backend
 from thorvaldc.backends.can import bring_up, budget, c_header, canmap, dbc, dcf, ros2_canopen
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
-from thorvaldc.model.statics.standing_pose import Statics
 
 
 class Can(Backend):
     name = "can"
     summary = "CAN map, DBC, DCF of each node, C header, load of the bus, set-up of interfaces"
 
-    def emit(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
+    def emit(self, robot: Robot) -> dict[str, bytes]:
         files = {"can/canmap.json": canmap.canmap_text(robot).encode()}
         if not robot.buses:
             return files
