@@ -46,9 +46,10 @@ def staging_folder(target: Path) -> Iterator[Path]:
 
 
 def _is_fixed(target: Path) -> bool:
-    """Whether the folder must keep its inode: a mount point, or a parent of the current folder.
+    """Returns whether the folder must keep its inode.
 
-    After an exchange, a shell in the folder would be in the deleted old one.
+    This is so for a mount point, the current folder and its parents.  After an exchange, a shell
+    in the folder would be in the deleted old one.
     """
     try:
         current = Path.cwd()
@@ -100,7 +101,7 @@ def _lock(folder: Path, *, wait: bool) -> int | None:
 
 
 def is_exchangeable(target: Path, stage: Path) -> bool:
-    """Whether the two folders are beside each other and the target need not keep its inode."""
+    """Returns whether the folders are in one parent and the target need not keep its inode."""
     return stage.parent == target.parent and not _is_fixed(target)
 
 

@@ -90,7 +90,7 @@ def _read_cached(
     report: Report,
     read: Callable[[Node | None, Report], Content],
 ) -> Content:
-    """Returns what ``read`` makes of a YAML file; repeats its diagnostics at every call."""
+    """Reads a YAML file by ``read``; repeats its diagnostics at every call."""
     status = path.stat()
     stamp = (status.st_mtime_ns, status.st_size)
     key = (str(path.absolute()), display)

@@ -1,4 +1,4 @@
-"""Reads the lock file beside a robot file, and finds out whether a build must write it."""
+"""Reads the lock file beside a robot file, and computes the text that a build must write."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def _check_writable(target: Path, shown: str) -> None:
 
 
 def _is_inside(path: str) -> bool:
-    """Whether a path is relative and stays inside the folder."""
+    """Returns whether a path is relative and stays inside the folder."""
     pure = PurePosixPath(path)
     return (
         str(pure) == path

@@ -1,0 +1,1 @@
+"""Wheel geometry, static loads, meshes, and checks of a robot's statics and mobility."""

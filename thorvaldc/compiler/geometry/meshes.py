@@ -164,7 +164,7 @@ def _too_large(text: str) -> _MeshError:
 
 
 def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
-    """Returns the binary STL without trailing bytes, and whether it may be large.
+    """Returns the binary STL without trailing bytes, and true if it may be large.
 
     Format: 80 bytes of header, the number of triangles (uint32), and 50 bytes per triangle:
     normal and three corners (float32 each) and 2 bytes of attributes.

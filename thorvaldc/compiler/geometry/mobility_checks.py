@@ -108,7 +108,7 @@ def _fixed_rows(robot: Robot) -> list[Row]:
 
 
 def _cannot_turn(robot: Robot) -> bool:
-    """Whether the fixed wheels prevent turning: wz depends on their rows."""
+    """Returns true if the fixed wheels prevent turning: wz depends on their rows."""
     rows = _fixed_rows(robot)
     return _rank([*rows, (0.0, 0.0, 1.0)]) == _rank(rows)
 

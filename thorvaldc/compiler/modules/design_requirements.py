@@ -22,7 +22,7 @@ class DesignRequirements(NamedTuple):
 
 
 def read_design(document: Node, report: Report) -> DesignRequirements:
-    """Reads the `design` section of a robot document; defaults for what is missing."""
+    """Reads the `design` section of a robot document; missing keys get their defaults."""
     node = document.get("design")
     if node is None:
         return DesignRequirements()

@@ -80,13 +80,13 @@ class _AttachmentFinder:
     def find(self, reference: str) -> tuple[str, Pose] | None:
         """Returns the link and the pose in it for `link`, `module` or `module.port`.
 
-        An assembly stands for its first module with links.
+        For an assembly, this is its first module with links.
         """
         if reference in self.link_names:
             return reference, Pose()
         if reference in self.first_links:
             return self.first_links[reference], Pose()
-        references = References(Report())  # The reader of the extras reports what is not found.
+        references = References(Report())  # The reader of the extras reports unknown references.
         node = Node(reference, self.document.span)
         leaf_and_port = references.find_port(self.robot, reference, node)
         if leaf_and_port is not None:

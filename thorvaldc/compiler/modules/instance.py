@@ -27,7 +27,7 @@ class Instance:
     can : the part's `can` section, its own or that of its assembly.
     left_out : names of parts whose type is `none` or whose `when` is false.
     failed : names of parts that could not be created; the report contains the errors.
-    mount : what the part is mounted on.
+    mount : the link and pose that the part is mounted on.
     """
 
     path: str

@@ -79,7 +79,7 @@ def check_module(name: str, library: Library, report: Report) -> None:
 def _check_assembly_references(
     assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
 ) -> None:
-    """Checks that `ports`, `motors` and `can` of an assembly name what its parts have."""
+    """Checks that `ports`, `motors` and `can` of an assembly name existing parts."""
     references = resolver.references
     for section, find in (("ports", references.find_port), ("motors", references.find_motor)):
         for node in module.section(section).values():

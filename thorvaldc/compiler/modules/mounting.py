@@ -160,7 +160,7 @@ class Mounting:
 
         A module with an invalid mount ends a chain: its own error is already reported.
         """
-        # By leaf: whether its chain of mounts ends.  Each leaf is visited once.
+        # By leaf: true if its chain of mounts ends at the root.  Each leaf is visited once.
         chain_ends: dict[int, bool] = {}
         for leaf in robot.leaves():
             chain = [leaf]

@@ -9,7 +9,7 @@ from thorvaldc.diagnostics import Report
 
 
 class References:
-    """Finds what references name; reports those that name nothing at ``node``."""
+    """Finds modules, ports and motors; reports unknown references at ``node``."""
 
     def __init__(self, report: Report) -> None:
         self.report = report
@@ -35,7 +35,7 @@ class References:
                     "module-unknown",
                     f"`{names[0]}` is left out{assembly}",
                     node.span,
-                    hint=f"leave out what needs it too, or choose a module for `{names[0]}`",
+                    hint=f"leave out the modules that need it, or choose a module for `{names[0]}`",
                 )
         elif names[0] not in inside.failed:
             self.report.add(

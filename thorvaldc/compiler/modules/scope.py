@@ -288,7 +288,7 @@ class Scope(ValueReader):
         if not isinstance(value, str):
             self.report.add(
                 "wrong-type",
-                f"expected a module type, not {describe_node(node)}",
+                f"expected a module type, got {describe_node(node)}",
                 name_node.span,
                 hint="write its name, as in `wheel/agri_200`, or `none`",
             )

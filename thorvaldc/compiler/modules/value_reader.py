@@ -177,7 +177,7 @@ class ValueReader(Mapping[str, Any]):
         )
 
     def _report_type(self, expected: str, node: Node) -> None:
-        self.report.add("wrong-type", f"expected {expected}, not {describe_node(node)}", node.span)
+        self.report.add("wrong-type", f"expected {expected}, got {describe_node(node)}", node.span)
 
 
 def describe_node(node: Node) -> str:

@@ -1,0 +1,1 @@
+"""Fleets and scenarios: placement, world, script, variations."""
