@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.compiler.bus.bus_checks import (
     LOAD_WARNING,
     check_bus,
@@ -40,13 +41,7 @@ __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 # Bitrates of CiA 301 above the default (bit/s), tried for a bus without a stated bitrate.
 FASTER = (800_000, 1_000_000)
 
-NMT_COMMANDS = (
-    (1, "start"),
-    (2, "stop"),
-    (128, "enter_pre_operational"),
-    (129, "reset_node"),
-    (130, "reset_communication"),
-)
+NMT_COMMANDS = tuple((command.value, command.name.lower()) for command in NmtCommand)
 
 
 def build_buses(
@@ -183,7 +178,7 @@ def _master_frames(
         return
     yield FrameDefinition(
         "nmt",
-        0x000,
+        NMT,
         "nmt",
         MASTER,
         nodes,
@@ -196,7 +191,7 @@ def _master_frames(
     )
     yield FrameDefinition(
         "sync",
-        0x080,
+        SYNC,
         "sync",
         MASTER,
         nodes,
@@ -207,4 +202,6 @@ def _master_frames(
         spec.span,
         "The control cycle's beat, after its commands.",
     )
-    yield heartbeat(MASTER, 0x700 + MASTER_ID, MASTER, nodes, MASTER_HEARTBEAT_PERIOD, spec.span)
+    yield heartbeat(
+        MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, MASTER_HEARTBEAT_PERIOD, spec.span
+    )

@@ -9,6 +9,9 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from thorvaldc.can.canopen import TIME_STAMP
+from thorvaldc.can.lss import REQUEST as LSS_REQUEST
+from thorvaldc.can.lss import RESPONSE as LSS_RESPONSE
 from thorvaldc.compiler.bus.device_sections import (
     MASTER,
     MASTER_HEARTBEAT_PERIOD,
@@ -33,7 +36,11 @@ RESTRICTED = (
     (0x701, 0x7FF),
 )
 # COB-IDs of CANopen services that exist on every bus, although no device declares them.
-STANDARD = ((0x100, "TIME"), (0x7E4, "LSS response"), (0x7E5, "LSS request"))
+STANDARD = (
+    (TIME_STAMP, "TIME"),
+    (LSS_RESPONSE, "LSS response"),
+    (LSS_REQUEST, "LSS request"),
+)
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 

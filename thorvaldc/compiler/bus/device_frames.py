@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+from thorvaldc.can.canopen import EMCY, HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
 from thorvaldc.compiler.bus.device_sections import (
     MASTER,
     Device,
@@ -26,7 +27,7 @@ from thorvaldc.model.robot import FrameDefinition, Signal
 
 HEARTBEAT_PERIOD = 0.1  # s, default
 LAST_PDO = 512
-NMT_STATES = ((0, "boot_up"), (4, "stopped"), (5, "operational"), (127, "pre_operational"))
+NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtState)
 
 
 def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
@@ -137,7 +138,7 @@ def standard_frames(
         if item.value == "emcy":
             yield FrameDefinition(
                 f"{name}_emcy",
-                0x080 + node_id,
+                EMCY + node_id,
                 "emcy",
                 name,
                 (MASTER,),
@@ -154,8 +155,8 @@ def standard_frames(
             )
         elif item.value == "sdo":
             for direction, base, producer, consumer in (
-                ("request", 0x600, MASTER, name),
-                ("response", 0x580, name, MASTER),
+                ("request", SDO_REQUEST, MASTER, name),
+                ("response", SDO_RESPONSE, name, MASTER),
             ):
                 yield FrameDefinition(
                     f"{name}_sdo_{direction}",
@@ -176,7 +177,7 @@ def standard_frames(
                     f"Access to the object dictionary, {direction}.",
                 )
         elif item.value == "heartbeat":
-            yield heartbeat(name, 0x700 + node_id, name, (MASTER,), heartbeat_period, here)
+            yield heartbeat(name, HEARTBEAT + node_id, name, (MASTER,), heartbeat_period, here)
 
 
 def heartbeat(

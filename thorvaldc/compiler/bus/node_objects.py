@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from thorvaldc.can.canopen import SYNC
 from thorvaldc.compiler.bus.device_sections import (
     CANOPEN,
     MASTER,
@@ -141,7 +142,7 @@ def _derived(
         watched = MASTER_ID << 16 | time
         yield ObjectValue(key, HEARTBEAT_CONSUMER, 1, "unsigned32", watched), here
     if any(frame.synchronous for frame in frames):
-        yield ObjectValue("sync_cob_id", SYNC_COB_ID, 0, "unsigned32", 0x080), here
+        yield ObjectValue("sync_cob_id", SYNC_COB_ID, 0, "unsigned32", SYNC), here
     numbers: dict[tuple[bool, int], FrameDefinition] = {}
     for frame in frames:
         if frame.pdo is None:
