@@ -4,7 +4,7 @@ A wheel is a circle of ``radius`` in its middle plane.  Its contact point is the
 that circle, also if the wheel leans (camber).  The wheel turns about a steering or swivel axis;
 ``Wheel.x`` and ``y`` are the point where this axis meets the plane of the contact point, and
 ``trail`` and ``lateral_offset`` go from there to the contact point, along the heading and to the
-left of it.  A caster from its left side, rolling to the right::
+left of it.  A caster from its right side, rolling to the right::
 
                   | swivel axis
             _     |
