@@ -35,14 +35,14 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
-def is_whole(folder: Path) -> bool:
+def is_complete(folder: Path) -> bool:
     """Whether the files in the folder are those of the manifest."""
     manifest = json.loads((folder / "manifest.json").read_text())
     hashes = {path: sha256(data).hexdigest() for path, data in contents(folder).items()}
     return bool(manifest["complete"]) and hashes == manifest["files"]
 
 
-def leftovers(folder: Path) -> list[str]:
+def staging_folders(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir() if p.name.startswith("."))
 
 
@@ -52,9 +52,9 @@ def test_a_build_replaces_the_last_one(tmp_path: Path) -> None:
     assert contents(out) == ONE
     write(TWO, out)
     assert contents(out) == TWO
-    assert is_whole(out)
+    assert is_complete(out)
     assert not (out / "meshes").exists()
-    assert leftovers(tmp_path / "deep") == []
+    assert staging_folders(tmp_path / "deep") == []
 
 
 def test_manifest_lists_the_files(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_files_of_the_user_in_a_build_folder_are_kept(tmp_path: Path) -> None:
     assert (out / "notes/a.txt").stat().st_ino == inode
     assert not (out / "meshes").exists()
     assert json.loads((out / "manifest.json").read_text())["complete"]
-    assert leftovers(out) == []
+    assert staging_folders(out) == []
 
 
 def test_folder_with_other_files_is_refused(tmp_path: Path) -> None:
@@ -184,24 +184,24 @@ def test_the_current_folder_stays_the_same_folder(
     assert sorted(os.listdir(".")) == ["manifest.json", "mjcf", "model.json", "urdf"]
 
 
-def in_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def disable_exchange(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer, "exchange", lambda a, b: False)
 
 
 def test_without_the_exchange_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_place(monkeypatch)
+    disable_exchange(monkeypatch)
     write(ONE, tmp_path / "out")
     write(TWO, tmp_path / "out")
     assert contents(tmp_path / "out") == TWO
-    assert is_whole(tmp_path / "out")
-    assert leftovers(tmp_path) == []
+    assert is_complete(tmp_path / "out")
+    assert staging_folders(tmp_path) == []
 
 
 @pytest.mark.parametrize("at", range(1, 12))
 def test_error_while_moving_files_rolls_back(
     at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    in_place(monkeypatch)
+    disable_exchange(monkeypatch)
     out = tmp_path / "out"
     write(ONE, out)
     real, calls = os.rename, []
@@ -220,7 +220,7 @@ def test_error_while_moving_files_rolls_back(
     else:
         assert at > 8  # moving needs no more calls
         assert contents(out) == TWO
-    assert is_whole(out)
+    assert is_complete(out)
 
 
 def test_build_after_a_build_that_was_killed_while_moving(
@@ -246,8 +246,8 @@ def test_build_after_a_build_that_was_killed_while_moving(
     assert not json.loads((out / "manifest.json").read_text())["complete"]
     write(TWO, out)
     assert contents(out) == TWO
-    assert is_whole(out)
-    assert leftovers(tmp_path) == []
+    assert is_complete(out)
+    assert staging_folders(tmp_path) == []
 
 
 WRITE_MANY = """
@@ -273,9 +273,9 @@ def test_kill_9_at_any_moment_leaves_a_complete_build(round_: int, tmp_path: Pat
         process.stdout.readline()
         time.sleep(0.05 + 0.0137 * round_)
         process.kill()
-    assert is_whole(out)
+    assert is_complete(out)
     write(ONE, out)
-    assert leftovers(tmp_path) == []
+    assert staging_folders(tmp_path) == []
 
 
 def test_ctrl_c_leaves_only_a_complete_build(tmp_path: Path) -> None:
@@ -289,8 +289,8 @@ def test_ctrl_c_leaves_only_a_complete_build(tmp_path: Path) -> None:
         process.stdout.readline()
         time.sleep(0.2)
         process.send_signal(signal.SIGINT)
-    assert is_whole(out)
-    assert leftovers(tmp_path) == []
+    assert is_complete(out)
+    assert staging_folders(tmp_path) == []
 
 
 def test_two_concurrent_builds(tmp_path: Path) -> None:
@@ -311,7 +311,7 @@ def test_two_concurrent_builds(tmp_path: Path) -> None:
         assert process.poll() is None, process.stderr and process.stderr.read()
         process.kill()
         process.communicate()
-    assert is_whole(out)
+    assert is_complete(out)
 
 
 def test_full_disk_keeps_the_last_build(tmp_path: Path) -> None:
@@ -325,5 +325,5 @@ def test_full_disk_keeps_the_last_build(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old_limits)
     assert contents(out) == ONE
-    assert is_whole(out)
-    assert leftovers(tmp_path) == []
+    assert is_complete(out)
+    assert staging_folders(tmp_path) == []

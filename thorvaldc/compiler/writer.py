@@ -245,8 +245,8 @@ def _check_content(content: _FolderContent, files: Mapping[str, bytes], shown: s
     replaced = [path for path in content.user_files if path in files]
     if replaced:
         raise WriteError(
-            f"will not write {shown}: {_shorten(replaced)} there is not of the last build;"
-            " move it away first"
+            f"will not write {shown}: it contains {_shorten(replaced)}, which is not of the last"
+            " build; move it away first"
         )
 
 

@@ -23,7 +23,7 @@ def codes(robot: Robot) -> list[str]:
     return [d.code.name for d in report]
 
 
-def on(*kinds: str) -> Robot:
+def square_base(*kinds: str) -> Robot:
     """Returns a box on four wheels in a square: front left, front right, rear left, rear right."""
     return make_robot([(x, y, kind) for (x, y), kind in zip(SQUARE, kinds, strict=True)])
 
@@ -39,7 +39,7 @@ def on(*kinds: str) -> Robot:
     ],
 )
 def test_controllable_bases(kinds: tuple[str, ...]) -> None:
-    assert codes(on(*kinds)) == []
+    assert codes(square_base(*kinds)) == []
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_controllable_bases(kinds: tuple[str, ...]) -> None:
     ],
 )
 def test_number_of_feasible_twists(kinds: tuple[str, ...], twists: int) -> None:
-    assert feasible_twists(on(*kinds)) == twists
+    assert feasible_twists(square_base(*kinds)) == twists
 
 
 @pytest.mark.parametrize(
@@ -65,11 +65,11 @@ def test_number_of_feasible_twists(kinds: tuple[str, ...], twists: int) -> None:
     ],
 )
 def test_uncontrollable_bases(kinds: tuple[str, ...], expected: list[str]) -> None:
-    assert codes(on(*kinds)) == expected
+    assert codes(square_base(*kinds)) == expected
 
 
 def test_one_misaligned_wheel_blocks_motion() -> None:
-    robot = on("fixed", "fixed", "fixed", "fixed")
+    robot = square_base("fixed", "fixed", "fixed", "fixed")
     turned = replace(robot.wheels[0], heading=0.2)
     assert "no-free-motion" in codes(replace(robot, wheels=(turned, *robot.wheels[1:])))
     # All axles meet in one point: the robot can only turn on the spot.

@@ -25,7 +25,7 @@ def codes(robot: Robot, design: DesignRequirements | None = None) -> list[str]:
     return [d.code.name for d in report]
 
 
-def on(*kinds: str) -> Robot:
+def square_base(*kinds: str) -> Robot:
     """Returns a box on four wheels in a square: front left, front right, rear left, rear right."""
     return make_robot([(x, y, kind) for (x, y), kind in zip(SQUARE, kinds, strict=True)])
 
@@ -78,7 +78,7 @@ def test_robot_is_stable_while_its_centre_of_mass_is_inside_the_hull(
     x: float, stands: bool
 ) -> None:
     codes_of_robot = codes(
-        with_mass_at(on("steered", "steered", "steered", "steered"), x, 0.0, 0.4)
+        with_mass_at(square_base("steered", "steered", "steered", "steered"), x, 0.0, 0.4)
     )
     assert ("unstable" not in codes_of_robot) is stands
 

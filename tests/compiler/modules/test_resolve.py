@@ -21,7 +21,7 @@ ports:
 """
 
 
-def place(robot: Robot, link: str) -> tuple[float, float, float]:
+def origin_of(robot: Robot, link: str) -> tuple[float, float, float]:
     """Returns the origin of a link in base_link (m), rounded to a micrometre."""
     x, y, z = JointTree(robot.links, robot.joints).pose[link].xyz
     return (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0)
@@ -41,9 +41,9 @@ def test_mount_pose_is_port_pose_times_offset(workshop: Workshop) -> None:
     """
     )
     # a points forward from x = 0.5, its tip points left, and b points back from 0.5 m along it.
-    assert place(robot, "a_base") == (0.5, 0.0, 0.6)
-    assert place(robot, "b_base") == (1.5, 0.5, 0.7)
-    assert place(robot, "c_box") == (0.5, 0.5, 0.7)
+    assert origin_of(robot, "a_base") == (0.5, 0.0, 0.6)
+    assert origin_of(robot, "b_base") == (1.5, 0.5, 0.7)
+    assert origin_of(robot, "c_box") == (0.5, 0.5, 0.7)
 
 
 def test_mount_pose_of_the_module_is_inverted(workshop: Workshop) -> None:
@@ -54,7 +54,7 @@ def test_mount_pose_of_the_module_is_inverted(workshop: Workshop) -> None:
     robot = workshop.robot(CART + "    hook: {type: t/hook, mount: body.front}")
     pose = JointTree(robot.links, robot.joints).pose["hook_base"]
     # Its mount is at (0.2, 0, 0); there its x axis is the frame's -y axis.
-    assert place(robot, "hook_base") == (0.5, 0.2, 0.6)
+    assert origin_of(robot, "hook_base") == (0.5, 0.2, 0.6)
     assert pose.rpy()[2] == pytest.approx(-math.pi / 2)
 
 
@@ -66,7 +66,7 @@ def test_the_order_in_the_file_does_not_matter(workshop: Workshop) -> None:
     reversed_order = workshop.robot("\n".join(line.strip() for line in reversed(lines)))
     assert {x.name for x in in_order.links} == {x.name for x in reversed_order.links}
     for link in in_order.links:
-        assert place(in_order, link.name) == pytest.approx(place(reversed_order, link.name))
+        assert origin_of(in_order, link.name) == pytest.approx(origin_of(reversed_order, link.name))
     assert [x.name for x in reversed_order.links][1] == "b_base"
 
 
@@ -87,9 +87,9 @@ def test_free_mount_on_an_assembly_is_on_its_root(workshop: Workshop) -> None:
     on_top: {type: t/block, mount: {parent: tower.top}}
     """
     )
-    assert place(robot, "tower_base_box") == (0.1, 0.0, 0.6)
-    assert place(robot, "on_box") == (0.1, 0.3, 0.6)
-    assert place(robot, "on_top_box") == (0.1, 0.0, 1.6)
+    assert origin_of(robot, "tower_base_box") == (0.1, 0.0, 0.6)
+    assert origin_of(robot, "on_box") == (0.1, 0.3, 0.6)
+    assert origin_of(robot, "on_top_box") == (0.1, 0.0, 1.6)
 
 
 def test_free_mount_is_relative_to_its_stated_pose(workshop: Workshop) -> None:
@@ -104,7 +104,7 @@ def test_free_mount_is_relative_to_its_stated_pose(workshop: Workshop) -> None:
     box: {type: t/block, mount: {parent: shelf, xyz: [0.2, 0, 0]}}
     """
     )
-    assert place(robot, "box_box") == (0.5, 0.2, 1.6)
+    assert origin_of(robot, "box_box") == (0.5, 0.2, 1.6)
 
 
 def test_module_fits_only_ports_of_its_kinds(workshop: Workshop) -> None:
@@ -149,8 +149,8 @@ def test_ports_of_nested_assemblies(workshop: Workshop) -> None:
     """
     )
     # Four steps of 1 m, each followed by a quarter turn, lead back to the start.
-    assert place(robot, "block_box") == (0.5, 0.0, 0.6)
-    assert place(robot, "inside_box") == (1.5, 0.0, 0.6)
+    assert origin_of(robot, "block_box") == (0.5, 0.0, 0.6)
+    assert origin_of(robot, "inside_box") == (1.5, 0.0, 0.6)
     names = [x.name for x in robot.links if x.name.startswith("arm")]
     assert names[-1] == "arm_far_second_base"
     assert {x.module for x in robot.links} >= {"arm.near.first", "arm.far.second"}

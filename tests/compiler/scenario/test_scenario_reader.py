@@ -27,7 +27,7 @@ def compiled(folder: Path, text: str, robot: Path | None = None) -> Compilation:
     return compile_file(path, robot=robot)
 
 
-def good(folder: Path, text: str, robot: Path | None = None) -> Scenario:
+def scenario_of(folder: Path, text: str, robot: Path | None = None) -> Scenario:
     compilation = compiled(folder, text, robot)
     assert [(d.code.name, d.message) for d in compilation.report.errors] == []
     assert compilation.scenario is not None
@@ -35,7 +35,7 @@ def good(folder: Path, text: str, robot: Path | None = None) -> Scenario:
     return compilation.scenario
 
 
-def faults(folder: Path, text: str) -> list[tuple[str, int]]:
+def errors_of(folder: Path, text: str) -> list[tuple[str, int]]:
     compilation = compiled(folder, text)
     assert compilation.scenario is None
     assert compilation.model is None
@@ -43,7 +43,7 @@ def faults(folder: Path, text: str) -> list[tuple[str, int]]:
 
 
 def test_defaults_of_an_empty_scenario(tmp_path: Path) -> None:
-    scenario = good(tmp_path, HEAD)
+    scenario = scenario_of(tmp_path, HEAD)
     assert scenario.duration == 2.0
     assert scenario.commands == (("cart", ()),)
     assert scenario.noise == Noise()
@@ -53,30 +53,30 @@ def test_defaults_of_an_empty_scenario(tmp_path: Path) -> None:
 
 
 def test_replacing_robot_gets_name_and_pose_of_the_entry(tmp_path: Path) -> None:
-    scenario = good(tmp_path, HEAD, ROOT / "examples/6wd6ws/robot.yaml")
+    scenario = scenario_of(tmp_path, HEAD, ROOT / "examples/6wd6ws/robot.yaml")
     (placed,) = scenario.fleet.placements
     assert (placed.name, placed.robot.namespace, len(placed.robot.wheels)) == ("cart", "cart", 6)
     assert placed.pose.xyz == (1.0, 2.0, 0.0)
-    fleet = good(tmp_path, HEAD, ROOT / "examples/fleet_of_four/fleet.yaml").fleet
+    fleet = scenario_of(tmp_path, HEAD, ROOT / "examples/fleet_of_four/fleet.yaml").fleet
     assert [p.name for p in fleet.placements] == ["tall", "slim", "wide", "six"]
 
 
-def test_a_fleet_file(tmp_path: Path) -> None:
+def test_fleet_file_in_a_scenario(tmp_path: Path) -> None:
     text = "thorvaldc: 1\nscenario: x\nfleet: {}\nduration: 1 s\n"
-    scenario = good(tmp_path, text.format(ROOT / "examples/fleet_of_four/fleet.yaml"))
+    scenario = scenario_of(tmp_path, text.format(ROOT / "examples/fleet_of_four/fleet.yaml"))
     assert len(scenario.fleet.placements) == 4
-    assert faults(tmp_path, text.format("none.yaml")) == [("fleet-robot-missing", 3)]
-    assert faults(tmp_path, text.format("scenario.yaml")) == [("fleet-in-fleet", 3)]
+    assert errors_of(tmp_path, text.format("none.yaml")) == [("fleet-robot-missing", 3)]
+    assert errors_of(tmp_path, text.format("scenario.yaml")) == [("fleet-in-fleet", 3)]
 
 
 def test_script_commands_all_robots_or_one(tmp_path: Path) -> None:
     robots = f"robots: {{a: {{robot: {SLIM}}}, b: {{robot: {SLIM}, xyz: [0, 5, 0]}}}}\n"
     text = "thorvaldc: 1\nscenario: x\n" + robots + "duration: 1 s\nscript:\n"
     text += "  - {at: 0, vx: 36 kph}\n  - {at: 0.5, robot: b, wz: 1, vy: 2}\n"
-    plans = dict(good(tmp_path, text).commands)
-    assert plans["a"] == (Command(0.0, 10.0, 0.0, 0.0),)
-    assert plans["b"] == (Command(0.0, 10.0, 0.0, 0.0), Command(0.5, 0.0, 2.0, 1.0))
-    assert faults(tmp_path, text + "faults: [{type: motor_lost, wheel: fl_wheel}]\n") == [
+    commands = dict(scenario_of(tmp_path, text).commands)
+    assert commands["a"] == (Command(0.0, 10.0, 0.0, 0.0),)
+    assert commands["b"] == (Command(0.0, 10.0, 0.0, 0.0), Command(0.5, 0.0, 2.0, 1.0))
+    assert errors_of(tmp_path, text + "faults: [{type: motor_lost, wheel: fl_wheel}]\n") == [
         ("missing-key", 8)
     ]
 
@@ -90,7 +90,7 @@ def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
   polytunnels: [{xyz: [0, 0, 0], length: 4, width: 6, post_spacing: 2}]
   obstacles: {box: {shape: box, xyz: [5, 0, 0], size: [1, 1, 2]}}
 """
-    scenario = good(tmp_path, HEAD + world)
+    scenario = scenario_of(tmp_path, HEAD + world)
     assert {w.friction for w in scenario.fleet.placements[0].robot.wheels} == {0.4}
     assert scenario.fleet.world is not None
     blocks = {f"{b.kind}/{b.name}": b for b in scenario.fleet.world.blocks}
@@ -128,11 +128,11 @@ def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
     ],
 )
 def test_diagnostics_of_invalid_scenarios(tmp_path: Path, text: str, code: str, line: int) -> None:
-    assert (code, line) in faults(tmp_path, HEAD + text + "\n")
+    assert (code, line) in errors_of(tmp_path, HEAD + text + "\n")
 
 
 def test_only_the_robot_is_reported_if_it_does_not_compile(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text("thorvaldc: 1\nname: x\nmodules: {a: {type: no/ne}}\n")
     text = "thorvaldc: 1\nscenario: x\nrobots: {cart: {robot: robot.yaml}}\nduration: 1 s\n"
     text += "script: [{at: 0, robot: cart, vx: 1}]\n"
-    assert faults(tmp_path, text) == [("module-type-unknown", 3)]
+    assert errors_of(tmp_path, text) == [("module-type-unknown", 3)]

@@ -42,7 +42,7 @@ def commands(folder: Path, script: str) -> dict[str, tuple[Command, ...]]:
     return dict(compilation.scenario.commands)
 
 
-def fault(folder: Path, script: str) -> tuple[str, str, str]:
+def error_of(folder: Path, script: str) -> tuple[str, str, str]:
     """Returns code, message and hint of the only error."""
     (diagnostic,) = compiled(folder, script).report.errors
     return diagnostic.code.name, diagnostic.message, diagnostic.hint or ""
@@ -164,7 +164,7 @@ def test_logs_without_velocities_are_reported(tmp_path: Path) -> None:
         ("{log: cut.mcap}", "record-unreadable", "cannot be read as a ROS bag", "mcap recover"),
         ("{log: drive.csv, robot: car}", "scenario-robot-unknown", "no robot `car`", "`cart`"),
     ):
-        error = fault(tmp_path, script)
+        error = error_of(tmp_path, script)
         assert error[0] == code, (script, error)
         assert message in error[1]
         assert hint in error[2]
@@ -183,6 +183,6 @@ def test_missing_rosbags_package_is_reported(
 ) -> None:
     bag(tmp_path / "bag", {"/cmd_vel": DRIVE})
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    code, message, _ = fault(tmp_path, "{log: bag, robot: cart}")
+    code, message, _ = error_of(tmp_path, "{log: bag, robot: cart}")
     assert code == "script-log"
     assert "pip install 'thorvaldc[record]'" in message
