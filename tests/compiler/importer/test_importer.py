@@ -1,4 +1,4 @@
-"""Original configuration files become robots: exact places, the original's bus, no value lost."""
+"""Original configuration files become robots: exact positions, the same bus, no value lost."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ def compiled(tmp_path: Path, text: str | None) -> Robot:
     assert text is not None
     path = tmp_path / "robot.yaml"
     path.write_text(text, encoding="utf-8")
-    done = compile_file(path)
-    assert not done.report.errors, [str(d) for d in done.report.errors]
-    assert isinstance(done.model, Robot)
-    return done.model
+    compilation = compile_file(path)
+    assert not compilation.report.errors, [str(d) for d in compilation.report.errors]
+    assert isinstance(compilation.model, Robot)
+    return compilation.model
 
 
 @functools.cache
 def built(name: str) -> tuple[ImportResult, Report, Robot]:
-    """One of the originals, imported and compiled."""
+    """Imports and compiles one of the original files."""
     result, report = convert(ORIGINALS / f"{name}.yaml")
     with tempfile.TemporaryDirectory() as folder:
         return result, report, compiled(Path(folder), result.text)
@@ -57,34 +57,35 @@ def standard() -> Robot:
 
 
 def poses(robot: Robot) -> dict[str, Pose]:
-    """Of all links in base_link, joints at zero."""
-    found = {"base_link": Pose()}
+    """Returns the poses of all link frames in base_link, with all joints at zero."""
+    link_poses = {"base_link": Pose()}
     for joint in robot.joints:
-        found[joint.child] = found[joint.parent] * joint.pose
-    return found
+        link_poses[joint.child] = link_poses[joint.parent] * joint.pose
+    return link_poses
 
 
 def frame(robot: Robot, cob_id: int) -> FrameDefinition:
-    (found,) = [f for bus in robot.buses for f in bus.frames if f.cob_id == cob_id]
-    return found
+    (definition,) = [f for bus in robot.buses for f in bus.frames if f.cob_id == cob_id]
+    return definition
 
 
 def signal(robot: Robot, cob_id: int, name: str) -> Signal:
-    (found,) = [s for s in frame(robot, cob_id).signals if s.name.endswith(name)]
-    return found
+    (matching_signal,) = [s for s in frame(robot, cob_id).signals if s.name.endswith(name)]
+    return matching_signal
 
 
-def has(report: Report, code: str, *words: str) -> Diagnostic:
-    found = [d for d in report if d.code.name == code and all(w in d.message for w in words)]
-    assert found, [(d.code.name, d.message) for d in report]
-    return found[0]
+def find(report: Report, code: str, *words: str) -> Diagnostic:
+    """Returns the first diagnostic with this code whose message contains all words."""
+    matches = [d for d in report if d.code.name == code and all(w in d.message for w in words)]
+    assert matches, [(d.code.name, d.message) for d in report]
+    return matches[0]
 
 
-# -- all of them ----------------------------------------------------------------------
+# -- all original files ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_it_builds_to_all_targets(name: str) -> None:
+def test_imported_robot_builds_for_all_targets(name: str) -> None:
     _, report, robot = built(name)
     assert not report.errors, [d.message for d in report.errors]
     assert emit(robot, DEFAULT_TARGETS, Report())
@@ -106,37 +107,37 @@ def test_no_value_is_dropped_silently(name: str) -> None:
     path = ORIGINALS / f"{name}.yaml"
     result, report, _ = built(name)
     plain = yaml.safe_load(path.read_text(encoding="utf-8"))
-    told = {label.span for d in report for label in d.labels} | {d.span for d in report}
-    lines = {span.line for span in told if span is not None}
+    spans = {label.span for d in report for label in d.labels} | {d.span for d in report}
+    reported_lines = {span.line for span in spans if span is not None}
     for key in leaves(plain, ()):
-        fate = result.notes.get(key)
-        assert fate is not None, key
-        # what was not placed stands in a message
-        assert fate.placed or fate.span.line in lines or fate.text == "not known", key
-    assert set(result.notes) == set(leaves(plain, ()))
+        conversion = result.conversions.get(key)
+        assert conversion is not None, key
+        if not conversion.converted and conversion.text != "unknown":
+            assert conversion.span.line in reported_lines, key
+    assert set(result.conversions) == set(leaves(plain, ()))
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_wheels_stand_where_the_file_puts_them(name: str) -> None:
+def test_wheels_are_at_the_positions_of_the_file(name: str) -> None:
     _, _, robot = built(name)
     plain = yaml.safe_load((ORIGINALS / f"{name}.yaml").read_text(encoding="utf-8"))
     while "motor_drives" not in plain:
         plain = next(iter(plain.values()))
-    wanted = sorted(
+    expected = sorted(
         (float(d["x"]), float(d["y"]), float(d.get("r_wheel", 0.2)))
         for d in plain["motor_drives"].values()
     )
-    placed = [
+    positions = [
         (w.x, w.y, w.radius) for w in robot.wheels if w.driven and not w.module.endswith("mirrored")
     ]
     if name == "one_entry":
-        placed = [w for w in placed if w[1] > 0]
-    assert sorted(placed) == wanted
+        positions = [w for w in positions if w[1] > 0]
+    assert sorted(positions) == expected
     assert all(w.contact_height == 0.0 for w in robot.wheels)
     assert all(w.trail == 0.0 and w.lateral_offset == 0.0 for w in robot.wheels if w.driven)
 
 
-def test_the_text_is_the_same_every_time() -> None:
+def test_two_imports_write_the_same_text() -> None:
     texts = {convert(ORIGINALS / "standard.yaml")[0].text for _ in range(2)}
     assert len(texts) == 1
     text = texts.pop()
@@ -147,18 +148,18 @@ def test_the_text_is_the_same_every_time() -> None:
 # -- the standard robot ---------------------------------------------------------------
 
 
-def test_frame_stands_at_its_height_and_its_parts_at_their_places(standard: Robot) -> None:
-    place = poses(standard)
-    assert place["frame_body"].xyz == (0.0, 0.0, 0.65)
-    assert place["pipe1_tube"].xyz == (0.425, 0.0, 0.65)
-    assert place["pipe1_tube"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
-    assert place["corner3_clamp"].xyz == (-0.425, 0.445, 0.65)
-    assert place["corner1_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
-    assert place["corner3_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
-    assert place["beam0_beam"].xyz == (0.0, -0.449, 0.65)
+def test_frame_and_its_parts_have_the_poses_of_the_file(standard: Robot) -> None:
+    link_poses = poses(standard)
+    assert link_poses["frame_body"].xyz == (0.0, 0.0, 0.65)
+    assert link_poses["pipe1_tube"].xyz == (0.425, 0.0, 0.65)
+    assert link_poses["pipe1_tube"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert link_poses["corner3_clamp"].xyz == (-0.425, 0.445, 0.65)
+    assert link_poses["corner1_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert link_poses["corner3_clamp"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
+    assert link_poses["beam0_beam"].xyz == (0.0, -0.449, 0.65)
 
 
-def test_the_bus_has_the_original_ids(standard: Robot) -> None:
+def test_the_bus_has_the_ids_of_the_original(standard: Robot) -> None:
     for node in (1, 2, 3, 4):
         for base in (0x200, 0x300, 0x400, 0x500, 0x180, 0x280, 0x380, 0x480, 0x580, 0x600, 0x700):
             assert frame(standard, base + node)
@@ -173,22 +174,22 @@ def test_the_bus_has_the_original_ids(standard: Robot) -> None:
     }
 
 
-def test_the_bus_has_the_original_scalings(standard: Robot) -> None:
+def test_the_bus_has_the_scalings_of_the_original(standard: Robot) -> None:
     rpm = math.pi / 30
-    # RPDO1: motor rpm * 1000 / max rpm; the value is the wheel's speed
+    # RPDO1: 1000 * motor speed / max motor speed; the value is the wheel speed
     assert signal(standard, 0x201, "speed").scale == pytest.approx(3000 * rpm / 1000 / 42)
     assert signal(standard, 0x204, "speed").scale == pytest.approx(2800 * rpm / 1000 / 36.5)
-    # RPDO4: 1000 * angle / limit
+    # RPDO4: 1000 * steering angle / limit
     assert signal(standard, 0x501, "position").scale == pytest.approx(3.078027759 / 1000)
     assert signal(standard, 0x504, "position").scale == pytest.approx(2.5 / 1000)
-    # TPDO1: rpm, and counts * 2 pi / (4 ppr gear)
+    # TPDO1: motor speed in rpm; angle: counts * 2 pi / (4 * pulses per turn * gear ratio)
     assert signal(standard, 0x183, "propulsion_velocity").scale == pytest.approx(rpm / 42)
     for cob_id, ppr in ((0x181, 1024), (0x182, 4096)):
-        found = signal(standard, cob_id, "steering_position").scale
-        assert found == pytest.approx(2 * math.pi / (4 * ppr * 42.8571429))
+        scale = signal(standard, cob_id, "steering_position").scale
+        assert scale == pytest.approx(2 * math.pi / (4 * ppr * 42.8571429))
 
 
-def test_every_number_of_a_drive_arrives(standard: Robot) -> None:
+def test_every_number_of_a_drive_is_converted(standard: Robot) -> None:
     motors = {a.name: a for a in standard.actuators}
     third = next(a for n, a in motors.items() if n.startswith("drive2") and "propulsion" in n)
     assert third.encoder_ppr == 4096
@@ -203,57 +204,57 @@ def test_every_number_of_a_drive_arrives(standard: Robot) -> None:
 
 
 def test_legs_and_motors_are_inside(standard: Robot) -> None:
-    place = poses(standard)
+    link_poses = poses(standard)
     for link in standard.links:
         if link.name.endswith("_drive_leg") and link.inertial is not None:
-            _, y, _ = place[link.name].apply(link.inertial.com)
+            _, y, _ = link_poses[link.name].apply(link.inertial.com)
             wheel = next(w for w in standard.wheels if w.module.split(".")[0] in link.name)
             assert abs(y) < abs(wheel.y), link.name
 
 
 def test_batteries_with_and_without(standard: Robot) -> None:
-    place = poses(standard)
+    link_poses = poses(standard)
     nodes = {b.module: b.node for b in standard.batteries}
     assert nodes["bat1"] is None
     assert {n.id for bus in standard.buses for n in bus.nodes if n.id_space == "kc_battery"} == {
         1,
         3,
     }
-    assert place["bat0_box"].xyz == (0.0, 0.445, 0.72)
-    assert place["bat2_box"].xyz == (0.1, 0.0, 0.75)
-    assert place["bat1_box"].rotate((1.0, 0.0, 0.0)) == pytest.approx((-1.0, 0.0, 0.0))
+    assert link_poses["bat0_box"].xyz == (0.0, 0.445, 0.72)
+    assert link_poses["bat2_box"].xyz == (0.1, 0.0, 0.75)
+    assert link_poses["bat1_box"].rotate((1.0, 0.0, 0.0)) == pytest.approx((-1.0, 0.0, 0.0))
 
 
-def test_sensors_measure_where_the_file_puts_them(standard: Robot) -> None:
-    place = poses(standard)
-    links = {s.module: place[s.link] for s in standard.sensors}
-    wanted = Pose.from_xyz_rpy((0.55, 0.1, 0.4), (math.pi, 0.0, math.pi / 4))
-    assert links["lidar_front"].xyz == pytest.approx(wanted.xyz)
-    assert links["lidar_front"].rotate((1.0, 2.0, 3.0)) == pytest.approx(wanted.rotate((1, 2, 3)))
+def test_measurement_frames_have_the_poses_of_the_file(standard: Robot) -> None:
+    link_poses = poses(standard)
+    links = {s.module: link_poses[s.link] for s in standard.sensors}
+    expected = Pose.from_xyz_rpy((0.55, 0.1, 0.4), (math.pi, 0.0, math.pi / 4))
+    assert links["lidar_front"].xyz == pytest.approx(expected.xyz)
+    assert links["lidar_front"].rotate((1.0, 2.0, 3.0)) == pytest.approx(expected.rotate((1, 2, 3)))
     assert links["lidar_back"].xyz == pytest.approx((-0.55, 0.0, 0.4))
     assert links["gnss_antenna_main"].xyz == pytest.approx((-0.4, 0.3, 1.2))
     assert links["gnss_antenna_aux"].xyz == pytest.approx((-0.4, -0.3, 0.66))
     assert links["imu"].xyz == pytest.approx((0.1, 0.02, 0.7))
     assert links["imu"].rotate((1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
-    assert place["camera1_body"].xyz == pytest.approx((0.6, 0.0, 0.8))
+    assert link_poses["camera1_body"].xyz == pytest.approx((0.6, 0.0, 0.8))
 
 
-def test_the_io_board_knows_its_relays(standard: Robot) -> None:
+def test_io_board_has_the_initial_relay_states(standard: Robot) -> None:
     boards = {n.id: dict(n.properties) for bus in standard.buses for n in bus.nodes}
     assert boards[20]["relay_0_at_start"] is False
     assert boards[20]["relay_1_at_start"] is True
 
 
-def test_what_has_no_place_is_told() -> None:
+def test_values_that_cannot_be_converted_are_reported() -> None:
     _, report = convert(ORIGINALS / "standard.yaml")
-    has(report, "import-left-out", "leg_mesh", "drive0")
-    has(report, "import-left-out", "space", "not published")
-    has(report, "import-left-out", "topic_prefix")
-    has(report, "import-unknown-key", "`sprayer`", "3 values")
+    find(report, "import-left-out", "leg_mesh", "drive0")
+    find(report, "import-left-out", "space", "not published")
+    find(report, "import-left-out", "topic_prefix")
+    find(report, "import-unknown-key", "`sprayer`", "3 values")
     assert [d.code.name for d in report].count("import-unknown-key") == 1
 
 
-# -- the others -----------------------------------------------------------------------
+# -- the other files -----------------------------------------------------------------------
 
 
 def test_a_ros_2_file_with_merge_keys() -> None:
@@ -262,16 +263,16 @@ def test_a_ros_2_file_with_merge_keys() -> None:
     assert robot.namespace == "slim_1"
     assert robot.driver.rate == 50.0
     assert poses(robot)["frame_body"].xyz == (0.0, 0.0, 0.85)
-    has(report, "import-left-out", "can_interface_name")
+    find(report, "import-left-out", "can_interface_name")
 
 
-def test_names_in_other_alphabets_and_two_radii() -> None:
+def test_names_with_accents_and_two_radii() -> None:
     _, report, robot = built("six")
     assert robot.name == "thorvald_ost"
     assert [w.radius for w in robot.wheels] == [0.25, 0.2, 0.2, 0.25, 0.2, 0.2]
     assert robot.wheels[0].width == 0.2
     assert poses(robot)["frame_body"].xyz[2] == 0.65
-    has(report, "import-assumed", "no pipes")
+    find(report, "import-assumed", "no pipes")
 
 
 @pytest.mark.parametrize("name", ["greenhouse", "one_entry"])
@@ -282,17 +283,17 @@ def test_two_propulsion_motors_on_one_controller(name: str) -> None:
     assert node.id == 1
     left, right = node.channels
     sides = {a.name: a.joint for a in robot.actuators}
-    place = poses(robot)
+    link_poses = poses(robot)
     for channel, sign in ((left, 1.0), (right, -1.0)):
         assert channel.actuator is not None
         child = robot.joint(sides[channel.actuator]).child
-        assert place[child].xyz[1] * sign > 0.0
+        assert link_poses[child].xyz[1] * sign > 0.0
     assert len([w for w in robot.wheels if w.driven]) == 2
-    has(report, "import-assumed", "one line")
+    find(report, "import-assumed", "one line")
     if name == "one_entry":
-        has(report, "import-assumed", "one place", "y = -0.4 m")
+        find(report, "import-assumed", "one position", "y = -0.4 m")
     else:
-        has(report, "import-left-out", "str_lim", "no steering")
+        find(report, "import-left-out", "str_lim", "no steering")
 
 
 def test_two_entries_with_a_node_each_stay_two_wheels(tmp_path: Path) -> None:
@@ -305,17 +306,17 @@ pipes: {p: {x1: -0.4, y1: 0, x2: 0.4, y2: 0, height: 0.65}}
     result, report = convert_text(tmp_path, text)
     robot = compiled(tmp_path, result.text)
     assert len([w for w in robot.wheels if w.driven]) == 2
-    has(report, "import-assumed", "second motor")
+    find(report, "import-assumed", "second motor")
 
 
-def test_a_single_wheel_gets_support() -> None:
+def test_single_wheel_gets_casters() -> None:
     _, report, robot = built("one_wheel")
     assert len(robot.wheels) == 3
-    has(report, "import-assumed", "passive wheels")
+    find(report, "import-assumed", "passive wheels")
 
 
 @pytest.mark.parametrize(
-    ("calculator", "drive_type", "expected", "told"),
+    ("calculator", "drive_type", "expected", "assumed"),
     [
         ("pltf_clc_std::PltfClcStd", 0, "general", False),
         ("pltf_clc_2wdiff::PltfClc2WDiff", 0, "general", True),
@@ -325,7 +326,7 @@ def test_a_single_wheel_gets_support() -> None:
     ],
 )
 def test_base_calculators(
-    tmp_path: Path, calculator: str, drive_type: int, expected: str, told: bool
+    tmp_path: Path, calculator: str, drive_type: int, expected: str, assumed: bool
 ) -> None:
     text = f'base_calculator: "{calculator}"\nmotor_drives:\n'
     for i, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
@@ -333,10 +334,10 @@ def test_base_calculators(
     text += "pipes: {p: {x1: -1, y1: 0, x2: 1, y2: 0, height: 0.65}}\n"
     result, report = convert_text(tmp_path, text)
     assert compiled(tmp_path, result.text).calculator.name == expected
-    assert any(d.code.name == "import-assumed" for d in report) == told
+    assert any(d.code.name == "import-assumed" for d in report) == assumed
 
 
-# -- broken ones ------------------------------------------------------------------------
+# -- invalid files ------------------------------------------------------------------------
 
 DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
 
@@ -359,8 +360,13 @@ DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
         ("motor_drives:\n  d: {node: 1, x: '0,5', y: 1}\n", "import-value", 2, "`0,5`"),
         ("motor_drives:\n  d: {node: 1, x: .nan, y: 1}\n", "import-value", 2, ".nan"),
         ("motor_drives:\n  d: {node: 0, x: 1, y: 1}\n", "import-value", 2, "from 1 to 127"),
-        ("motor_drives:\n  d: {node: 1.5, x: 1, y: 1}\n", "import-value", 2, "whole"),
-        ("motor_drives:\n  d: {node: 1, x: 1, y: 1, type: 2}\n", "import-value", 2, "0 to 1"),
+        (
+            "motor_drives:\n  d: {node: 1.5, x: 1, y: 1}\n",
+            "import-value",
+            2,
+            "integer from 1 to 127",
+        ),
+        ("motor_drives:\n  d: {node: 1, x: 1, y: 1, type: 2}\n", "import-value", 2, "from 0 to 1"),
         (
             "motor_drives:\n  d: {node: 1, x: 1, y: 1, r_wheel: -0.2}\n",
             "import-value",
@@ -371,7 +377,7 @@ DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
             "motor_drives:\n  d: {node: 1, x: 1, y: 1}\n  e: {node: 1, x: 2, y: 1}\n",
             "import-node-duplicate",
             3,
-            "node 1",
+            "node id 1",
         ),
         (
             f"motor_drives:\n  {DRIVE}\nio:\n  i: {{id: 1}}\n",
@@ -395,7 +401,7 @@ DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
             f"motor_drives:\n  {DRIVE}\nbatteries:\n  b: {{node: 1, with_battery: maybe}}\n",
             "import-value",
             4,
-            "truth",
+            "true or false",
         ),
         (
             f"motor_drives:\n  {DRIVE}\npipes:\n  p: {{x1: 0, y1: 0, x2: 0, y2: 0}}\n",
@@ -411,17 +417,17 @@ DRIVE = "d: {node: 1, x: 0.5, y: 0.5}"
         ),
     ],
 )
-def test_a_broken_file_is_refused_at_its_line(
+def test_error_in_a_file_is_reported_at_its_line(
     tmp_path: Path, text: str, code: str, line: int, words: str
 ) -> None:
     result, report = convert_text(tmp_path, text)
     assert result.text is None
-    found = has(report, code, words)
-    assert found.span is not None
-    assert found.span.line == line
+    diagnostic = find(report, code, words)
+    assert diagnostic.span is not None
+    assert diagnostic.span.line == line
 
 
-def test_all_faults_at_once(tmp_path: Path) -> None:
+def test_one_run_reports_all_errors(tmp_path: Path) -> None:
     text = """base_calculator: "pltf_clc_std::PltfClcStd"
 motor_drives:
   a: {x: oops, y: 1}
@@ -437,7 +443,7 @@ batteries: {c: {z: high}}
     ("written", "value"),
     [("'0.5'", 0.5), ("5e-1", 0.5), ("+.5", 0.5), ("deg(30)", math.pi / 6), ("0x1", 1.0)],
 )
-def test_numbers_as_ros_takes_them(tmp_path: Path, written: str, value: float) -> None:
+def test_numbers_have_the_forms_of_ros(tmp_path: Path, written: str, value: float) -> None:
     drives = "\n".join(
         f"  d{i}: {{node: {i + 1}, x: {x}, y: {y}}}"
         for i, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1)))
@@ -449,32 +455,32 @@ def test_numbers_as_ros_takes_them(tmp_path: Path, written: str, value: float) -
     assert not report.errors
 
 
-def test_a_double_key_is_told_and_the_last_counts(tmp_path: Path) -> None:
+def test_duplicate_key_is_reported_and_the_last_counts(tmp_path: Path) -> None:
     result, report = convert_text(
         tmp_path, f"motor_drives:\n  {DRIVE[:-1]}, x: 0.6}}\n  e: {{node: 2, x: -1, y: 0}}\n"
     )
-    has(report, "import-duplicate-key", "`x`")
+    find(report, "import-duplicate-key", "`x`")
     assert result.text is not None
     assert "[0.6, 0.5, 0]" in result.text
 
 
-def test_a_battery_whose_words_disagree(tmp_path: Path) -> None:
+def test_battery_with_contradicting_keys(tmp_path: Path) -> None:
     text = f"motor_drives:\n  {DRIVE}\nbatteries:\n  b: {{node: -1, type: 1}}\n"
     _, report = convert_text(tmp_path, text)
-    assert has(report, "import-assumed", "`type`").span is not None
+    assert find(report, "import-assumed", "`type`").span is not None
 
 
-def test_files_that_are_not_there(tmp_path: Path) -> None:
+def test_missing_file_and_folder(tmp_path: Path) -> None:
     text, report = import_original(tmp_path / "none.yaml")
     assert text is None
-    has(report, "file-not-found")
+    find(report, "file-not-found")
     text, report = import_original(tmp_path)
     assert text is None
-    has(report, "file-is-a-directory")
+    find(report, "file-is-a-directory")
 
 
-def test_errors_bring_no_word_on_what_was_assumed(tmp_path: Path) -> None:
-    """Of a robot that is not written; and a faulty address says nothing about a battery."""
+def test_after_errors_assumptions_are_not_reported(tmp_path: Path) -> None:
+    """There is no robot.yaml to which they apply; an invalid id does not mean "no battery"."""
     file = tmp_path / "original.yaml"
     file.write_text(
         "motor_drives:\n"
@@ -488,5 +494,5 @@ def test_errors_bring_no_word_on_what_was_assumed(tmp_path: Path) -> None:
     )
     text, report = import_original(file)
     assert text is None
-    found = [(d.span.line, d.code.name) for d in report.sorted() if d.span is not None]
-    assert found == [(4, "import-value"), (5, "import-value"), (7, "import-value")]
+    diagnostics = [(d.span.line, d.code.name) for d in report.sorted() if d.span is not None]
+    assert diagnostics == [(4, "import-value"), (5, "import-value"), (7, "import-value")]

@@ -1,48 +1,51 @@
-"""Batteries, IO boards and sensors of the original."""
+"""Converts the batteries, IO boards and sensors of an original file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thorvaldc.compiler.importer.drives import FRAME, NODES
-from thorvaldc.compiler.importer.original_file import Entry
-from thorvaldc.compiler.importer.robot_text import Module, Names, Value, angle
+from thorvaldc.compiler.importer.drives import NODE_IDS
+from thorvaldc.compiler.importer.original_mapping import OriginalMapping
+from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
 from thorvaldc.diagnostics import Label
 from thorvaldc.model.spatial import Pose
 
-_BATTERY_HEIGHT = 0.07  # of the enclosure's bottom over the tube
-_OLD_BATTERY_IDS = 344
-_IO_ID = 20
-# From the foot of the library's sensor to the frame in which it measures.
+_BATTERY_HEIGHT = 0.07  # m, bottom of the enclosure over the middle of the tube
+_OLD_BATTERY_IDS = 344  # in the old form, `node` is 344 plus the battery's id
+_IO_NODE_ID = 20  # default of the original
+# From the foot of the library's sensor up to its measurement frame, m.
 _LIDAR_LASER = 0.085
 _ANTENNA_CENTER = 0.035
 _IMU_CENTER = 0.012
 
 
-def _where(entry: Entry) -> str:
-    return f"{entry.path}, line {entry.node.where.line}"
-
-
 # -- batteries ------------------------------------------------------------------------
 
 
-def read_batteries(entries: Sequence[Entry], height: float, names: Names) -> list[Module]:
-    """Enclosures with or without a battery, the battery's id by either of the file's rules."""
+def read_batteries(
+    mappings: Sequence[OriginalMapping], height: float, names: Names
+) -> list[Module]:
+    """Returns battery enclosures, with or without a battery.
+
+    ``height`` is the height of the frame over the ground, m.
+    """
     modules: list[Module] = []
-    for i, entry in enumerate(entries):
-        name = names.make(entry.name, f"battery_{i}")
-        to = f"modules.{name}"
-        comments = [_where(entry)]
-        identity = _battery_id(entry, to, comments)
-        x = entry.number("x", f"{to}.mount.xyz", default=0.0)
-        y = entry.number("y", f"{to}.mount.xyz", default=0.0)
-        z = entry.number("z", f"{to}.mount.xyz", default=height + _BATTERY_HEIGHT)
-        yaw = entry.number("yaw", f"{to}.mount.rpy", default=0.0)
-        entry.leave_out("bat_mesh", "it is the number of a picture; the library draws its own box")
-        present = _battery_present(entry, to, identity)
+    for i, mapping in enumerate(mappings):
+        name = names.make(mapping.name, f"battery_{i}")
+        target = f"modules.{name}"
+        comments = [mapping.location]
+        battery_id = _battery_id(mapping, target, comments)
+        x = mapping.number("x", f"{target}.mount.xyz", default=0.0)
+        y = mapping.number("y", f"{target}.mount.xyz", default=0.0)
+        z = mapping.number("z", f"{target}.mount.xyz", default=height + _BATTERY_HEIGHT)
+        yaw = mapping.number("yaw", f"{target}.mount.rpy", default=0.0)
+        mapping.leave_out(
+            "bat_mesh", "it is the number of a mesh; the library has its own enclosure mesh"
+        )
+        present = _battery_present(mapping, target, battery_id)
         if x is None or y is None or z is None or yaw is None:
             continue
-        mount: dict[str, Value] = {"parent": FRAME, "xyz": [x, y, z - height]}
+        mount: dict[str, Value] = {"parent": ROOT_MODULE, "xyz": [x, y, z - height]}
         if yaw:
             mount["rpy"] = [0.0, 0.0, angle(yaw)]
         params: dict[str, Value] = {} if present else {"with_battery": False}
@@ -52,56 +55,64 @@ def read_batteries(entries: Sequence[Entry], height: float, names: Names) -> lis
                 "battery/enclosure",
                 mount,
                 params,
-                can=identity if present else None,
+                can=battery_id if present else None,
                 comments=comments,
             )
         )
     return modules
 
 
-def _battery_id(entry: Entry, to: str, comments: list[str]) -> int | None:
-    """The id on the bus, 0..15; ``None`` where the file says that there is no battery."""
-    key = "id" if entry.has("id") else "node"
+def _battery_id(mapping: OriginalMapping, target: str, comments: list[str]) -> int | None:
+    """Returns the battery's id on the bus, 0..15; ``None`` for an empty enclosure or an error.
+
+    Newer files have `id`, older ones `node`.  A negative number means no battery.
+    """
+    key = "id" if mapping.has("id") else "node"
     if key == "id":
-        entry.leave_out("node", "`id` says which battery it is")
-    value = entry.number(key, f"{to}.can")
+        mapping.leave_out("node", "`id` already identifies the battery")
+    value = mapping.number(key, f"{target}.can")
     if value is None or value < 0.0:
         return None
-    given = value
+    number = value
     if key == "node" and value > _OLD_BATTERY_IDS - 1:
         value -= _OLD_BATTERY_IDS
-        comments.append(f"node {given:g} is battery {value:g}: the old form is the id + 344")
+        comments.append(f"node {number:g} is battery {value:g}: older files add 344 to the id")
     if value != round(value) or not 0 <= value <= 15:
-        entry.fault(
+        mapping.report_error(
             "import-value",
-            f"`{key}` of `{entry.path}` is {given:g}: battery {value:g} has no frames of its own",
+            f"`{key}` of `{mapping.path}`: expected a battery from 0 to 15 (344 to 359 in older "
+            f"files), got {number:g} (battery {value:g})",
             key,
-            "the ids of batteries go from 0 to 15, as 344 to 359 in the old form",
+            "only these batteries have CAN ids",
         )
         return None
     return int(value)
 
 
-def _battery_present(entry: Entry, to: str, identity: int | None) -> bool:
-    stated = entry.boolean("with_battery", f"{to}.params.with_battery")
-    kind = entry.number("type", f"{to}.params.with_battery")
-    present = identity is not None
-    if kind not in (None, 0, 1):
-        entry.report.add(
+def _battery_present(mapping: OriginalMapping, target: str, battery_id: int | None) -> bool:
+    """Returns whether the enclosure has a battery: the id decides, other keys may contradict."""
+    with_battery = mapping.boolean("with_battery", f"{target}.params.with_battery")
+    battery_type = mapping.number("type", f"{target}.params.with_battery")
+    present = battery_id is not None
+    if battery_type not in (None, 0, 1):
+        mapping.report.add(
             "import-assumed",
-            f"`type` of `{entry.path}` is {kind:g}; only 0, none, and 1, the battery by KC, are "
-            "known: taken as the latter",
-            entry.span("type"),
+            f"`type` of `{mapping.path}`: expected 0 (no battery) or 1 (KC battery), "
+            f"got {battery_type:g}; 1 is assumed",
+            mapping.span("type"),
         )
-        kind = 1.0
-    for key, says in (("with_battery", stated), ("type", None if kind is None else kind == 1)):
-        if says is not None and says != present:
-            entry.report.add(
+        battery_type = 1.0
+    for key, value in (
+        ("with_battery", with_battery),
+        ("type", None if battery_type is None else battery_type == 1),
+    ):
+        if value is not None and value != present:
+            mapping.report.add(
                 "import-assumed",
-                f"`{key}` of `{entry.path}` says that there is {'a' if says else 'no'} battery, "
-                f"its address says {'one' if present else 'none'}: taken as "
-                f"{'there' if present else 'an empty enclosure'}",
-                entry.span(key),
+                f"`{key}` of `{mapping.path}` means {'a' if value else 'no'} battery, its id means "
+                f"{'one' if present else 'none'}: "
+                f"{'a battery' if present else 'an empty enclosure'} is assumed",
+                mapping.span(key),
                 hint="correct `with_battery` and `can` in the robot.yaml if it is wrong",
             )
     return present
@@ -110,47 +121,51 @@ def _battery_present(entry: Entry, to: str, identity: int | None) -> bool:
 # -- IO boards ------------------------------------------------------------------------
 
 
-def read_boards(entries: Sequence[Entry], nodes: dict[int, Entry], names: Names) -> list[Module]:
-    """IO boards; ``nodes`` are the ids on the bus that drives have taken."""
-    taken = dict(nodes)
+def read_boards(
+    mappings: Sequence[OriginalMapping], drive_nodes: dict[int, OriginalMapping], names: Names
+) -> list[Module]:
+    """Returns the IO boards; ``drive_nodes`` are the drives by their node id."""
+    users = dict(drive_nodes)
     modules: list[Module] = []
-    for i, entry in enumerate(entries):
-        name = names.make(entry.name, f"io_{i}")
-        to = f"modules.{name}"
-        node: int | None = _IO_ID
-        comments = [_where(entry)]
-        if entry.has("id"):
-            node = entry.integer("id", f"{to}.can", low=NODES[0], high=NODES[1])
+    for i, mapping in enumerate(mappings):
+        name = names.make(mapping.name, f"io_{i}")
+        target = f"modules.{name}"
+        node_id: int | None = _IO_NODE_ID
+        comments = [mapping.location]
+        if mapping.has("id"):
+            node_id = mapping.integer("id", f"{target}.can", low=NODE_IDS[0], high=NODE_IDS[1])
         else:
-            comments.append(f"no id in the file: the original's default, {_IO_ID}")
-        entry.leave_out("type", "the library has one IO board for all of the original's types")
+            comments.append(f"the file has no id: {_IO_NODE_ID} is the default of the original")
+        mapping.leave_out("type", "the library has one IO board for all types of the original")
         params: dict[str, Value] = {}
         for relay in (0, 1):
-            state = entry.boolean(f"rl{relay}_init_state", f"{to}.params.relay_{relay}_at_start")
+            state = mapping.boolean(
+                f"rl{relay}_init_state", f"{target}.params.relay_{relay}_at_start"
+            )
             if state is not None:
                 params[f"relay_{relay}_at_start"] = state
-        if node is None:
+        if node_id is None:
             continue
-        if node in taken:
-            entry.report.add(
+        if node_id in users:
+            mapping.report.add(
                 "import-node-duplicate",
-                f"node {node} is given to `{taken[node].path}` and to `{entry.path}`",
-                entry.span("id"),
-                hint="every node on the bus has an id of its own",
-                labels=[Label(taken[node].node.where, "also here")],
+                f"`{users[node_id].path}` and `{mapping.path}` have node id {node_id}",
+                mapping.span("id"),
+                hint="every node on a bus has its own id",
+                labels=[Label(users[node_id].node.where, "also here")],
             )
             continue
-        taken[node] = entry
-        modules.append(Module(name, "io/board", None, params, can=node, comments=comments))
+        users[node_id] = mapping
+        modules.append(Module(name, "io/board", None, params, can=node_id, comments=comments))
     return modules
 
 
 # -- sensors --------------------------------------------------------------------------
 
 
-def sensor_kind(key: str) -> str | None:
-    """The library's type for a key of the file such as ``lidar_front``; ``None`` for others."""
-    for word, kind in (
+def sensor_module_type(key: str) -> str | None:
+    """Returns the module type for a key such as ``lidar_front``; ``None`` if it is no sensor."""
+    for word, module_type in (
         ("lidar", "sensor/lidar_2d"),
         ("laser", "sensor/lidar_2d"),
         ("gnss", "sensor/gnss_antenna"),
@@ -159,58 +174,63 @@ def sensor_kind(key: str) -> str | None:
         ("camera", "sensor/camera"),
     ):
         if key.lower().startswith(word):
-            return kind
+            return module_type
     return None
 
 
-def read_sensor(entry: Entry, kind: str, height: float, names: Names) -> Module | None:
-    """The sensor so that the frame in which it measures has the file's pose in base_link."""
-    name = names.make(entry.name, kind.rpartition("/")[2])
-    to = f"modules.{name}.mount"
-    if not any(entry.has(key) for key in ("x", "y", "z")):
-        entry.report.add(
+def read_sensor(
+    mapping: OriginalMapping, module_type: str, height: float, names: Names
+) -> Module | None:
+    """Returns a sensor; its measurement frame has the pose of the file, in base_link.
+
+    ``height`` is the height of the frame over the ground, m.
+    """
+    name = names.make(mapping.name, module_type.rpartition("/")[2])
+    target = f"modules.{name}.mount"
+    if not any(mapping.has(key) for key in ("x", "y", "z")):
+        mapping.report.add(
             "import-assumed",
-            f"`{entry.path}` has no x, y, z: it is put at the origin of base_link",
-            entry.node.where,
-            hint=f"give `{name}` its place in the robot.yaml",
+            f"`{mapping.path}` has no x, y, z: the origin of base_link is assumed",
+            mapping.node.where,
+            hint=f"set the mount of `{name}` in the robot.yaml",
         )
-    x, y, z = (entry.number(key, f"{to}.xyz", default=0.0) for key in ("x", "y", "z"))
+    x, y, z = (mapping.number(key, f"{target}.xyz", default=0.0) for key in ("x", "y", "z"))
     roll, pitch, yaw = (
-        entry.number(key, f"{to}.rpy", default=0.0) for key in ("roll", "pitch", "yaw")
+        mapping.number(key, f"{target}.rpy", default=0.0) for key in ("roll", "pitch", "yaw")
     )
-    comments = [_where(entry)]
-    told = [
+    comments = [mapping.location]
+    product = [
         f"{key} {text}"
         for key in ("make", "model", "type")
-        if (text := entry.text(key, f"a comment of modules.{name}"))
+        if (text := mapping.text(key, f"a comment of modules.{name}"))
     ]
-    if told:
-        comments.append(", ".join(told))
-    parent = entry.text("parent_link", to)
+    if product:
+        comments.append(", ".join(product))
+    parent = mapping.text("parent_link", target)
     if parent and parent.strip("/").rpartition("/")[2] != "base_link":
-        entry.report.add(
+        mapping.report.add(
             "import-assumed",
-            f"`{entry.path}` is given relative to the link `{parent}`, which the robot.yaml does "
-            "not have: its pose is taken in base_link",
-            entry.span("parent_link"),
+            f"the pose of `{mapping.path}` is relative to the link `{parent}`, which "
+            "the robot.yaml does not have: base_link is assumed",
+            mapping.span("parent_link"),
             hint=f"correct the mount of `{name}` in the robot.yaml",
         )
     for key in ("topic_prefix", "suffix"):
-        entry.leave_out(key, "topics are named by the generated ROS files")
-    entry.leave_out("output_sim", "every sensor is in the simulation")
+        mapping.leave_out(key, "the generated ROS files name the topics")
+    mapping.leave_out("output_sim", "the simulation contains every sensor")
     if x is None or y is None or z is None or roll is None or pitch is None or yaw is None:
         return None
     pose = Pose.from_xyz_rpy((x, y, z - height), (roll, pitch, yaw))
     params: dict[str, Value] = {}
-    offset = {"sensor/lidar_2d": _LIDAR_LASER, "sensor/imu": _IMU_CENTER}.get(kind, 0.0)
-    if kind == "sensor/gnss_antenna":
-        # Its foot stands on the frame where that is below, else the antenna has no mast.
+    offset = {"sensor/lidar_2d": _LIDAR_LASER, "sensor/imu": _IMU_CENTER}.get(module_type, 0.0)
+    if module_type == "sensor/gnss_antenna":
+        # A mast connects the frame and an upright antenna above it; other antennas have no mast.
         upright = roll == 0.0 and pitch == 0.0
         mast = max(0.0, z - height - _ANTENNA_CENTER) if upright else 0.0
         params["mast"] = mast
         offset = mast + _ANTENNA_CENTER
     mounted = (pose * Pose((0.0, 0.0, -offset))).clean()
-    mount: dict[str, Value] = {"parent": FRAME, "xyz": [*mounted.xyz]}
+    mount: dict[str, Value] = {"parent": ROOT_MODULE, "xyz": [*mounted.xyz]}
     if roll or pitch or yaw:
         mount["rpy"] = [angle(roll), angle(pitch), angle(yaw)]
-    return Module(name, kind, mount, params, comments=comments)
+    return Module(name, module_type, mount, params, comments=comments)

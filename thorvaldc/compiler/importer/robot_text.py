@@ -1,4 +1,4 @@
-"""The text of a robot.yaml, with comments that tell where its values come from."""
+"""Writes the text of a robot.yaml, with comments that name the sources of its values."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from thorvaldc.model.spatial import clean
 
 Value = bool | int | float | str | list["Value"] | dict[str, "Value"]
 
+ROOT_MODULE = "frame"  # name of the module that carries all the others
+
+# Text that YAML reads as itself without quotes.
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*( [A-Za-z0-9_./^]+)*")
 _WORDS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
-_WIDTH = 96
-# Letters of the neighbourhood that Unicode does not take apart.
+_WIDTH = 96  # columns
+# Letters that Unicode does not decompose into a base letter and an accent.
 _LETTERS = str.maketrans(
     {"ø": "o", "æ": "ae", "œ": "oe", "ß": "ss", "đ": "d", "ð": "d", "ł": "l", "þ": "th"}
 )
@@ -24,7 +27,7 @@ _LETTERS = str.maketrans(
 
 @dataclass
 class Module:
-    """A module of the robot that is written; ``comments`` stand above it."""
+    """A module instance of the robot.yaml; ``comments`` are written above it."""
 
     name: str
     type: str
@@ -37,7 +40,7 @@ class Module:
 
 @dataclass
 class Robot:
-    """What is written, in the order of robot.yaml."""
+    """The contents of the robot.yaml, in the order of the file."""
 
     name: str
     comments: list[str] = field(default_factory=list)
@@ -49,7 +52,7 @@ class Robot:
 
 
 def render(robot: Robot) -> str:
-    """The document."""
+    """Returns the text of the robot.yaml."""
     lines = [*_comments(robot.comments, ""), "thorvaldc: 1", f"name: {robot.name}"]
     if robot.namespace:
         lines.append(f"namespace: {robot.namespace}")
@@ -57,7 +60,7 @@ def render(robot: Robot) -> str:
     if robot.driver:
         lines.append(f"driver: {flow(robot.driver)}")
     if robot.defaults:
-        lines += ["defaults:", "  # the same for every drive of the original", "  drive:"]
+        lines += ["defaults:", "  # equal for all drives of the original file", "  drive:"]
         lines += _entries(robot.defaults, "    ")
     lines.append("modules:")
     for module in robot.modules:
@@ -97,7 +100,7 @@ def _entries(values: dict[str, Value], indent: str) -> list[str]:
 
 
 def flow(value: Value) -> str:
-    """A value on one line."""
+    """Returns a value as YAML on one line (flow style)."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -117,19 +120,19 @@ def flow(value: Value) -> str:
 
 
 def angle(radians: float) -> Value:
-    """An angle for a document: in whole degrees where it is that, else in rad."""
+    """Returns an angle for the document: in degrees if that number is whole, else in rad."""
     degrees = math.degrees(radians)
     return f"{round(degrees)} deg" if degrees and abs(degrees - round(degrees)) < 1e-9 else radians
 
 
 class Names:
-    """Ids for names of the original, each once."""
+    """Converts names of the original file to unique ids."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = dict.fromkeys(taken)
 
     def make(self, text: str, fallback: str) -> str:
-        """An id near ``text``: lower case, other letters by their base, a number if taken."""
+        """Returns ``as_id(text)``, with a number at the end if that id is in use."""
         name = as_id(text) or fallback
         unique, count = name, 2
         while unique in self._taken:
@@ -139,7 +142,10 @@ class Names:
 
 
 def as_id(text: str) -> str:
-    """``text`` as an id ``[a-z][a-z0-9_]*``; empty where nothing of it is left."""
+    """Returns ``text`` as an id ``[a-z][a-z0-9_]*``; empty if no character remains.
+
+    Letters become lower case and lose their accents; other characters become underscores.
+    """
     text = text.lower().translate(_LETTERS)
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     return re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_")
