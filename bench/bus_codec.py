@@ -1,4 +1,4 @@
-"""Decoding and encoding frames: the driver's compiled layouts beside cantools, in one run."""
+"""Encoding and decoding of frames: the driver's codec compared with cantools, in one run."""
 
 from __future__ import annotations
 
@@ -23,39 +23,41 @@ def figures() -> Iterator[Figure]:
     frames = {f.name: f for f in robot.buses[0].frames}
     node = robot.buses[0].nodes[0].name
     command, report = frames[f"{node}_rpdo4"], frames[f"{node}_tpdo1"]
-    ours = FrameCodec(command), FrameCodec(report)
-    theirs = [database.get_message_by_frame_id(f.cob_id) for f in (command, report)]
+    codecs = FrameCodec(command), FrameCodec(report)
+    messages = [database.get_message_by_frame_id(f.cob_id) for f in (command, report)]
     values = [1.0, 0.5]
-    named = dict(zip(ours[0].names, values, strict=True))
+    named = dict(zip(codecs[0].names, values, strict=True))
     data = bytes(range(8))
 
-    def own_codec() -> None:
-        encode, decode = ours[0].encode, ours[1].decode
+    def use_codec() -> None:
+        encode, decode = codecs[0].encode, codecs[1].decode
         for _ in range(TURNS):
             encode(values)
             decode(data)
 
-    def of_cantools() -> None:
-        encode, decode = theirs[0].encode, theirs[1].decode
+    def use_cantools() -> None:
+        encode, decode = messages[0].encode, messages[1].decode
         for _ in range(TURNS):
             encode(named)
             decode(data, decode_choices=False)
 
-    own, other = (t / TURNS for t in least_times([own_codec, of_cantools], rounds=15))
+    codec_time, cantools_time = (
+        time / TURNS for time in least_times([use_codec, use_cantools], rounds=15)
+    )
     yield Figure(
         "frame codec",
-        own * 1e6,
+        codec_time * 1e6,
         "us",
         None,
         "lower",
-        "a command encoded and a report decoded, two and three values with scalings,"
-        f" least of 15 x {TURNS}; cantools does the same in {other * 1e6:.2f} us",
+        "encode a command and decode a report, two and three values with scalings,"
+        f" least of 15 x {TURNS}; cantools needs {cantools_time * 1e6:.2f} us",
     )
     yield Figure(
         "frame codec over cantools",
-        own / other,
+        codec_time / cantools_time,
         "",
         1.0,
         "lower",
-        "the two above, over one another",
+        "ratio of the two times above",
     )

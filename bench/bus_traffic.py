@@ -1,8 +1,14 @@
-"""Random buses, and traffic on a simulated wire that does all that the budget allows for.
+"""Random buses, and the worst traffic on a simulated wire that the bus budget allows.
 
-Every sender keeps to what ``model.bus_timing`` takes for granted of it, and no more.  What the
-budget leaves open is drawn from a seed, or chosen to be as bad for one frame as it can be:
-all that goes before it comes at the same instant, just after a less urgent frame has begun.
+Every sender obeys the assumptions of ``model.bus_timing``, and nothing beyond them.  A seed
+determines everything that the budget leaves open, or it is chosen to be the worst case for one
+target frame (the critical instant of Davis et al. 2007):
+
+    blocker    |=========|                                 starts one ns before the instant
+    urgent 1             |=====|                           all frames with lower identifiers
+    urgent 2                   |=====|                     are queued at the instant
+    target                           |=====|
+               ^ critical instant          ^ response time
 """
 
 from __future__ import annotations
@@ -25,14 +31,14 @@ from thorvaldc.simulation.bus.wire import Wire
 
 _SPAN = Span("traffic", 1, 1)
 _PATTERNS = (0x0F, 0x1E, 0x3C, 0x78, 0x87, 0xC3, 0xE1, 0xF0)
-"""Bytes that, repeated, ask for a stuff bit after every four; which is worst, the header says."""
+"""Bytes that, repeated, need a stuff bit after every 4 bits; the header decides which is worst."""
 QUEUE = 256
 FIRST_CYCLE = 2
-"""Cycles before the one in which the worst is made to happen."""
+"""Number of control cycles before the critical instant."""
 
 
 def random_bus(number: int) -> Bus:
-    """A bus as the compiler makes and accepts them: drives, batteries, a foreign device."""
+    """Returns a bus that the compiler would accept: drives, batteries, a foreign device."""
     draw = random.Random(f"bus {number}")
     while True:
         cycle = draw.choice((0.01, 0.02, 0.02, 0.05))
@@ -63,8 +69,8 @@ def _frames(draw: random.Random, cycle: float) -> Iterator[FrameDefinition]:
         for tpdo in draw.sample((0x180, 0x280, 0x380, 0x480), draw.randint(1, 3)):
             at_sync = synchronous and draw.random() < 0.7
             period = cycle if at_sync else draw.choice(report_periods)
-            found = _frame(tpdo + node, "pdo", name, draw.randint(2, 8), period)
-            yield replace(found, synchronous=at_sync)
+            report = _frame(tpdo + node, "pdo", name, draw.randint(2, 8), period)
+            yield replace(report, synchronous=at_sync)
         yield _frame(0x580 + node, "sdo", name, 8)
         yield _frame(0x600 + node, "sdo", MASTER, 8, to=name)
         yield _frame(0x700 + node, "heartbeat", name, 1, draw.choice((0.1, 0.2, 0.5)))
@@ -94,15 +100,15 @@ def _frame(
 
 @cache
 def worst_payload(cob_id: int, length: int) -> CanFrame:
-    """The frame with the data that need most stuff bits, as far as a short search finds them."""
+    """Returns the frame with the most stuff bits that a short search finds."""
     best = max(
         (CanFrame(cob_id, bytes([p]) * length) for p in _PATTERNS),
         key=exact_bits,
     )
-    for place in range(length):
+    for position in range(length):
         data = best.data
-        tries = (data[:place] + bytes([p]) + data[place + 1 :] for p in range(256))
-        best = max((best, *(CanFrame(cob_id, t) for t in tries)), key=exact_bits)
+        variants = (data[:position] + bytes([p]) + data[position + 1 :] for p in range(256))
+        best = max((best, *(CanFrame(cob_id, variant) for variant in variants)), key=exact_bits)
     return best
 
 
@@ -111,9 +117,10 @@ def worst_payload(cob_id: int, length: int) -> CanFrame:
 
 @dataclass
 class Traffic:
-    """A bus's traffic in one run.  ``seen`` is the longest response time in s by frame name.
+    """The traffic of one run.  ``seen``: longest response time (s) by frame name.
 
-    With a ``target`` the worst is made to happen to that frame; all else comes as ``seed`` says.
+    ``target``: the frame for which the run contains the critical instant.  ``seed`` determines
+    all other times.
     """
 
     bus: Bus
@@ -136,26 +143,26 @@ class Traffic:
         self._critical = FIRST_CYCLE * self._cycle
         self._open_commands = 0
         self._cycle_start = 0
-        self._asked: dict[str, int] = {}
+        self._requested_at: dict[str, int] = {}
 
     def run(self, cycles: int = 12) -> dict[str, float]:
-        """So many control cycles from the start; gives ``seen``."""
+        """Runs a number of control cycles; returns ``seen``."""
         end = cycles * self._cycle
         for start in range(self._cycle, end, self._cycle):
             self._timeline.at(start, self._commands)
-        self._one_a_cycle("request", end)
-        self._one_a_cycle("emcy", end)
+        self._plan_one_per_cycle("request", end)
+        self._plan_one_per_cycle("emcy", end)
         for frame in self.bus.frames:
-            self._alone(frame, end)
+            self._plan_periodic(frame, end)
         self._timeline.run_until(end + self._cycle)
         return self.seen
 
-    # -- who sends what ------------------------------------------------------------------------
+    # -- senders ------------------------------------------------------------------------
 
     def _controller(self, name: str) -> CanController:
         controller = CanController(self._wire, name, self.bus.bitrate, queue_limit=QUEUE)
-        controller.on_sent = self._through
-        controller.on_frame = lambda frame: self._heard(name, frame)
+        controller.on_sent = self._frame_sent
+        controller.on_frame = lambda frame: self._frame_received(name, frame)
         self._wire.attach(controller)
         controller.switch_on()
         return controller
@@ -165,7 +172,7 @@ class Traffic:
         self._controllers[frame.producer].send(self._sent[frame.cob_id])
 
     def _commands(self) -> None:
-        """The master's commands; SYNC follows when the last of them is through."""
+        """Sends the commands of the master; SYNC follows after the last of them."""
         self._cycle_start = self._timeline.now
         for frame in self.bus.frames:
             if frame.producer == MASTER and frame.period is not None and frame.kind == "pdo":
@@ -179,8 +186,8 @@ class Traffic:
             if frame.kind == "sync":
                 self._send(frame, self._cycle_start)
 
-    def _one_a_cycle(self, group: str, end: int) -> None:
-        """Requests of the master, or emergencies of anybody: one in a cycle."""
+    def _plan_one_per_cycle(self, group: str, end: int) -> None:
+        """Plans requests of the master, or emergencies of any node: one per cycle."""
         if group == "emcy":
             choice = [f for f in self.bus.frames if f.kind == "emcy"]
         else:
@@ -191,35 +198,37 @@ class Traffic:
             ]
         if not choice:
             return
-        urgent = [f for f in choice if self._goes_before(f)]
-        # With the target, or so that the answer that one of them has comes with it.
-        before = urgent or self._with_urgent_answer(choice)
-        phase = self._phase((before or choice)[0], self._cycle)
-        if before:
+        urgent = [f for f in choice if self._is_more_urgent(f)]
+        # At the critical instant, or so that the response to one of them is sent then.
+        critical = urgent or self._with_urgent_response(choice)
+        phase = self._phase((critical or choice)[0], self._cycle)
+        if critical:
             phase = self._critical % self._cycle
         for start in range(phase, end, self._cycle):
             frame = self._draw.choice(choice)
             if start == self._critical and urgent:
-                answered = self._with_urgent_answer(urgent)
-                frame = max(urgent, key=lambda f: (f.length, f in answered))
+                with_response = self._with_urgent_response(urgent)
+                frame = max(urgent, key=lambda f: (f.length, f in with_response))
             if start == self._critical - self._cycle:
-                frame = self._draw.choice(self._with_urgent_answer(choice) or choice)
+                frame = self._draw.choice(self._with_urgent_response(choice) or choice)
             if start == self._critical and self.target in choice:
                 frame = self.target
             self._timeline.at(start, lambda f=frame: self._request(f))  # type: ignore[misc]
 
-    def _with_urgent_answer(self, choice: list[FrameDefinition]) -> list[FrameDefinition]:
-        """Requests that are answered with a frame that goes before the target."""
-        urgent = {f.producer for f in self.bus.frames if f.kind == "sdo" and self._goes_before(f)}
+    def _with_urgent_response(self, choice: list[FrameDefinition]) -> list[FrameDefinition]:
+        """Returns the requests whose response is more urgent than the target."""
+        urgent = {
+            f.producer for f in self.bus.frames if f.kind == "sdo" and self._is_more_urgent(f)
+        }
         return [f for f in choice if f.kind == "sdo" and f.consumers[0] in urgent]
 
     def _request(self, frame: FrameDefinition) -> None:
         if frame.kind == "sdo":
-            self._asked[frame.consumers[0]] = self._timeline.now
+            self._requested_at[frame.consumers[0]] = self._timeline.now
         self._send(frame, self._timeline.now)
 
-    def _alone(self, frame: FrameDefinition, end: int) -> None:
-        """What a device sends of itself, as often as it may."""
+    def _plan_periodic(self, frame: FrameDefinition, end: int) -> None:
+        """Plans the periodic frames of a device, as often as the budget allows."""
         interval = frame.period if frame.kind != "relay" else frame.minimum_interval
         grouped = frame.kind == "pdo" and frame.producer == MASTER
         if interval is None or grouped or frame.kind == "sync" or frame.synchronous:
@@ -229,20 +238,20 @@ class Traffic:
             self._timeline.at(start, lambda: self._send(frame, self._timeline.now))
 
     def _phase(self, frame: FrameDefinition, period: int) -> int:
-        """When it comes first: what goes before the target with it, what blocks just before."""
+        """Returns the time (ns) of the first frame: random, or fixed by the critical instant."""
         if self.target is not None:
-            if self._goes_before(frame) or frame.cob_id == self.target.cob_id:
+            if self._is_more_urgent(frame) or frame.cob_id == self.target.cob_id:
                 return self._critical % period
             if frame.cob_id == self._blocker():
                 return (self._critical - 1) % period
         return self._draw.randrange(period)
 
-    def _goes_before(self, frame: FrameDefinition) -> bool:
+    def _is_more_urgent(self, frame: FrameDefinition) -> bool:
         return self.target is not None and frame.cob_id < self.target.cob_id
 
     def _blocker(self) -> int:
-        """The longest less urgent frame that comes by itself."""
-        less = [
+        """Returns the COB-ID of the longest less urgent frame of a node; -1: none."""
+        less_urgent = [
             f
             for f in self.bus.frames
             if self.target is not None
@@ -251,51 +260,55 @@ class Traffic:
             and f.producer != MASTER
             and not f.synchronous
         ]
-        return max(less, key=lambda f: exact_bits(self._sent[f.cob_id])).cob_id if less else -1
+        return (
+            max(less_urgent, key=lambda f: exact_bits(self._sent[f.cob_id])).cob_id
+            if less_urgent
+            else -1
+        )
 
-    # -- what happens on the wire -----------------------------------------------------------------
+    # -- on the wire -----------------------------------------------------------------
 
-    def _through(self, sent: CanFrame) -> None:
+    def _frame_sent(self, sent: CanFrame) -> None:
         frame = self._frames[sent.id]
-        # The budget counts until the bus is free again.
-        took = self._timeline.now + self._interframe - self._due[sent.id].popleft()
-        self.seen[frame.name] = max(self.seen.get(frame.name, 0.0), took / 1e9)
+        # The budget includes the interframe space.
+        response_time = self._timeline.now + self._interframe - self._due[sent.id].popleft()
+        self.seen[frame.name] = max(self.seen.get(frame.name, 0.0), response_time / 1e9)
         if frame.producer == MASTER and frame.period is not None and frame.kind == "pdo":
             self._open_commands -= 1
             if not self._open_commands:
                 self._sync()
 
-    def _heard(self, name: str, frame: CanFrame) -> None:
+    def _frame_received(self, name: str, frame: CanFrame) -> None:
         if frame.id == 0x080:
-            for other in self.bus.frames:
-                if other.synchronous and other.producer == name:
-                    self._send(other, self._cycle_start)
-        asked = self._frames[frame.id]
-        if asked.kind == "sdo" and asked.producer == MASTER and asked.consumers == (name,):
-            # The node answers within a cycle of the request.
-            began = self._asked[name]
-            late = self._cycle if self._draw.random() < 0.3 else self._draw.randrange(self._cycle)
-            if self.target is not None and began == self._critical - self._cycle:
-                late = self._cycle
-            elif self.target is not None and began == self._critical:
-                late = 0
-            for answer in self.bus.frames:
-                if answer.kind == "sdo" and answer.producer == name:
+            for report in self.bus.frames:
+                if report.synchronous and report.producer == name:
+                    self._send(report, self._cycle_start)
+        request = self._frames[frame.id]
+        if request.kind == "sdo" and request.producer == MASTER and request.consumers == (name,):
+            # The node responds within one cycle.
+            requested_at = self._requested_at[name]
+            delay = self._cycle if self._draw.random() < 0.3 else self._draw.randrange(self._cycle)
+            if self.target is not None and requested_at == self._critical - self._cycle:
+                delay = self._cycle
+            elif self.target is not None and requested_at == self._critical:
+                delay = 0
+            for response in self.bus.frames:
+                if response.kind == "sdo" and response.producer == name:
                     self._timeline.at(
-                        began + late,
-                        lambda a=answer: self._send(a, began),  # type: ignore[misc]
+                        requested_at + delay,
+                        lambda r=response: self._send(r, requested_at),  # type: ignore[misc]
                     )
 
 
-# -- what the runs say together ----------------------------------------------------------------
+# -- results of several runs ----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Reached:
-    """Of one bus over several runs: the longest response time of each frame over its bound.
+    """Longest response time of each frame in several runs, divided by its bound, by frame name.
 
-    ``of_bound`` by frame name; ``of_sent`` the same with the bits of the very frames sent
-    in place of the worst that any identifier and data can need.
+    ``of_bound``: by the bound of the budget, which assumes the worst stuffing.  ``of_sent``: by the
+    bound with the exact bits of the frames sent.
     """
 
     bus: Bus
@@ -304,23 +317,23 @@ class Reached:
 
     @property
     def last(self) -> str:
-        """The least urgent periodic frame, which waits for all the others."""
+        """Name of the least urgent periodic frame, which waits for all others."""
         return max((f for f in self.bus.frames if f.period), key=lambda f: f.cob_id).name
 
 
 def reached(bus: Bus, seeds: int) -> Reached:
-    """Half of the runs with a target, the least urgent frames first, half as it comes."""
+    """Runs a bus ``seeds`` times: half with a target, least urgent first, and half at random."""
     order = sorted(bus.frames, key=lambda f: -f.cob_id)
     targets = -(-seeds // 2)
     seen: dict[str, float] = {}
     for seed in range(seeds):
         target = None if seed % 2 else order[seed // 2 * len(order) // targets]
-        for name, took in Traffic(bus, seed, target).run().items():
-            seen[name] = max(seen.get(name, 0.0), took)
+        for name, time in Traffic(bus, seed, target).run().items():
+            seen[name] = max(seen.get(name, 0.0), time)
     sent = {f.name: exact_bits(worst_payload(f.cob_id, f.length)) for f in bus.frames}
     bounds, of_sent = frame_response_times(bus), frame_response_times(bus, sent)
     return Reached(
         bus,
-        {name: took / (bounds[name] or 1e-9) for name, took in seen.items()},
-        {name: took / (of_sent[name] or 1e-9) for name, took in seen.items()},
+        {name: time / (bounds[name] or 1e-9) for name, time in seen.items()},
+        {name: time / (of_sent[name] or 1e-9) for name, time in seen.items()},
     )

@@ -1,4 +1,4 @@
-"""The control cycle by the clock, on a simulated bus in another process: nine drives at 50 Hz."""
+"""The control cycle in real time, on a simulated bus in another process: nine drives at 50 Hz."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder, _bus(str(path), folder) as channel:
         runner, work, faults = _run(robot, channel)
     timing = runner.timing
-    # What lies between two stretches of driving is no cycle.
+    # The pause between two drives is not a cycle.
     gaps = [gap for a, b in pairwise(timing.starts) if (gap := b - a) < 1.0]
     spread = statistics.pstdev(gaps)
     off = sorted(abs(gap - runner.period) for gap in gaps)
@@ -65,7 +65,7 @@ def figures() -> Iterator[Figure]:
         "",
         None,
         "lower",
-        f"of {timing.cycles} cycles, {timing.skipped} of them left out; begun late by"
+        f"of {timing.cycles} cycles, {timing.skipped} of them skipped; started late by"
         f" {1e3 * timing.latest:.2f} ms at the most; {runner.base.incomplete} not sent whole,"
         f" {connection.receiver.dropped} events dropped;"
         f" {len(faults)} times stopped and reset{': ' + faults[0] if faults else ''}",
@@ -77,13 +77,13 @@ def figures() -> Iterator[Figure]:
         "ms",
         10.0,
         "lower",
-        f"median from its start until all is sent, 99 % under"
+        f"median from its start until all frames are sent, 99 % below"
         f" {1e3 * work[int(0.99 * len(work))]:.2f} ms, longest {1e3 * work[-1]:.2f} ms",
     )
 
 
 def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]]:
-    """Drive for ``SECONDS``; what it took, and the faults after which it was reset."""
+    """Drives for ``SECONDS``; returns runner, cycle times, and reset faults."""
     interfaces = open_interfaces(f"sim:{channel}", robot)
     clock = next(iter(interfaces.values()))
     base = CanBase(robot, interfaces)
@@ -100,9 +100,9 @@ def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]
     runner.feed = feed
     gc.collect()
     gc.freeze()
-    left, faults = SECONDS, []
+    remaining, faults = SECONDS, []
     starting, driving = Timing(), runner.timing
-    while left > 0.0:
+    while remaining > 0.0:
         runner.timing = starting
         runner.run(clock.now + 30.0, stop=lambda: runner.ready or runner.state is BaseState.FAULT)
         if runner.state is BaseState.FAULT and len(faults) < MOST_FAULTS:
@@ -111,11 +111,11 @@ def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]
             continue
         if not runner.ready:
             raise SystemExit(f"the robot is {runner.state.value}: {base.state_machine.reason}")
-        runner.timing, begun = driving, clock.now
-        runner.run(begun + left, watch=watch, stop=lambda: not runner.ready)
-        left -= clock.now - begun
+        runner.timing, start = driving, clock.now
+        runner.run(start + remaining, watch=watch, stop=lambda: not runner.ready)
+        remaining -= clock.now - start
         if not runner.ready:
-            # A machine that is busy with other things lets bus or driver wait for too long.
+            # On a busy machine the bus or the driver may wait too long.
             runner.timing = starting
             runner.run(clock.now + 1.0)
     runner.shutdown()
@@ -125,7 +125,7 @@ def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]
 
 @contextlib.contextmanager
 def _bus(path: str, folder: str) -> Iterator[str]:
-    """`thorvaldc bus` in a process of its own; the name of its channel."""
+    """Runs `thorvaldc bus` in its own process; yields the name of its channel."""
     socket = os.path.join(folder, "bus.sock")
     process = subprocess.Popen(
         [sys.executable, "-m", "thorvaldc", "bus", path, "--channel", socket, "--json"],

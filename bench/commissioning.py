@@ -1,4 +1,4 @@
-"""Flashing a robot of four new drives on a simulated bus, in virtual time."""
+"""Duration of a flash of four new drives on a simulated bus, in virtual time."""
 
 from __future__ import annotations
 
@@ -43,27 +43,33 @@ def figures() -> Iterator[Figure]:
         if not isinstance(robot, Robot):
             raise TypeError("the robot of the bench does not compile")
         bus = robot.buses[0]
-        told: list[tuple[float, int, float]] = []
+        results: list[tuple[float, int, float]] = []
 
         def flash() -> None:
             simulated = SimulatedRobot(robot, delivered=True, nonvolatile=SWAPPED)
             simulated.power_on()
             simulated.run(0.2)
-            before, frames = simulated.timeline.seconds, simulated.wire().frames
-            store = JournalFile(folder / f"{len(told)}.flash.jsonl")
-            session = BusMaster(simulated.interface(receive_limit=100_000), bus)
+            start_time, start_frames = simulated.timeline.seconds, simulated.wire().frames
+            store = JournalFile(folder / f"{len(results)}.flash.jsonl")
+            master = BusMaster(simulated.interface(receive_limit=100_000), bus)
             start = time.perf_counter()
-            plan = Flash(session, configuration_of(robot, bus), Journal(store)).apply()
+            plan = Flash(master, configuration_of(robot, bus), Journal(store)).apply()
             wall = time.perf_counter() - start
             store.close()
             if len(plan.steps) != 9:
-                raise RuntimeError("the plan is not that of four new drives, two exchanged")
-            told.append(
-                (simulated.timeline.seconds - before, simulated.wire().frames - frames, wall)
+                raise RuntimeError(
+                    "unexpected plan: four new drives, two of them exchanged, need 9 steps"
+                )
+            results.append(
+                (
+                    simulated.timeline.seconds - start_time,
+                    simulated.wire().frames - start_frames,
+                    wall,
+                )
             )
 
         seconds = median_time(flash, ROUNDS)
-    virtual, frames, wall = told[-1]
+    virtual, frames, wall = results[-1]
     yield Figure(
         "flash of four drives",
         seconds,
@@ -71,5 +77,5 @@ def figures() -> Iterator[Figure]:
         None,
         "lower",
         f"two new, two exchanged, 72 values each; {virtual:.1f} s of bus time, {frames} frames, "
-        f"journal on the disk {wall:.2f} s by the clock; median of {ROUNDS}",
+        f"journal on the disk {wall:.2f} s in real time; median of {ROUNDS}",
     )

@@ -1,4 +1,4 @@
-"""Worst-case response times of the budget beside a simulated bus that does its worst."""
+"""Worst-case response times of the bus budget, compared with the worst simulated traffic."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ BUSES, SEEDS = 30, 30
 
 
 def figures() -> Iterator[Figure]:
-    found = [reached(random_bus(number), SEEDS) for number in range(BUSES)]
-    most = max(max(r.of_sent.values()) for r in found)
-    best = [max(r.of_bound.values()) for r in found]
-    last = [r.of_bound[r.last] for r in found]
-    last_sent = [r.of_sent[r.last] for r in found]
-    frames = sum(len(r.of_bound) for r in found)
+    results = [reached(random_bus(number), SEEDS) for number in range(BUSES)]
+    highest = max(max(result.of_sent.values()) for result in results)
+    best = [max(result.of_bound.values()) for result in results]
+    last = [result.of_bound[result.last] for result in results]
+    last_sent = [result.of_sent[result.last] for result in results]
+    frames = sum(len(result.of_bound) for result in results)
     yield Figure(
         "response time over its bound",
-        most,
+        highest,
         "",
         1.0,
         "lower",
-        f"the most of {frames} frames on {BUSES} random buses x {SEEDS} seeds, simulated wire;"
-        " the bound for the very bits that were sent, which is below that of the budget",
+        f"maximum of {frames} frames on {BUSES} random buses x {SEEDS} seeds, simulated wire;"
+        " bound with the exact bits sent, which is below that of the budget",
     )
     yield Figure(
         "response bound that is reached",
@@ -33,7 +33,7 @@ def figures() -> Iterator[Figure]:
         "",
         0.95,
         "higher",
-        "of the budget's bound, by the frame of each bus that comes nearest: least of the buses"
+        "share of the budget's bound that the closest frame of each bus reaches: least of the buses"
         f" (median {statistics.median(best):.3f})",
     )
     yield Figure(
@@ -43,6 +43,6 @@ def figures() -> Iterator[Figure]:
         None,
         "higher",
         "the least urgent periodic frame, which waits for all others: median of the buses"
-        f" (least {min(last):.3f}); by the very bits sent {statistics.median(last_sent):.3f},"
+        f" (least {min(last):.3f}); with the exact bits {statistics.median(last_sent):.3f},"
         f" at least 0.95 on {sum(x >= 0.95 for x in last_sent)} of {BUSES} buses",
     )

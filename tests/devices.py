@@ -1,4 +1,4 @@
-"""Devices as the elaboration hands them over, put together one after the other."""
+"""Devices as the elaboration produces them, for tests of the bus compiler."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def line(number: int, file: str = "robot.yaml") -> Span:
 
 
 class Bench:
-    """Devices put together one after the other; the n-th stands on line n of robot.yaml."""
+    """Adds devices one by one; the n-th has the source span of line n of robot.yaml."""
 
     def __init__(self) -> None:
         self.report = Report()
@@ -107,7 +107,7 @@ class Bench:
         )
 
     def fault(self, code: str) -> Diagnostic:
-        """The only diagnostic, which is of that code."""
+        """Returns the only diagnostic, which must have this code."""
         assert [d.code.name for d in self.report] == [code]
         return next(iter(self.report))
 

@@ -1,4 +1,4 @@
-"""A bus to set up in virtual time: simulated devices, a mortal master, a journal in memory."""
+"""A bus to commission in virtual time: simulated devices, a master that can die, a journal."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
 QUICK = Timing(absent=0.01, probe_gap=0.001, probe_tail=0.02, boot=1.0)
-"""For devices of which it is known how soon they answer."""
+"""Shorter time-outs, because simulated devices answer quickly."""
 NODES = ("fl_controller", "fr_controller", "rl_controller", "rr_controller")
 SWAPPED = {"fl_controller": {"node_id": 2}, "fr_controller": {"node_id": 1}}
-"""Four new nodes: two without ids, two with each other's."""
+"""Four new nodes: two without an id, two with the id of the other."""
 FEW = (0x1000, 0x1015, 0x1017, 0x1018, 0x1802, 0x6007, 0x6041, 0x6083, 0x6841, 0x687C)
 
 
 @functools.cache
 def four_drives() -> Robot:
-    """Four drives whose file wants a handful of values each: a flash of few frames."""
+    """Returns a robot with four drives and few values each: a short flash."""
     robot = cia402_robot()
     bus = robot.buses[0]
     nodes = tuple(
@@ -47,33 +47,33 @@ def four_drives() -> Robot:
 
 
 class Dead(BaseException):
-    """The master's process is gone; nothing of it may catch this."""
+    """The master's process ends; no handler of the master may catch this."""
 
 
 class MortalInterface(VirtualTimeInterface):
-    """A master whose process dies where ``dead`` is set: it does nothing more."""
+    """An interface whose program dies at its next call once ``dead`` is set."""
 
     dead = False
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        self._live()
+        self._check_alive()
         sent = super().send(frame, timeout)
-        self._live()
+        self._check_alive()
         return sent
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        self._live()
-        found = super().receive(timeout)
-        self._live()
-        return found
+        self._check_alive()
+        received = super().receive(timeout)
+        self._check_alive()
+        return received
 
-    def _live(self) -> None:
+    def _check_alive(self) -> None:
         if self.dead:
             raise Dead
 
 
 class Watch:
-    """Looks at every change of an id: no two devices under power may have the same."""
+    """Checks at every change of an id that no two powered devices have the same."""
 
     def __init__(self, devices: Iterable[CanopenDevice], still: bool) -> None:
         self.doubles: list[str] = []
@@ -84,7 +84,7 @@ class Watch:
 
             class Watched(type(device)):  # type: ignore[misc]
                 def initialised(self) -> None:
-                    """Its motors stand still: nothing is controlled, which saves half the time."""
+                    """Does not control the motors if ``still``: this halves the duration."""
                     if not still:
                         super().initialised()
 
@@ -95,19 +95,19 @@ class Watch:
                 @node_id.setter
                 def node_id(self, value: int) -> None:
                     self.__dict__["node_id"] = value
-                    watch.look(self)
+                    watch.check(self)
 
             device.__class__ = Watched
 
-    def look(self, changed: CanopenDevice) -> None:
+    def check(self, changed: CanopenDevice) -> None:
         for other in self.devices:
             same = other is not changed and other.node_id == changed.node_id != 255
             if same and other.powered and changed.powered:
                 self.doubles.append(f"{changed.name} and {other.name} at {other.node_id}")
 
 
-class Memory:
-    """A journal's store that has no disk to wait for."""
+class MemoryStorage:
+    """A journal in memory."""
 
     name = "memory"
 
@@ -127,12 +127,12 @@ class Memory:
 
 
 class Bench:
-    """``kept`` says by node what its device keeps, ``node_id`` above all; 255: none."""
+    """A robot's bus.  ``memory``: contents of the non-volatile memory by node; id 255: none."""
 
     def __init__(
         self,
         robot: Robot,
-        kept: Mapping[str, Mapping[str, Any]] | None = None,
+        memory: Mapping[str, Mapping[str, Any]] | None = None,
         *,
         delivered: bool = True,
         timing: Timing | None = None,
@@ -142,11 +142,11 @@ class Bench:
         self.robot = robot
         self.bus = robot.buses[0]
         self.configuration: BusConfiguration = configuration_of(robot, self.bus)
-        self.simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=kept)
+        self.simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=memory)
         for device in self.simulated.devices.values():
             device.torn_writes = torn
         self.wire = self.simulated.wire()
-        self.store = Memory()
+        self.storage = MemoryStorage()
         self.timing = timing
         self.watch = Watch(self.devices().values(), still)
         self.simulated.power_on()
@@ -172,11 +172,11 @@ class Bench:
         operator: Operator | None = None,
         target: BusConfiguration | None = None,
     ) -> Plan:
-        """A process of its own: a new place on the bus, the journal read anew."""
+        """Runs as a new process does: with a new interface, and the journal read again."""
         master = self.master()
         try:
             flash = Flash(
-                master, target or self.configuration, Journal(self.store), operator=operator
+                master, target or self.configuration, Journal(self.storage), operator=operator
             )
             return how(flash)
         finally:
@@ -192,7 +192,7 @@ class Bench:
         return self.run(Flash.rollback)
 
     def state(self) -> dict[str, tuple[int, dict[str, Any]]]:
-        """What every CANopen device keeps: its id and its parameters."""
+        """Returns the stored id and parameters of every CANopen device."""
         return {
             name: (
                 device.nonvolatile.get(NODE_ID, 255),

@@ -72,7 +72,7 @@ def react(fault: BusFault, frame: int) -> Reaction:
     bench.simulated.power_off()
     bench.simulated.power_on()
     bench.simulated.run(0.2)
-    journal = Journal(bench.store)
+    journal = Journal(bench.storage)
     if journal.unfinished:
         bench.resume()
     else:

@@ -1,4 +1,4 @@
-"""Robots whose files say less."""
+"""Robots whose files contain less."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from thorvaldc.model.bus import Node
 
 
 def without_serials(robot: Robot, names: Sequence[str]) -> Robot:
-    """The robot, with no serial numbers of these nodes in its file."""
+    """Returns the robot without the serial numbers of these nodes."""
     bus = robot.buses[0]
-    nodes = tuple(_bare(node) if node.name in names else node for node in bus.nodes)
+    nodes = tuple(_without_serial(node) if node.name in names else node for node in bus.nodes)
     return dataclasses.replace(robot, buses=(dataclasses.replace(bus, nodes=nodes),))
 
 
-def _bare(node: Node) -> Node:
+def _without_serial(node: Node) -> Node:
     objects = tuple(
         dataclasses.replace(o, value=None) if (o.index, o.subindex) == (0x1018, 4) else o
         for o in node.objects

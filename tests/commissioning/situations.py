@@ -1,17 +1,17 @@
-"""Buses on which setting up fails in each way that has a code of its own."""
+"""Situations in which commissioning fails, one for each diagnostic code."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.commissioning.bench import QUICK, Bench, Memory
+from tests.commissioning.bench import QUICK, Bench, MemoryStorage
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_lock import BusLock
 from thorvaldc.model import Robot
 
 
 def play(robot: Robot, situation: str) -> None:
-    """Flash the robot's simulated bus, in trouble.  Raises ``DiagnosticError``."""
+    """Flashes the robot's simulated bus in a situation.  Raises ``DiagnosticError``."""
     SITUATIONS[situation](Bench(robot, timing=QUICK))
 
 
@@ -25,11 +25,11 @@ def _no_power(bench: Bench) -> None:
 
 
 def _other_master(bench: Bench) -> None:
-    other = bench.simulated.interface(name="driver")
+    driver = bench.simulated.interface(name="driver")
     timeline = bench.simulated.timeline
 
     def sync() -> None:
-        other.send(CanFrame(0x080))
+        driver.send(CanFrame(0x080))
         timeline.after(20_000_000, sync)
 
     sync()
@@ -63,12 +63,12 @@ def _nothing_to_resume(bench: Bench) -> None:
 
 
 def _no_journal(bench: Bench) -> None:
-    bench.store = Memory(b"thorvaldc: 1\nname: robot\n")
+    bench.storage = MemoryStorage(b"thorvaldc: 1\nname: robot\n")
     bench.apply()
 
 
 def stop_halfway(bench: Bench) -> None:
-    """A node loses its power while its values are written."""
+    """Flashes, and a node loses its power while the master writes its values."""
     device = bench.devices()["fr_controller"]
 
     def watch(time: int, frame: CanFrame, senders: object) -> None:
@@ -82,7 +82,7 @@ def stop_halfway(bench: Bench) -> None:
         bench.wire.observers.remove(watch)
 
 
-def _meddled(bench: Bench) -> None:
+def _changed_by_hand(bench: Bench) -> None:
     try:
         stop_halfway(bench)
     except Exception:
@@ -108,6 +108,6 @@ SITUATIONS: dict[str, Callable[[Bench], None]] = {
     "journal-mismatch": _nothing_to_resume,
     "journal-unreadable": _no_journal,
     "flash-stopped": stop_halfway,
-    "flash-ambiguous": _meddled,
+    "flash-ambiguous": _changed_by_hand,
     "bus-locked": _locked,
 }

@@ -1,4 +1,4 @@
-"""Random robots, interrupted at random, again and again: flashed, resumed and undone."""
+"""Flashes of random robots, interrupted at random times, resumed and undone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TROUBLES = 6
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_no_double_id_whatever_happens_and_the_plan_in_the_end(seed: int) -> None:
+def test_no_id_is_ever_double_and_the_bus_ends_as_planned(seed: int) -> None:
     rng = random.Random(seed)
     ids = [255 if rng.random() < 0.25 else node for node in rng.sample(IDS, 4)]
     bench = troubled(rng, ids)
@@ -25,28 +25,28 @@ def test_no_double_id_whatever_happens_and_the_plan_in_the_end(seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_doubles_that_were_there_only_become_fewer(seed: int) -> None:
-    """New drives with the ids of their maker: no two share one that did not share it before."""
+def test_existing_doubles_only_become_fewer(seed: int) -> None:
+    """New drives with factory ids: only nodes that share an id at the start ever share one."""
     rng = random.Random(seed)
     ids = [rng.choice((1, 1, 2, 3, 9)) for _ in NODES]
     bench = troubled(rng, ids)
-    before = {
+    sharing = {
         f"{a} and {b} at {i}"
         for a, i in zip(NODES, ids, strict=True)
         for b, j in zip(NODES, ids, strict=True)
         if i == j
     }
-    assert set(bench.watch.doubles) <= before, (seed, ids)
+    assert set(bench.watch.doubles) <= sharing, (seed, ids)
 
 
 def troubled(rng: random.Random, ids: list[int]) -> Bench:
-    """Flashed to the end, with much in the way."""
+    """Flashes until the end, with many interruptions."""
     kept = {name: {"node_id": node} for name, node in zip(NODES, ids, strict=True)}
     bench = Bench(four_drives(), kept, timing=QUICK, torn=rng.random() < 0.5)
     for _ in range(TROUBLES):
         power_on(bench)
         bench.wire.at_frame(bench.wire.frames + rng.randrange(1, 800), trouble(bench, rng))
-        journal = Journal(bench.store)
+        journal = Journal(bench.storage)
         if journal.unfinished:
             how = rng.choice([bench.resume, bench.resume, bench.rollback])
         else:
@@ -55,15 +55,15 @@ def troubled(rng: random.Random, ids: list[int]) -> Bench:
         bench.wire._at_frame.clear()
     bench.simulated.power_off()
     power_on(bench)
-    for _ in range(3):  # a rollback is finished before it is flashed anew
-        attempt(bench.resume if Journal(bench.store).unfinished else bench.apply)
+    for _ in range(3):  # a rollback must end before the next flash
+        attempt(bench.resume if Journal(bench.storage).unfinished else bench.apply)
     assert [bench.devices()[name].node_id for name in NODES] == [1, 2, 3, 4]
     assert bench.plan().steps == ()
     return bench
 
 
 def trouble(bench: Bench, rng: random.Random) -> Callable[[], object]:
-    """What will go wrong: the power of all, of the bus or of a node, or the master."""
+    """Chooses an interruption: the power of all, of the bus or of a node, or the master's end."""
     device = bench.devices()[rng.choice(NODES)]
     later = functools.partial(
         bench.simulated.timeline.after, rng.randrange(30_000_000), device.power_off

@@ -1,4 +1,4 @@
-"""Flashing: its guards, its ways back, and what it leaves to a person."""
+"""Flash: guards, resume, rollback, and the steps of the operator."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
 
 
-def fault_of(work: Callable[[], object]) -> str:
-    with pytest.raises(DiagnosticError) as fault:
+def code_of(work: Callable[[], object]) -> str:
+    with pytest.raises(DiagnosticError) as raised:
         work()
-    return fault.value.diagnostic.code.name
+    return raised.value.diagnostic.code.name
 
 
 def writes(bench: Bench) -> Callable[[], int]:
-    """Counts what may change a device: SDO downloads, LSS of configuration, NMT."""
+    """Returns a counter of frames that may change a device: SDO downloads, LSS, NMT."""
     seen: list[CanFrame] = []
 
     def watch(time: int, frame: CanFrame, senders: object) -> None:
@@ -56,7 +56,7 @@ def test_the_order_of_a_swap() -> None:
 
 
 def test_a_chain_needs_no_parking() -> None:
-    """1 to 2, 2 to 3, 3 to 4, 4 away: the last one moves first."""
+    """1 to 2, 2 to 3, 3 to 4, 4 elsewhere: the last one moves first."""
     kept = {name: {"node_id": i} for i, name in zip((30, 1, 2, 3), NODES, strict=True)}
     bench = Bench(four_drives(), kept, timing=QUICK)
     moves = [(s.before, s.after) for s in bench.plan().steps if isinstance(s, AddressStep)]
@@ -75,7 +75,7 @@ def test_a_ring_of_four() -> None:
 
 
 def test_new_drives_that_all_have_the_same_id() -> None:
-    """As they come from the shelf; serial numbers tell them apart, and doubles only get fewer."""
+    """Factory state; serial numbers distinguish them, and doubles only become fewer."""
     bench = Bench(four_drives(), {name: {"node_id": 1} for name in NODES}, timing=QUICK)
     bench.apply()
     assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
@@ -84,24 +84,24 @@ def test_new_drives_that_all_have_the_same_id() -> None:
 def test_a_second_flash_has_nothing_to_do() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     bench.apply()
-    data, count = bench.store.data, writes(bench)
+    data, count = bench.storage.data, writes(bench)
     assert bench.apply().steps == ()
-    assert bench.store.data == data
+    assert bench.storage.data == data
     assert count() == 4, "a reset of each node, and nothing else"
 
 
-def test_a_plan_is_a_plan_for_what_was_found() -> None:
-    one, other = (Bench(four_drives(), kept, timing=QUICK) for kept in (SWAPPED, None))
-    assert one.plan().hash == Bench(four_drives(), SWAPPED, timing=QUICK).plan().hash
-    assert one.plan().hash != other.plan().hash
-    assert from_json(to_json(one.configuration)) == one.configuration
+def test_a_plan_is_for_the_scanned_devices() -> None:
+    bench, another_bench = (Bench(four_drives(), kept, timing=QUICK) for kept in (SWAPPED, None))
+    assert bench.plan().hash == Bench(four_drives(), SWAPPED, timing=QUICK).plan().hash
+    assert bench.plan().hash != another_bench.plan().hash
+    assert from_json(to_json(bench.configuration)) == bench.configuration
 
 
 # -- guards: nothing is written -------------------------------------------------------------
 
 
 def test_the_wrong_robots_file_writes_nothing() -> None:
-    """Another robot of the same kind, told by its serial numbers alone."""
+    """Another robot of the same kind differs only in its serial numbers."""
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     for device, serial in zip(bench.devices().values(), (0x901, 0x902, 0x903, 0x904), strict=True):
         device.power_off()
@@ -109,22 +109,22 @@ def test_the_wrong_robots_file_writes_nothing() -> None:
         device.power_on()
     bench.simulated.run(0.2)
     count = writes(bench)
-    assert fault_of(bench.apply) == "bus-wrong-robot"
+    assert code_of(bench.apply) == "bus-wrong-robot"
     assert count() == 0
-    assert not bench.store.data
+    assert not bench.storage.data
 
 
 def test_another_kind_of_robot_writes_nothing() -> None:
     bench = Bench(example_robot("4wd4ws_wide"), delivered=False, timing=QUICK)
     target = Bench(cia402_robot(), timing=QUICK).configuration
     count = writes(bench)
-    assert fault_of(lambda: bench.run(lambda f: f.apply(), target=target)) == "bus-wrong-robot"
+    assert code_of(lambda: bench.run(lambda f: f.apply(), target=target)) == "bus-wrong-robot"
     assert count() == 0
 
 
 @pytest.mark.parametrize("how", ["operational", "by its statusword"])
 def test_a_drive_that_may_move_stops_it(how: str) -> None:
-    """Its heartbeat tells, or what it says itself when it is asked."""
+    """The heartbeat reports it, or the status word."""
     bench = Bench(cia402_robot(), delivered=False, still=False)
     driver = bench.simulated.interface(name="driver")
     if how == "operational":
@@ -135,9 +135,9 @@ def test_a_drive_that_may_move_stops_it(how: str) -> None:
             bench.simulated.run(0.05)
     bench.simulated.run(0.1)
     count = writes(bench)
-    with pytest.raises(DiagnosticError, match=how.split()[-1]) as fault:
+    with pytest.raises(DiagnosticError, match=how.split()[-1]) as raised:
         bench.apply()
-    assert fault.value.diagnostic.code.name == "bus-drive-enabled"
+    assert raised.value.diagnostic.code.name == "bus-drive-enabled"
     assert count() == 0
 
 
@@ -158,61 +158,61 @@ def test_a_master_that_appears_in_the_middle_stops_it(frame: CanFrame) -> None:
     driver = bench.simulated.interface(name="driver")
     bench.wire.at_frame(bench.wire.frames + 400, lambda: driver.send(frame))
     count = writes(bench)
-    assert fault_of(bench.apply) == "bus-other-master"
-    before = count()
+    assert code_of(bench.apply) == "bus-other-master"
+    start_count = count()
     bench.simulated.run(1.0)
-    assert count() - before <= (frame.id == 0), "nothing was written after it"
-    assert b'"stopped"' in bench.store.data
+    assert count() - start_count <= (frame.id == 0), "nothing was written after it"
+    assert b'"stopped"' in bench.storage.data
     bench.resume()
     assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
 
 
-def test_bus_off_stops_it_and_nothing_is_tried_again() -> None:
+def test_bus_off_stops_it_and_nothing_is_repeated() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     bench.wire.at_frame(bench.wire.frames + 450, lambda: bench.interface.controller.go_bus_off())
-    assert fault_of(bench.apply) == "bus-error"
+    assert code_of(bench.apply) == "bus-error"
     sent = bench.interface.controller.sent
     bench.simulated.run(1.0)
     assert bench.interface.controller.sent == sent
 
 
-# -- ways back ------------------------------------------------------------------------------
+# -- resume and rollback ----------------------------------------------------------------------
 
 
-def test_rollback_is_where_it_began() -> None:
+def test_rollback_restores_the_start() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    before = bench.state()
+    start_state = bench.state()
     bench.apply()
     changed = bench.state()
     bench.rollback()
     after = bench.state()
-    assert {n: after[n][0] for n in NODES} == {n: before[n][0] for n in NODES}
+    assert {n: after[n][0] for n in NODES} == {n: start_state[n][0] for n in NODES}
     assert not bench.watch.doubles
-    # What was written is what it was; the devices now say so in as many words.
+    # The values are the previous defaults; the devices now store them explicitly.
     for name in NODES:
         differing = {k for k, v in changed[name][1].items() if after[name][1][k] != v}
         assert {"1017.00", "6007.00"} <= differing
         assert after[name][1]["1017.00"] == 0, "a new drive sends no heartbeat"
-    assert fault_of(bench.rollback) == "journal-mismatch"
+    assert code_of(bench.rollback) == "journal-mismatch"
 
 
 def test_rollback_of_a_flash_that_stopped() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    assert fault_of(lambda: stop_halfway(bench)) == "flash-stopped"
+    assert code_of(lambda: stop_halfway(bench)) == "flash-stopped"
     bench.simulated.power_on()
     bench.simulated.run(0.2)
-    assert fault_of(bench.apply) == "journal-mismatch", "it must be finished or undone first"
+    assert code_of(bench.apply) == "journal-mismatch", "it must be resumed or undone first"
     bench.rollback()
     assert {n: bench.state()[n][0] for n in NODES} == dict(
         zip(NODES, (2, 1, 255, 255), strict=True)
     )
 
 
-def test_a_rollback_that_is_cut_is_resumed() -> None:
+def test_an_interrupted_rollback_is_resumed() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     bench.apply()
     bench.wire.at_frame(bench.wire.frames + 500, bench.simulated.power_off)
-    assert fault_of(bench.rollback) in ("bus-error", "flash-stopped")
+    assert code_of(bench.rollback) in ("bus-error", "flash-stopped")
     bench.simulated.power_on()
     bench.simulated.run(0.2)
     bench.resume()
@@ -222,15 +222,18 @@ def test_a_rollback_that_is_cut_is_resumed() -> None:
     assert not bench.watch.doubles
 
 
-def test_a_resume_is_for_the_plan_that_was_begun() -> None:
+def test_a_resume_needs_the_same_configuration() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    assert fault_of(lambda: stop_halfway(bench)) == "flash-stopped"
+    assert code_of(lambda: stop_halfway(bench)) == "flash-stopped"
     bench.simulated.power_on()
     bench.simulated.run(0.2)
-    other = Bench(without_serials(four_drives(), NODES), timing=QUICK).configuration
+    another_configuration = Bench(without_serials(four_drives(), NODES), timing=QUICK).configuration
     count = writes(bench)
     for how in (Flash.resume, Flash.rollback):
-        assert fault_of(lambda how=how: bench.run(how, target=other)) == "journal-mismatch"
+        assert (
+            code_of(lambda how=how: bench.run(how, target=another_configuration))
+            == "journal-mismatch"
+        )
     assert count() == 0
 
 
@@ -243,7 +246,7 @@ def test_an_interrupt_closes_the_journal() -> None:
     bench.wire.at_frame(bench.wire.frames + 400, interrupt)
     with pytest.raises(KeyboardInterrupt):
         bench.apply()
-    assert bench.store.data.endswith(b'{"record":"stopped","reason":"interrupted"}\n')
+    assert bench.storage.data.endswith(b'{"record":"stopped","reason":"interrupted"}\n')
     bench.simulated.timeline._running = False
     bench.resume()
     assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
@@ -256,11 +259,11 @@ def test_a_node_that_cannot_store_stops_it() -> None:
         bench.apply()
 
 
-# -- by hand --------------------------------------------------------------------------------
+# -- steps of the operator --------------------------------------------------------------------
 
 
-def test_controllers_that_only_their_makers_tool_addresses() -> None:
-    """Four with the same id: powered one at a time, each seen alone before it counts."""
+def test_controllers_without_lss() -> None:
+    """Four controllers with the same id: powered one at a time, and each must answer alone."""
     bench = Bench(example_robot("4wd4ws_wide"), {name: {"node_id": 1} for name in NODES})
     count = 0
 
@@ -273,11 +276,11 @@ def test_controllers_that_only_their_makers_tool_addresses() -> None:
 
     bench.run(lambda f: f.apply(), operator=Counting(bench.simulated))
     assert count == 4
-    assert bench.store.data.count(b'"set_by":"the operator","says":["FBL2360","1.0","1.0"]') == 4
+    assert bench.storage.data.count(b'"set_by":"the operator","says":["FBL2360","1.0","1.0"]') == 4
     assert [bench.devices()[n].node_id for n in NODES] == [3, 2, 4, 1]
 
 
-def test_what_the_operator_did_not_do_is_noticed() -> None:
+def test_a_mistake_of_the_operator_is_detected() -> None:
     bench = Bench(example_robot("4wd4ws_wide"), {"fl_controller": {"node_id": 9}})
 
     class Careless(VirtualOperator):
@@ -287,11 +290,11 @@ def test_what_the_operator_did_not_do_is_noticed() -> None:
     operator = Careless(bench.simulated)
     with pytest.raises(DiagnosticError, match="more than one device answers"):
         bench.run(lambda f: f.apply(), operator=operator)
-    assert fault_of(lambda: bench.run(lambda f: f.resume())) == "flash-stopped", "nobody to ask"
+    assert code_of(lambda: bench.run(lambda f: f.resume())) == "flash-stopped", "no operator"
 
 
-def test_modules_set_by_hand_are_gone_on_with() -> None:
-    """The operator goes home after two of four; the next day the other two are asked for."""
+def test_a_resume_continues_the_steps_of_the_operator() -> None:
+    """The operator stops after two of four modules; the resume requests the other two."""
     bench = Bench(example_robot("4wd4ws_wide"), {name: {"node_id": 1} for name in NODES})
     asked: list[str] = []
 
@@ -310,7 +313,7 @@ def test_modules_set_by_hand_are_gone_on_with() -> None:
     assert [bench.devices()[n].node_id for n in NODES] == [3, 2, 4, 1]
 
 
-# -- the journal's file, and verify --------------------------------------------------------
+# -- journal file and verify --------------------------------------------------------
 
 
 def test_the_journal_on_the_disk(tmp_path: Path) -> None:
@@ -330,18 +333,18 @@ def test_the_journal_on_the_disk(tmp_path: Path) -> None:
     assert len(again.chain[0].previous_values()) == 4
 
 
-def test_verify_reads_only_and_tells_what_differs() -> None:
+def test_verify_only_reads_and_reports_differences() -> None:
     bench = Bench(cia402_robot(), delivered=False)
     count = writes(bench)
     master = bench.master()
-    found = verify(master, bench.configuration, bench.bus)
-    assert found.passed
+    verification = verify(master, bench.configuration, bench.bus)
+    assert verification.passed
     assert count() == 0
     drive = bench.devices()["fl_controller"]
     drive.objects[0x6083, 0].value += 1
     drive.objects[0x1017, 0].value = 150
-    found = verify(master, bench.configuration, bench.bus)
-    differing = {check.what for check in found.checks if not check.passed}
+    verification = verify(master, bench.configuration, bench.bus)
+    differing = {check.what for check in verification.checks if not check.passed}
     assert differing == {
         "6083:0 propulsion_profile_acceleration",
         "1017:0 heartbeat_period",
@@ -355,11 +358,11 @@ def test_verify_reads_only_and_tells_what_differs() -> None:
     ("frame", "says"),
     [(330, "another device already has the id 1"), (420, "at id 1")],
 )
-def test_a_second_node_of_an_id_that_comes_in_the_middle_stops_it(frame: int, says: str) -> None:
-    """Somebody plugs one in: the id is taken, or another answers there than it should."""
+def test_a_second_node_with_an_id_stops_the_flash(frame: int, says: str) -> None:
+    """A second node is plugged in: the id is occupied, or the wrong device answers."""
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     spare = bench.simulated.clone("fl_controller", "spare", node_id=1)
     bench.wire.at_frame(bench.wire.frames + frame, spare.power_on)
-    with pytest.raises(DiagnosticError, match=says) as fault:
+    with pytest.raises(DiagnosticError, match=says) as raised:
         bench.apply()
-    assert fault.value.diagnostic.code.name == "flash-stopped"
+    assert raised.value.diagnostic.code.name == "flash-stopped"

@@ -1,4 +1,4 @@
-"""Whatever is cut whenever: after a resume the bus is as planned, and no address was ever double.
+"""Power cuts at any time: after a resume the bus is as planned, and no id was ever double.
 
 Four new nodes are flashed, two without an id, two with each other's.  Ids are watched at every
 change of theirs, in the simulated devices themselves.
@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, Dead, Memory, four_drives
+from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, Dead, MemoryStorage, four_drives
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.journal import Journal
@@ -28,7 +28,7 @@ def new(robot: Robot | None = None, torn: bool = False) -> Bench:
 
 @functools.cache
 def undisturbed(library: bool = False) -> tuple[str, int, int, dict[str, Any], bytes]:
-    """Hash of the plan, first and last frame of the flash, what is kept, the journal."""
+    """Returns hash of the plan, first and last frame of the flash, memories, and journal."""
     robot = cia402_robot() if library else four_drives()
     hash_ = new(robot).plan().hash
     bench = new(robot)
@@ -37,11 +37,11 @@ def undisturbed(library: bool = False) -> tuple[str, int, int, dict[str, Any], b
     ids = {name: bench.state()[name][0] for name in NODES}
     assert list(ids.values()) == [1, 2, 3, 4]
     assert not bench.watch.doubles
-    return hash_, first, bench.wire.frames, bench.state(), bench.store.data
+    return hash_, first, bench.wire.frames, bench.state(), bench.storage.data
 
 
 def cut_power(bench: Bench) -> None:
-    """Of all that is on the robot, its computer too."""
+    """Cuts the power of the whole robot, including its computer."""
     bench.interface.dead = True
     bench.interface.controller.switch_off()
     bench.simulated.power_off()
@@ -56,34 +56,34 @@ def cut_bus(bench: Bench) -> None:
 
 
 def interrupted(bench: Bench, hash_: str) -> str:
-    """Flash; how it ended: ``dead``, the name of a fault, or ``done``."""
+    """Flashes; returns ``dead``, the name of a diagnostic, or ``done``."""
     try:
         bench.apply(hash_)
     except Dead:
         return "dead"
-    except DiagnosticError as fault:
-        return fault.diagnostic.code.name
+    except DiagnosticError as error:
+        return error.diagnostic.code.name
     return "done"
 
 
-def fault_of(work: Callable[[], object]) -> str:
-    """The name of the fault that it raises; empty without."""
+def code_of(work: Callable[[], object]) -> str:
+    """Returns the name of the diagnostic that ``work`` raises; empty: none."""
     try:
         work()
-    except DiagnosticError as fault:
-        return fault.diagnostic.code.name
+    except DiagnosticError as error:
+        return error.diagnostic.code.name
     return ""
 
 
 def finish(bench: Bench) -> None:
-    """Power on, and go on as the journal says; then all is as if nothing had happened."""
+    """Switches the power on and resumes; afterwards the bus is as after an undisturbed flash."""
     bench.simulated.power_on()
     bench.simulated.run(0.15)
-    journal = Journal(bench.store)
+    journal = Journal(bench.storage)
     if journal.unfinished:
         bench.resume()
-    # Where a node had an id that it had not stored, the reset shows it, and nothing is written.
-    elif not journal.runs and fault_of(bench.apply) == "plan-changed":
+    # If a node had an id that it had not stored, the reset reveals it; nothing is written.
+    elif not journal.runs and code_of(bench.apply) == "plan-changed":
         bench.apply()
 
 
@@ -92,7 +92,7 @@ def check(bench: Bench, where: object, library: bool = False) -> None:
     assert not bench.watch.doubles, where
     live = {name: device.node_id for name, device in bench.devices().items() if name in NODES}
     assert live == dict(zip(NODES, (1, 2, 3, 4), strict=True)), where
-    assert Journal(bench.store).unfinished is None, where
+    assert Journal(bench.storage).unfinished is None, where
 
 
 @pytest.mark.parametrize("chunk", range(CHUNKS))
@@ -110,7 +110,7 @@ def test_power_cut_at_every_frame(chunk: int) -> None:
 
 @pytest.mark.parametrize("torn", [False, True], ids=["whole", "torn"])
 def test_power_cut_in_the_middle_of_every_write(torn: bool) -> None:
-    """While a node writes its memory nothing is on the bus; a torn write loses what was there."""
+    """The bus is idle during a write to memory; a torn write destroys the old value."""
     hash_, *_ = undisturbed()
     writes: list[int] = []
     bench = new()
@@ -134,8 +134,8 @@ def test_power_cut_in_the_middle_of_every_write(torn: bool) -> None:
 
 
 @pytest.mark.parametrize("how", ["resume", "rollback"])
-def test_an_id_that_is_stored_but_not_yet_shown(how: str) -> None:
-    """The master dies after a node has stored its next id: what it shows is not what counts.
+def test_an_id_that_is_stored_but_not_active(how: str) -> None:
+    """The master dies after a node has stored its next id: the stored id counts.
 
     The one at 1 has 2 stored.  To put the other one back to 2 without a reset would go well
     until the power is next switched off.
@@ -172,7 +172,7 @@ def is_write(frame: CanFrame) -> bool:
 
 @pytest.mark.parametrize("cut", [cut_bus, kill_master], ids=["bus", "master"])
 def test_the_bus_alone_or_the_master_alone(cut: Callable[[Bench], None]) -> None:
-    """The other one goes on: the master stops with words, or the nodes keep what they have."""
+    """The other side goes on: the master stops with a message, or the nodes keep their state."""
     hash_, first, last, *_ = undisturbed()
     for number in range(first, last, 23):
         bench = new()
@@ -201,15 +201,15 @@ def test_one_node_loses_its_power(node: str) -> None:
 
 
 def test_the_journal_is_cut_at_any_byte() -> None:
-    """What is left of it is read, and the bus is taken to where it was to go."""
+    """The rest of the journal is read, and the resume reaches the plan."""
     hash_, first, last, _, data = undisturbed()
     for length in range(0, len(data), 23):
-        Journal(Memory(data[:length]))
+        Journal(MemoryStorage(data[:length]))
     ends = [i for i, byte in enumerate(data) if byte == 0x0A]
     bench = new()
     bench.wire.at_frame((first + last) // 2, functools.partial(kill_master, bench))
     assert interrupted(bench, hash_) == "dead"
-    written = bench.store.data
+    written = bench.storage.data
     ends = [i for i, byte in enumerate(written) if byte == 0x0A]
     assert len(ends) > 5
     for end in ends:
@@ -217,13 +217,13 @@ def test_the_journal_is_cut_at_any_byte() -> None:
             bench = new()
             bench.wire.at_frame((first + last) // 2, functools.partial(kill_master, bench))
             interrupted(bench, hash_)
-            bench.store.data = written[:length]
+            bench.storage.data = written[:length]
             finish(bench)
             check(bench, length)
 
 
-def test_cut_again_and_again() -> None:
-    """Each resume is itself cut off, later and later, until one comes through."""
+def test_repeated_power_cuts() -> None:
+    """Each resume is cut too, later each time, until one reaches its end."""
     hash_, first, *_ = undisturbed()
     bench = new()
     bench.wire.at_frame(first + 150, functools.partial(cut_power, bench))
@@ -233,17 +233,17 @@ def test_cut_again_and_again() -> None:
         bench.simulated.run(0.15)
         bench.wire.at_frame(bench.wire.frames + more, lambda: cut_power(bench))
         try:
-            bench.resume() if Journal(bench.store).runs else bench.apply()
+            bench.resume() if Journal(bench.storage).runs else bench.apply()
         except Dead:
             assert not bench.watch.doubles
             continue
         break
     check(bench, "after all")
-    assert len(Journal(bench.store).runs) > 3
+    assert len(Journal(bench.storage).runs) > 3
 
 
-def test_the_librarys_drives() -> None:
-    """All 72 values of each: at every 199th frame."""
+def test_the_drives_of_the_library() -> None:
+    """All 72 values of each drive; a cut at every 199th frame."""
     hash_, first, last, *_ = undisturbed(True)
     assert last - first > 2000
     for number in range(first + 350, last, 199):

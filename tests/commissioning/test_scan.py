@@ -1,4 +1,4 @@
-"""What a scan makes of what is on a bus."""
+"""Verdicts of scans."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def verdicts(scan: ScanResult) -> dict[str, str]:
     }
 
 
-def test_a_robot_as_its_file_says_is_ok_throughout() -> None:
+def test_a_robot_that_matches_its_file_is_ok() -> None:
     for robot in (cia402_robot(), example_robot("4wd4ws_wide")):
         bench = Bench(robot, delivered=False)
         for scan in (passive(bench), bench.scan()):
@@ -61,10 +61,10 @@ def test_new_and_exchanged_nodes() -> None:
 
 
 @pytest.mark.parametrize("robot", ["cia402", "roboteq"])
-def test_a_duplicate_is_suspected_by_listening_and_by_asking(robot: str) -> None:
-    """One has serial numbers, the other nothing that tells two of them apart."""
-    given = four_drives() if robot == "cia402" else example_robot("4wd4ws_wide")
-    bench = Bench(given, delivered=False)
+def test_a_duplicate_is_suspected_by_listening_and_by_requests(robot: str) -> None:
+    """One robot has serial numbers, the other nothing that distinguishes two controllers."""
+    robot_model = four_drives() if robot == "cia402" else example_robot("4wd4ws_wide")
+    bench = Bench(robot_model, delivered=False)
     bench.simulated.clone("fl_controller", "spare").power_on()
     bench.simulated.run(0.3)
     for scan in (passive(bench), bench.scan()):
@@ -104,7 +104,7 @@ def test_a_node_without_power_and_one_too_many() -> None:
 
 
 def test_a_device_without_id_is_found_by_fastscan() -> None:
-    """The file has no serial numbers: the one that is left is it; of two nobody can know."""
+    """Without serial numbers in the file, a single remaining device is the node."""
     robot = without_serials(four_drives(), ["rr_controller"])
     bench = Bench(robot, SWAPPED, timing=QUICK)
     plan = bench.plan()
@@ -120,19 +120,19 @@ def test_a_device_without_id_is_found_by_fastscan() -> None:
 
 def test_another_master_is_not_disturbed() -> None:
     bench = Bench(four_drives(), delivered=False, timing=QUICK)
-    other = bench.simulated.interface(name="driver")
-    other.send(CanFrame(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
-    bench.simulated.timeline.after(100_000_000, lambda: other.send(CanFrame(0x77F, b"\5")))
+    driver = bench.simulated.interface(name="driver")
+    driver.send(CanFrame(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
+    bench.simulated.timeline.after(100_000_000, lambda: driver.send(CanFrame(0x77F, b"\5")))
     with pytest.raises(DiagnosticError, match="master_heartbeat"):
         bench.scan()
     assert bench.interface.controller.sent == 0
 
 
 def test_no_bitrate_is_tried() -> None:
-    """On a bus of another bitrate nothing but error frames comes of the first request."""
+    """On a bus with another bitrate the first request causes only error frames."""
     bench = Bench(four_drives(), delivered=False, timing=QUICK)
     for device in bench.devices().values():
         device.change_bitrate(250_000)
-    with pytest.raises(DiagnosticError, match="error-passive") as fault:
+    with pytest.raises(DiagnosticError, match="error-passive") as raised:
         bench.scan()
-    assert fault.value.diagnostic.code.name == "bus-error"
+    assert raised.value.diagnostic.code.name == "bus-error"

@@ -1,4 +1,4 @@
-"""Libraries that know nothing of us read the bus's files and the bus: canopen and cantools."""
+"""Independent libraries (canopen, cantools) read the generated files and the simulated bus."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def dictionary(files: dict[str, bytes], node: Node, folder: Path) -> Any:
 
 
 def nodes(robot: Robot) -> Iterator[Node]:
-    """The CANopen nodes: those with objects."""
+    """Yields the CANopen nodes: those with objects."""
     return (node for bus in robot.buses for node in bus.nodes if node.objects)
 
 
@@ -57,28 +57,28 @@ def nodes(robot: Robot) -> Iterator[Node]:
 
 
 def test_canopen_imports_each_dcf(robot: Robot, files: dict[str, bytes], tmp_path: Path) -> None:
-    made = sorted(path for path in files if path.startswith("can/dcf/"))
-    assert made == sorted(f"can/dcf/{node.name}.dcf" for node in nodes(robot))
+    dcf_paths = sorted(path for path in files if path.startswith("can/dcf/"))
+    assert dcf_paths == sorted(f"can/dcf/{node.name}.dcf" for node in nodes(robot))
     for node in nodes(robot):
         od = dictionary(files, node, tmp_path)
         assert od.node_id == node.id
         assert od.bitrate == robot.buses[0].bitrate
         for entry in node.objects:
-            found = od[entry.index]
-            if not isinstance(found, canopen.objectdictionary.ODVariable):
-                found = found[entry.subindex]
+            entry_in_od = od[entry.index]
+            if not isinstance(entry_in_od, canopen.objectdictionary.ODVariable):
+                entry_in_od = entry_in_od[entry.subindex]
             if entry.value is not None:
-                assert entry.value in (found.value, found.default), entry.name
+                assert entry.value in (entry_in_od.value, entry_in_od.default), entry.name
 
 
-def test_canopen_reads_from_running_nodes_what_their_dcfs_say(
+def test_canopen_reads_the_values_of_the_dcfs_from_running_nodes(
     robot: Robot, files: dict[str, bytes], tmp_path: Path
 ) -> None:
-    """Its SDO client with its own reading of our DCF, against a simulated node."""
+    """The SDO client of canopen, with the DCF that it has imported, reads a simulated node."""
     interface.register()
     simulated = SimulatedRobot(robot)
     simulated.power_on()
-    simulated.run(0.3)  # they are up
+    simulated.run(0.3)  # all nodes have booted
     channel = str(tmp_path / "bus.sock")
     listed = list(nodes(robot))
     with serving(simulated.timeline, {channel: simulated.wire()}), canopen.Network() as network:
@@ -125,8 +125,8 @@ def test_our_codec_and_cantools_agree(robot: Robot, database: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["4wd4ws_wide", "cia402"])
-def test_cantools_decodes_what_the_driver_sends_to_what_it_wants(name: str) -> None:
-    """The driver's frames on the wire, by our DBC; and the reports to what the motors do."""
+def test_cantools_decodes_the_commands_of_the_driver(name: str) -> None:
+    """Decoded with our DBC, commands equal the targets, and reports equal the motor states."""
     rig = Rig(cia402_robot() if name == "cia402" else example_robot(name))
     read = cantools.database.load_string(
         files_of(Can, rig.robot)["can/robot.dbc"].decode("cp1252"), "dbc"
@@ -147,8 +147,8 @@ def test_cantools_decodes_what_the_driver_sends_to_what_it_wants(name: str) -> N
             if signal.unit != ("rad" if axis.steering else "rad/s"):
                 continue
             motor = rig.simulated.motors[axis.actuator.name].read(rig.now)
-            done = motor.position if axis.steering else motor.velocity
-            wanted = axis.target if frame.producer == "master" else done
-            assert values[signal.name] == pytest.approx(wanted, abs=0.02), signal.name
+            measured = motor.position if axis.steering else motor.velocity
+            expected = axis.target if frame.producer == "master" else measured
+            assert values[signal.name] == pytest.approx(expected, abs=0.02), signal.name
             checked += 1
     assert checked == 2 * len(axes), "a command and a report of each motor"

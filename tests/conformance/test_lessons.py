@@ -1,4 +1,4 @@
-"""What went wrong in the original software and in others', one test each, end to end.
+"""Known defects of the original software and of others, one end-to-end test each.
 
 Each would have caught the fault where it was made.  The parts have tests of their own.
 """
@@ -35,23 +35,23 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 COMMAND, STATE = 0x240, 0x1C0
-"""What is told to the sprayer, a foreign device, and what it says."""
+"""Command and report of the sprayer, a foreign device."""
 
 
 def compiled(folder: Path, text: str) -> tuple[Robot | None, list[str]]:
-    """The robot, where there is one, and the names of the errors."""
+    """Returns the robot, ``None`` after errors, and the names of the errors."""
     path = folder / "robot.yaml"
     path.write_text(text, encoding="utf-8")
-    done = compile_file(path)
-    robot = done.model if isinstance(done.model, Robot) else None
-    return robot, [d.code.name for d in done.report.errors]
+    compilation = compile_file(path)
+    robot = compilation.model if isinstance(compilation.model, Robot) else None
+    return robot, [d.code.name for d in compilation.report.errors]
 
 
-# -- the original: batteries -------------------------------------------------------------------
+# -- the original: batteries ------------------------------------------------------------------
 
 
 def test_all_frames_of_a_battery_are_the_batterys() -> None:
-    """Its parser claimed one frame of three, and two leaked to the foreign devices."""
+    """The original parser read one frame of three; two leaked to the foreign devices."""
     rig = Rig(cia402_robot())
     sent = set[int]()
     rig.simulated.wire().observers.append(lambda _, frame, __: sent.add(frame.id))
@@ -67,10 +67,10 @@ def test_all_frames_of_a_battery_are_the_batterys() -> None:
     ("battery", "drive", "refused"),
     [(1, 65, True), (1, 81, True), (1, 97, True), (1, 63, False), (16, 2, True), (15, 2, False)],
 )
-def test_a_batterys_frames_are_no_drives(
+def test_the_frames_of_a_battery_are_not_those_of_a_drive(
     tmp_path: Path, battery: int, drive: int, refused: bool
 ) -> None:
-    """Battery b sends as nodes 64+b, 80+b and 96+b do; from 16 on batteries hit one another."""
+    """Battery b uses the COB-IDs of nodes 64+b, 80+b and 96+b; ids from 16 on collide."""
     text = f"""
 thorvaldc: 1
 name: clash
@@ -86,13 +86,13 @@ modules:
     assert any(name.startswith("can-") for name in errors) == refused, errors
 
 
-def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
-    """345 was battery 1, and -1 an enclosure without one."""
+def test_the_old_form_of_a_battery_id_is_imported(tmp_path: Path) -> None:
+    """345 is battery 1, and -1 is an enclosure without a battery."""
     original = Path(__file__).parents[1] / "compiler" / "importer" / "originals" / "standard.yaml"
-    found = import_file(original, Report())
-    assert found is not None
+    imported = import_file(original, Report())
+    assert imported is not None
     path = tmp_path / "robot.yaml"
-    path.write_text(found.text, encoding="utf-8")
+    path.write_text(imported.text, encoding="utf-8")
     robot = compile_file(path).model
     assert isinstance(robot, Robot)
     ids = sorted(n.id for b in robot.buses for n in b.nodes if n.id_space == "kc_battery")
@@ -102,11 +102,11 @@ def test_the_old_form_of_a_battery_id_is_understood(tmp_path: Path) -> None:
     assert pulses == {1024, 4096}, "one drive of a real robot has another encoder"
 
 
-# -- the original: receiving and sending -------------------------------------------------------
+# -- the original: receiving and sending ------------------------------------------------------
 
 
 def test_a_full_receive_queue_keeps_the_newest() -> None:
-    """It kept the oldest frames: the robot went by what had been."""
+    """The original kept the oldest frames, so the robot used old measurements."""
     wire = Wire(Timeline())
     receiver = FrameReceiver(VirtualTimeInterface(wire, "driver"), {0x701}, limit=8)
     node = VirtualTimeInterface(wire, "node")
@@ -118,8 +118,8 @@ def test_a_full_receive_queue_keeps_the_newest() -> None:
     assert receiver.dropped == 22
 
 
-def test_what_cannot_be_written_is_noticed() -> None:
-    """The results of writes were ignored."""
+def test_a_failed_send_is_detected() -> None:
+    """The original ignored the results of writes."""
     rig = Rig(example_robot("4wd4ws_wide"))
     rig.drive(seconds=1.0)
     complete = rig.base.cycles
@@ -133,8 +133,8 @@ def test_what_cannot_be_written_is_noticed() -> None:
     rig.interface.send = sends  # type: ignore[method-assign]
 
 
-def test_a_hundred_frames_for_a_device_do_not_lose_all() -> None:
-    """A hundred device frames in a cycle dropped every one of them, and nobody knew."""
+def test_a_hundred_frames_for_a_device_are_not_all_lost() -> None:
+    """With 100 device frames in a cycle the original dropped all of them without a message."""
     rig = Rig(cia402_robot())
     rig.ready()
     at = len(rig.frames)
@@ -152,8 +152,8 @@ def test_a_hundred_frames_for_a_device_do_not_lose_all() -> None:
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x201, 0x601, 0x77F])
-def test_not_every_identifier_passes_the_relay(cob_id: int) -> None:
-    """Any node could send any identifier through it: to the drives, or as the master."""
+def test_the_relay_passes_allowed_identifiers_only(cob_id: int) -> None:
+    """In the original any program could send any identifier, to the drives or as the master."""
     rig = Rig(cia402_robot())
     rig.ready()
     with pytest.raises(RequestRefused, match="not allowed"):
@@ -162,11 +162,11 @@ def test_not_every_identifier_passes_the_relay(cob_id: int) -> None:
     assert all(frame.data != b"\xaa\xbb" for _, frame in rig.frames)
 
 
-# -- the original: the controllers, and the stop -----------------------------------------------
+# -- the original: the controllers, and the stop ----------------------------------------------
 
 
-def test_another_script_in_a_controller_is_noticed() -> None:
-    """The check was commented out."""
+def test_another_script_in_a_controller_is_detected() -> None:
+    """In the original the check was commented out."""
     rig = Rig(example_robot("4wd4ws_wide"))
     drive = rig.simulated.devices["rr_controller"]
     assert isinstance(drive, RoboteqController)
@@ -179,34 +179,34 @@ def test_another_script_in_a_controller_is_noticed() -> None:
     assert rig.speed() == 0.0
 
 
-def test_the_safety_stop_does_more_than_to_command_zero() -> None:
-    """It only zeroed speeds: the next command moved the robot again."""
+def test_the_safety_stop_does_more_than_command_zero() -> None:
+    """The original only set the speeds to zero: the next command moved the robot again."""
     for robot in (example_robot("4wd4ws_wide"), cia402_robot()):
         rig = Rig(robot)
         rig.drive()
         rig.runner.safety_stop()
-        rig.run(2.0)  # and motion is still commanded
+        rig.run(2.0)  # motion is still commanded
         assert rig.state is BaseState.ESTOP
         assert rig.speed() == 0.0
         assert all(c.is_off for connection in rig.base.connections for c in connection.controllers)
         rig.runner.safety_stop(False)
         rig.run(1.0)
-        assert rig.state is BaseState.ESTOP, "a release alone starts nothing"
+        assert rig.state is BaseState.ESTOP, "a release alone does not start motion"
         assert rig.speed() == 0.0
 
 
-# -- the original: one robot -------------------------------------------------------------------
+# -- the original: one robot ------------------------------------------------------------------
 
 
-def test_two_robots_in_one_simulation_are_noticed() -> None:
-    """A launch file took the description from one robot's file and the driver from another's."""
-    one, other = example_robot("4wd4ws_wide"), example_robot("4wd2ws_tall")
+def test_two_robots_in_one_simulation_are_detected() -> None:
+    """A launch file used the description of one robot and the driver file of another."""
+    wide, tall = example_robot("4wd4ws_wide"), example_robot("4wd2ws_tall")
     with pytest.raises(DiagnosticError, match="the scene has no joint"):
-        MujocoBase(one, MujocoScene(emit(other, ["mjcf"], Report())))
+        MujocoBase(wide, MujocoScene(emit(tall, ["mjcf"], Report())))
 
 
-def test_quoted_numbers_and_truth_values_are_faults_and_no_text(tmp_path: Path) -> None:
-    """Numbers and booleans were text here and there, and then something else than was meant."""
+def test_quoted_numbers_and_booleans_are_errors(tmp_path: Path) -> None:
+    """Some files quoted numbers and booleans, which changed their meaning."""
     text = """
 thorvaldc: 1
 name: quoted
@@ -222,25 +222,25 @@ modules:
     assert robot is None or len(errors) >= 2, errors
 
 
-# -- others' ---------------------------------------------------------------------------------
+# -- other software ---------------------------------------------------------------------------
 
 
 def test_drives_stop_by_themselves_when_the_driver_hangs() -> None:
-    """Robots kept moving when ROS died, or while something else refreshed their watchdogs."""
+    """Robots kept moving when ROS died, or while another loop refreshed their watchdogs."""
     for robot in (example_robot("4wd4ws_wide"), cia402_robot()):
         rig = Rig(robot)
         rig.drive()
         hung = rig.now
         assert rig.speed() > 0.4
-        rig.simulated.run(2.0)  # no cycle any more
+        rig.simulated.run(2.0)  # no control cycle
         rig.frames = [(t, f) for t, f in rig.frames if t / 1e9 > hung + 0.02]
-        own = {f.cob_id for f in robot.buses[0].frames if f.producer == "master"}
-        assert not [frame for _, frame in rig.frames if frame.id in own]
+        master_ids = {f.cob_id for f in robot.buses[0].frames if f.producer == "master"}
+        assert not [frame for _, frame in rig.frames if frame.id in master_ids]
         assert rig.speed() == 0.0
 
 
 def test_heartbeats_are_on_for_ros2_canopen() -> None:
-    """They are off by default there."""
+    """ros2_canopen disables them by default."""
     nodes = yaml.safe_load(files_of(Can, cia402_robot())["can/bus.yml"])
     assert nodes["master"]["heartbeat_producer"] > 0
     for name, node in nodes["nodes"].items():
@@ -249,8 +249,8 @@ def test_heartbeats_are_on_for_ros2_canopen() -> None:
             assert node["heartbeat_consumer"] is True
 
 
-def test_nothing_jumps_when_the_driver_goes_on_after_a_fault() -> None:
-    """A controller that was activated again went on to where it had been told to go before."""
+def test_nothing_jumps_when_the_driver_continues_after_a_fault() -> None:
+    """A controller that was activated again moved to its old target."""
     rig = Rig(cia402_robot())
     rig.drive()
     device = rig.simulated.devices["fl_controller"]

@@ -41,9 +41,9 @@ class Bench:
     def sleep(self, seconds: float) -> list[tuple[int, bytes]]:
         """Lets time run; returns identifier and data of the frames received meanwhile."""
         self.master.interface.sleep(seconds)
-        found = [(r.frame.id, r.frame.data) for r in self.master.interface.received]
+        frames = [(r.frame.id, r.frame.data) for r in self.master.interface.received]
         self.master.interface.received.clear()
-        return found
+        return frames
 
 
 def test_boot_up_then_heartbeats() -> None:
@@ -136,9 +136,9 @@ def test_parameters_survive_only_when_they_are_saved() -> None:
 
 def test_the_response_to_save_follows_the_write() -> None:
     bench = Bench(5)
-    before = bench.master.interface.now
+    start = bench.master.interface.now
     bench.master.write(5, 0x1010, 1, SAVE, 4)
-    assert bench.master.interface.now - before > bench.devices[0].write_time
+    assert bench.master.interface.now - start > bench.devices[0].write_time
 
 
 @pytest.mark.parametrize("torn", [False, True])
@@ -164,9 +164,9 @@ def test_heartbeat_consumer() -> None:
     assert device.state is NmtState.OPERATIONAL
     bench.devices[1].heartbeat_stopped = True
     at = bench.master.interface.now
-    found = bench.master.wait(0x085, 1.0)
-    assert found is not None
-    assert struct.unpack_from("<H", found)[0] == 0x8130
+    emergency = bench.master.wait(0x085, 1.0)
+    assert emergency is not None
+    assert struct.unpack_from("<H", emergency)[0] == 0x8130
     assert 0.15 < bench.master.interface.now - at < 0.30
     assert device.state is NmtState.PRE_OPERATIONAL, "default of 0x1029"
     assert bench.master.number(5, 0x1001) & 0x10
@@ -187,8 +187,8 @@ def test_0x1029_defines_the_reaction_to_a_lost_heartbeat() -> None:
 def test_errors_are_reported_and_recorded() -> None:
     bench = Bench(5)
     bench.devices[0].emergency(0x3210, 0x04, b"\x11\x22")
-    found = bench.master.wait(0x085)
-    assert found == b"\x10\x32\x05\x11\x22\0\0\0"
+    emergency = bench.master.wait(0x085)
+    assert emergency == b"\x10\x32\x05\x11\x22\0\0\0"
     assert bench.master.number(5, 0x1003, 0) == 1
     assert bench.master.number(5, 0x1003, 1) == 0x3210
     bench.devices[0].emergency(0)
@@ -202,8 +202,8 @@ def test_bus_off_and_back() -> None:
     bench.master.nmt(1)
     bench.sleep(0.05)
     bench.devices[0].controller.go_bus_off()
-    found = [data for identifier, data in bench.sleep(0.1) if identifier == 0x085]
-    assert [struct.unpack_from("<H", data)[0] for data in found] == [0x8140]
+    emergencies = [data for identifier, data in bench.sleep(0.1) if identifier == 0x085]
+    assert [struct.unpack_from("<H", data)[0] for data in emergencies] == [0x8140]
     assert bench.devices[0].state is NmtState.PRE_OPERATIONAL
 
 
@@ -299,30 +299,30 @@ def fastscan(master: Master) -> list[int] | None:
 
     if not request(0, 0x80, 0, 0):
         return None
-    found = []
+    numbers = []
     for part in range(4):
         number = 0
         for bit in reversed(range(32)):
             if not request(number, bit, part, part):
                 number |= 1 << bit
         assert request(number, 0, part, (part + 1) % 4)
-        found.append(number)
-    return found
+        numbers.append(number)
+    return numbers
 
 
 def test_fastscan_finds_unconfigured_nodes_one_by_one() -> None:
     bench = Bench(255, 7, 255)
-    found = []
+    identities = []
     for node_id in (11, 12):
         identity = fastscan(bench.master)
         assert identity is not None
-        found.append(identity)
+        identities.append(identity)
         assert bench.master.lss(0x5E) == b"\x5e\xff" + bytes(6), "exactly one is in configuration"
         bench.master.lss(0x11, node_id)
         bench.master.lss(0x04, 0)
         bench.sleep(0.05)
     assert fastscan(bench.master) is None
-    assert found == [[0x469, 2, 3, 0x1001], [0x469, 2, 3, 0x1003]]
+    assert identities == [[0x469, 2, 3, 0x1001], [0x469, 2, 3, 0x1003]]
     assert [device.node_id for device in bench.devices] == [11, 7, 12]
 
 

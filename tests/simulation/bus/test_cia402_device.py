@@ -100,12 +100,12 @@ class Drive:
 
 def test_the_sequence_to_operation_enabled() -> None:
     drive = Drive()
-    found = [drive.state]
+    states = [drive.state]
     for word in (SWITCH_ON, SHUTDOWN, SWITCH_ON, ENABLE, SWITCH_ON, SHUTDOWN, ENABLE, DISABLE):
         drive.control(word)
         drive.sleep(0.01)
-        found.append(drive.state)
-    assert found == [
+        states.append(drive.state)
+    assert states == [
         "switch on disabled",
         "switch on disabled",  # this word is not allowed here
         "ready to switch on",
@@ -348,27 +348,27 @@ def test_a_target_beyond_the_limit_ends_at_it() -> None:
 
 def cyclic(drive: Drive, targets: list[float]) -> list[tuple[int, int]]:
     """Runs one control cycle per target (RPDO, SYNC); returns the reported status and position."""
-    found = []
+    reports = []
     for target in targets:
         drive.master.send(0x20A, struct.pack("<Hi", ENABLE, round(target * COUNT)))
         drive.master.send(0x080, b"")
         answer = drive.master.wait(0x18A, 0.01)
         if answer is not None:
-            found.append(struct.unpack("<Hi", answer))
+            reports.append(struct.unpack("<Hi", answer))
         drive.sleep(0.02 - 0.0008)
-    return found
+    return reports
 
 
 def test_cyclic_position_follows_between_the_targets() -> None:
     drive = Drive()
     drive.enable(8)
-    found = cyclic(drive, [0.02 * k for k in range(50)])
-    assert len(found) == 50, "a report for each SYNC"
-    positions = [p / COUNT for _, p in found]
+    reports = cyclic(drive, [0.02 * k for k in range(50)])
+    assert len(reports) == 50, "a report for each SYNC"
+    positions = [p / COUNT for _, p in reports]
     assert positions[-1] == pytest.approx(0.94, abs=0.03), "two cycles behind"
     steps = [b - a for a, b in itertools.pairwise(positions[5:])]
     assert all(0.015 < step < 0.025 for step in steps), steps
-    assert not found[-1][0] & 1 << 13
+    assert not reports[-1][0] & 1 << 13
 
 
 def test_a_blocked_motor_is_a_following_error() -> None:

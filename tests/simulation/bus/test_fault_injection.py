@@ -103,8 +103,8 @@ def test_duplicate_id() -> None:
     run.simulated.run(1.3)
     run.master.interface.received.clear()
     run.master.send(0x602, struct.pack("<BHB4x", 0x40, 0x1018, 4))
-    found = {struct.unpack_from("<I", data, 4)[0] for data in run.master.all(0x582, 0.02)}
-    assert found == {0x101, 0x102}
+    serials = {struct.unpack_from("<I", data, 4)[0] for data in run.master.all(0x582, 0.02)}
+    assert serials == {0x101, 0x102}
 
 
 def test_babble_takes_the_bus() -> None:
@@ -121,9 +121,9 @@ def test_emcy() -> None:
     run = Run(fault("emcy", code=0x2310, register=2))
     run.simulated.run(0.99)
     run.master.interface.received.clear()
-    found = run.master.wait(0x081, 0.1)
-    assert found is not None
-    assert struct.unpack_from("<HB", found) == (0x2310, 3)
+    emergency = run.master.wait(0x081, 0.1)
+    assert emergency is not None
+    assert struct.unpack_from("<HB", emergency) == (0x2310, 3)
 
 
 @pytest.mark.parametrize("kind", ["frozen_encoder", "blocked_motor"])
@@ -241,8 +241,8 @@ def test_the_example_is_read() -> None:
     ],
 )
 def test_errors_in_a_document_are_reported(text: str, code: str, tmp_path: Path) -> None:
-    script, said = read(text, tmp_path)
-    assert code in [name for name, _ in said], said
+    script, diagnostics = read(text, tmp_path)
+    assert code in [name for name, _ in diagnostics], diagnostics
     assert script is None
 
 

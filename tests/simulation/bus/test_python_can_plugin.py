@@ -74,12 +74,12 @@ def test_time_outs_are_virtual(wire: Wire) -> None:
 def test_filters_do_not_shorten_or_lengthen_a_time_out(wire: Wire) -> None:
     filters = [{"can_id": 0x200, "can_mask": 0x7FF}]
     with interface.SimulatedBus(wire, can_filters=filters) as bus:
-        other = VirtualTimeInterface(wire, "other")
+        node = VirtualTimeInterface(wire, "other")
         for k in range(20):
-            wire.timeline.after((k + 1) * 10_000_000, lambda: other.send(interface.CanFrame(0x100)))
+            wire.timeline.after((k + 1) * 10_000_000, lambda: node.send(interface.CanFrame(0x100)))
         assert bus.recv(0.1) is None
         assert bus.interface.now == pytest.approx(0.1)
-        wire.timeline.after(1_000_000, lambda: other.send(interface.CanFrame(0x200)))
+        wire.timeline.after(1_000_000, lambda: node.send(interface.CanFrame(0x200)))
         got = bus.recv(0.1)
         assert got is not None
         assert got.arbitration_id == 0x200
@@ -91,12 +91,12 @@ def test_own_messages_and_remote_frames(wire: Wire) -> None:
         interface.SimulatedBus(wire, name="b") as b,
     ):
         a.send(message(0x100, is_remote_frame=True, dlc=4))
-        own, got = a.recv(0.1), b.recv(0.1)
-        assert own is not None
-        assert got is not None
-        assert (own.is_rx, got.is_rx) == (False, True)
-        assert got.is_remote_frame
-        assert got.dlc == 4
+        echo, received = a.recv(0.1), b.recv(0.1)
+        assert echo is not None
+        assert received is not None
+        assert (echo.is_rx, received.is_rx) == (False, True)
+        assert received.is_remote_frame
+        assert received.dlc == 4
 
 
 def test_a_full_queue_and_bus_off_are_errors_of_python_can(wire: Wire) -> None:
@@ -172,9 +172,9 @@ def test_canopen_reads_and_writes_our_objects(robot: tuple[SimulatedRobot, str])
         assert node.nmt.state == "OPERATIONAL"
         drive = simulated.devices["fl_controller"]
         drive.timeline.at(0, lambda: drive.emergency(0x2310, 4))  # type: ignore[attr-defined]
-        found = node.emcy.wait(0x2310, timeout=2.0)
-        assert found is not None
-        assert found.register == 5
+        emergency = node.emcy.wait(0x2310, timeout=2.0)
+        assert emergency is not None
+        assert emergency.register == 5
 
 
 def test_canopen_scans_for_nodes(robot: tuple[SimulatedRobot, str]) -> None:

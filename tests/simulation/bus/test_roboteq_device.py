@@ -67,9 +67,9 @@ class Controller:
     def latest(self, base: int) -> bytes:
         """Returns the newest frame of a report."""
         self.master.interface.received.clear()
-        found = self.master.wait(base + N, 2.0)
-        assert found is not None
-        return found
+        data = self.master.wait(base + N, 2.0)
+        assert data is not None
+        return data
 
     @property
     def flags(self) -> int:
@@ -135,8 +135,8 @@ def test_reports_have_cycles_that_can_be_set() -> None:
     def rates(seconds: float) -> list[int]:
         c.master.interface.received.clear()
         c.master.interface.sleep(seconds)
-        found = [r.frame.id - N for r in c.master.interface.received]
-        return [found.count(base) for base in (0x180, 0x280, 0x380, 0x480)]
+        bases = [r.frame.id - N for r in c.master.interface.received]
+        return [bases.count(base) for base in (0x180, 0x280, 0x380, 0x480)]
 
     assert rates(2.0) == [100, 20, 20, 2]
     c.master.send(0x300 + N, struct.pack("<ii", 8, 50))

@@ -75,9 +75,9 @@ def test_the_model_file_is_sufficient() -> None:
 
 
 def test_the_seed_determines_the_traffic() -> None:
-    one, same, other = (Bus(cia402_robot(), seed=seed) for seed in (1, 1, 2))
-    assert one.seen == same.seen
-    assert one.seen != other.seen
+    first, same, another_seed = (Bus(cia402_robot(), seed=seed) for seed in (1, 1, 2))
+    assert first.seen == same.seen
+    assert first.seen != another_seed.seen
 
 
 def test_cantools_decodes_the_frames_with_our_dbc() -> None:
@@ -106,21 +106,21 @@ def test_cantools_decodes_the_frames_with_our_dbc() -> None:
     assert propulsion.velocity == pytest.approx(speed, abs=raw)
     assert steering.position == pytest.approx(angle, abs=2e-3)
     tpdo1 = database.get_message_by_name(f"{node.name}_tpdo1")
-    found = tpdo1.decode(bus.seen[tpdo1.frame_id][-1][1])
+    decoded = tpdo1.decode(bus.seen[tpdo1.frame_id][-1][1])
     gear = wheel[node.channels[0].actuator or ""].gear_ratio
     rpm = math.pi / 30 / gear
-    assert found["propulsion_velocity"] == pytest.approx(propulsion.velocity, abs=rpm)
-    assert found["steering_position"] == pytest.approx(steering.position, abs=1e-4)
+    assert decoded["propulsion_velocity"] == pytest.approx(propulsion.velocity, abs=rpm)
+    assert decoded["steering_position"] == pytest.approx(steering.position, abs=1e-4)
     tpdo3 = database.get_message_by_name(f"{node.name}_tpdo3")
-    found = tpdo3.decode(bus.seen[tpdo3.frame_id][-1][1])
-    assert found["supply_voltage"] == 48.0
-    assert found["temperature"] == 25
-    assert not found["controller_not_ok"]
+    decoded = tpdo3.decode(bus.seen[tpdo3.frame_id][-1][1])
+    assert decoded["supply_voltage"] == 48.0
+    assert decoded["temperature"] == 25
+    assert not decoded["controller_not_ok"]
     battery = next(n for n in bus.robot.buses[0].nodes if n.id_space == "kc_battery")
     status = database.get_message_by_name(f"{battery.name}_status")
-    found = status.decode(bus.seen[status.frame_id][-1][1])
-    assert found["voltage"] == pytest.approx(48.0)
-    assert found["discharge_enabled"] == 1
+    decoded = status.decode(bus.seen[status.frame_id][-1][1])
+    assert decoded["voltage"] == pytest.approx(48.0)
+    assert decoded["discharge_enabled"] == 1
     charge = database.get_message_by_name(f"{battery.name}_charge")
     assert charge.decode(bus.seen[charge.frame_id][-1][1])["state_of_charge"] == 90
 
@@ -152,12 +152,12 @@ def test_cantools_and_the_cia402_drives() -> None:
     now = bus.simulated.timeline.seconds
     for n in ("fl", "fr", "rl", "rr"):
         tpdo1 = database.get_message_by_name(f"{n}_controller_tpdo1")
-        found = tpdo1.decode(bus.seen[tpdo1.frame_id][-1][1])
-        assert found["propulsion_statusword"] & 0x6F == 0x27
-        assert found["propulsion_velocity"] == pytest.approx(speed, rel=1e-3)
+        decoded = tpdo1.decode(bus.seen[tpdo1.frame_id][-1][1])
+        assert decoded["propulsion_statusword"] & 0x6F == 0x27
+        assert decoded["propulsion_velocity"] == pytest.approx(speed, rel=1e-3)
         tpdo2 = database.get_message_by_name(f"{n}_controller_tpdo2")
-        found = tpdo2.decode(bus.seen[tpdo2.frame_id][-1][1])
-        assert found["steering_position"] == pytest.approx(angle, abs=1e-3)
+        decoded = tpdo2.decode(bus.seen[tpdo2.frame_id][-1][1])
+        assert decoded["steering_position"] == pytest.approx(angle, abs=1e-3)
         wheel = next(
             a
             for a in bus.robot.actuators
@@ -171,10 +171,10 @@ def test_cantools_and_the_cia402_drives() -> None:
 @pytest.mark.parametrize("robot", ["cia402", "2wd0ws_greenhouse", "4wd4ws_wide"])
 def test_the_objects_of_the_map_can_be_written_and_read_back(robot: str) -> None:
     """A device in its factory state accepts every value of the map."""
-    given = cia402_robot() if robot == "cia402" else example_robot(robot)
+    model = cia402_robot() if robot == "cia402" else example_robot(robot)
     nonvolatile = {"fl_controller": {"node_id": 1}} if robot == "cia402" else {}
-    bus = Bus(given, delivered=True, nonvolatile=nonvolatile)
-    for node in given.buses[0].nodes[:1]:
+    bus = Bus(model, delivered=True, nonvolatile=nonvolatile)
+    for node in model.buses[0].nodes[:1]:
         assert not node.lss or bus.master.number(node.id, 0x1018, 4)
         pdos = sorted({o.index for o in node.objects if 0x1400 <= o.index < 0x1C00})
         for index in pdos:
@@ -204,15 +204,15 @@ def test_the_objects_of_the_map_can_be_written_and_read_back(robot: str) -> None
         for entry in node.objects:
             if entry.value is not None:
                 signed = entry.type.startswith("integer")
-                found = bus.master.number(node.id, entry.index, entry.subindex, signed)
-                assert found == entry.value, entry.name
+                value = bus.master.number(node.id, entry.index, entry.subindex, signed)
+                assert value == entry.value, entry.name
 
 
 def test_delivered_devices_have_neither_id_nor_parameters() -> None:
     bus = Bus(cia402_robot(), delivered=True)
     bus.simulated.run(1.0)
-    found = sorted(bus.seen)
-    assert found == [0x1A0, 0x3C1, 0x3D1, 0x3E1, 0x728], "only devices whose id is not configurable"
+    identifiers = sorted(bus.seen)
+    assert identifiers == [0x1A0, 0x3C1, 0x3D1, 0x3E1, 0x728], "only devices with fixed ids"
     serials = {
         d.description.serial for d in bus.simulated.devices.values() if isinstance(d, CanopenDevice)
     }
@@ -246,9 +246,9 @@ def test_a_clone_has_the_id_but_not_the_serial_number() -> None:
 
 
 def test_a_robot_without_a_bus_is_refused() -> None:
-    with pytest.raises(DiagnosticError) as fault:
+    with pytest.raises(DiagnosticError) as raised:
         SimulatedRobot(make_robot([(0.5, 0.0, "steered")]))
-    assert fault.value.diagnostic.code.name == "bus-missing"
+    assert raised.value.diagnostic.code.name == "bus-missing"
 
 
 def test_motors_may_be_the_joints_of_a_base() -> None:

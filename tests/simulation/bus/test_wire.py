@@ -43,12 +43,12 @@ def test_a_frame_takes_its_bits() -> None:
     frame = CanFrame(0x123, bytes(range(8)))
     start = wire.timeline.now
     assert a.send(frame)
-    found = b.receive(1.0)
-    assert found is not None
-    assert found.frame == frame
+    received = b.receive(1.0)
+    assert received is not None
+    assert received.frame == frame
     # Valid before the three bits of interframe space.
-    assert found.time - start == (frame_bits(frame) - 3) * BIT
-    assert log.entries == [(found.time, str(frame), ["a"])]
+    assert received.time - start == (frame_bits(frame) - 3) * BIT
+    assert log.entries == [(received.time, str(frame), ["a"])]
     a.sleep(0.001)
     assert wire.busy == frame_bits(frame) * BIT
 
@@ -137,9 +137,9 @@ def test_a_lone_controller_gets_no_acknowledge() -> None:
     assert a.controller.transmit_errors == 128
     assert a.state is ErrorState.PASSIVE
     assert wire.errors > 1000
-    other = VirtualTimeInterface(wire, "b")
+    receiver = VirtualTimeInterface(wire, "b")
     a.sleep(0.01)
-    assert [str(r.frame) for r in other.received] == ["100#01"]
+    assert [str(r.frame) for r in receiver.received] == ["100#01"]
 
 
 def test_a_listen_only_controller_does_not_acknowledge() -> None:
