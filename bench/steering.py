@@ -1,4 +1,4 @@
-"""How far wheels steer against the optimum, and how much they scrub on the way."""
+"""Steering travel relative to the optimum, and scrub of wheels that turn to new angles."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def figures() -> Iterator[Figure]:
 def _travel() -> Iterator[Figure]:
     rng = random.Random(1)
     directions = [rng.uniform(-PI, PI) for _ in range(DIRECTIONS)]
-    for limit, said in ((PI, "+-180 deg"), (math.radians(176.4), "+-176.4 deg")):
+    for limit, label in ((PI, "+-180 deg"), (math.radians(176.4), "+-176.4 deg")):
         optimum = _mean_travel(_optimal(limit), directions)
         yield Figure(
-            f"steering travel, {said}",
+            f"steering travel, {label}",
             _mean_travel(_general(limit), directions) / optimum,
             "x optimum",
             1.01,
             "lower",
             f"general, {DIRECTIONS} independent directions; optimum by dynamic programming: "
-            f"{math.degrees(optimum):.2f} deg a direction",
+            f"{math.degrees(optimum):.2f} deg per direction",
         )
     optimum = _mean_travel(_optimal(PI), directions)
     for name, policy in (("no reversing", _no_flip), ("reverse beyond 90 deg, wrap", _wrapping)):
@@ -55,23 +55,24 @@ def _travel() -> Iterator[Figure]:
 
 
 def _mean_travel(policy: Callable[[float, float], float], directions: Sequence[float]) -> float:
-    """Mean way (rad) of a joint from 0 through these directions of a wheel's velocity."""
-    angle, way = 0.0, 0.0
+    """Returns the mean travel (rad) of a joint that starts at 0 and follows these directions."""
+    angle, travel = 0.0, 0.0
     for direction in directions:
-        after = policy(angle, direction)
-        way += abs(after - angle)
-        angle = after
-    return way / len(directions)
+        next_angle = policy(angle, direction)
+        travel += abs(next_angle - angle)
+        angle = next_angle
+    return travel / len(directions)
 
 
 def _general(limit: float) -> Callable[[float, float], float]:
-    from thorvaldc.runtime.calculators.steering_branch import Steering
+    from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
 
-    steering = Steering(replace(_wheel("w", 0.0, 0.0), lower=-limit, upper=limit), (0,), 1.5, 0.02)
+    geometry = replace(_wheel("w", 0.0, 0.0), lower=-limit, upper=limit)
+    joint = SteeringJoint(geometry, (0,), 1.5, 0.02)
 
     def policy(angle: float, direction: float) -> float:
-        steering.choose(math.cos(direction), math.sin(direction), 0.0, angle, 0.0)
-        return steering.target
+        joint.choose(math.cos(direction), math.sin(direction), 0.0, angle, 0.0)
+        return joint.target
 
     return policy
 
@@ -81,7 +82,7 @@ def _no_flip(angle: float, direction: float) -> float:
 
 
 def _wrapping(angle: float, direction: float) -> float:
-    """The nearer of two opposite directions on the circle, brought into +-180 deg."""
+    """Returns the nearer of two opposite directions on the circle, wrapped to +-180 deg."""
     turn = math.remainder(direction - angle, 2 * PI)
     if abs(turn) > PI / 2:
         direction += PI
@@ -89,7 +90,7 @@ def _wrapping(angle: float, direction: float) -> float:
 
 
 def _optimal(limit: float, cells: int = 720) -> Callable[[float, float], float]:
-    """The policy that no other beats in the long run, by value iteration over a grid of angles.
+    """Returns the optimal policy, by value iteration on a grid of angles.
 
     h(c) + g = E [min over the angles a of a random direction of |a - c| + h(a)].
     """
@@ -98,25 +99,25 @@ def _optimal(limit: float, cells: int = 720) -> Callable[[float, float], float]:
     angles = (np.arange(cells) + 0.5) * (2 * PI / cells) - PI
     reachable = np.abs(angles) <= limit
     half = cells // 2
-    away = np.abs(angles[:, None] - angles[None, :])
+    distance = np.abs(angles[:, None] - angles[None, :])
     h = np.zeros(cells)
     for _ in range(200):
-        after = away + np.where(reachable, h, np.inf)[None, :]
-        best = np.minimum(after[:, :half], after[:, half:])  # half a turn apart
+        cost_to_go = distance + np.where(reachable, h, np.inf)[None, :]
+        best = np.minimum(cost_to_go[:, :half], cost_to_go[:, half:])  # half a turn apart
         best = np.where(np.isfinite(best), best, 0.0).mean(axis=1)
         h = best - best[half]
     values = [float(v) for v in h]
 
     def policy(angle: float, direction: float) -> float:
         def cost(a: float) -> float:
-            place = (a + PI) * cells / (2 * PI) - 0.5
-            cell = min(max(int(place), 0), cells - 2)
-            value = values[cell] + (place - cell) * (values[cell + 1] - values[cell])
+            position = (a + PI) * cells / (2 * PI) - 0.5
+            cell = min(max(int(position), 0), cells - 2)
+            value = values[cell] + (position - cell) * (values[cell + 1] - values[cell])
             return abs(a - angle) + value
 
-        several = [direction + k * PI for k in (-1, 0, 1)]
-        within = [a for a in several if abs(a) <= limit + 1e-12]
-        return min(within, key=cost) if within else angle
+        candidates = [direction + k * PI for k in (-1, 0, 1)]
+        reachable_angles = [a for a in candidates if abs(a) <= limit + 1e-12]
+        return min(reachable_angles, key=cost) if reachable_angles else angle
 
     return policy
 
@@ -125,9 +126,9 @@ def _optimal(limit: float, cells: int = 720) -> Callable[[float, float], float]:
 
 
 @dataclass(frozen=True)
-class _Way:
-    """``scrub``: mean way (m) that the contacts slip; ``unwanted``: of the robot, off the motion
-    that was asked for."""
+class _Motion:
+    """``scrub``: mean distance (m) that the contacts slip; ``unwanted``: distance (m) of the robot
+    apart from the commanded motion."""
 
     scrub: float
     unwanted: float
@@ -160,7 +161,7 @@ def _random_twist(rng: random.Random) -> Twist:
 
 
 def _wheel(name: str, x: float, y: float) -> WheelGeometry:
-    """One that is slow to turn, and no other limit."""
+    """Returns a wheel with slow steering and no other limit."""
     return wheel(
         name, x, y,
         lower=-PI, upper=PI, max_rate=2.0,
@@ -171,10 +172,10 @@ def _wheel(name: str, x: float, y: float) -> WheelGeometry:
 Step = Callable[[Sequence[float], Sequence[float]], tuple[Sequence[float], Sequence[float]]]
 
 
-def _turning(before: Twist, after: Twist, rule: Callable[[Twist, Twist, float], Step]) -> _Way:
-    """From a steady motion to another, the joints following at once.
+def _turning(before: Twist, after: Twist, rule: Callable[[Twist, Twist, float], Step]) -> _Motion:
+    """Changes from one steady motion to another; the joints follow their commands immediately.
 
-    The robot is taken to move as the plain least squares fit of its wheels' velocities.
+    The robot moves as the unweighted least-squares fit of its wheel velocities.
     """
     dt = 0.01
     step = rule(before, after, dt)
@@ -186,15 +187,15 @@ def _turning(before: Twist, after: Twist, rule: Callable[[Twist, Twist, float], 
         speeds, angles = step(speeds, angles)
         ux = [0.2 * v * math.cos(a) for v, a in zip(speeds, angles, strict=True)]
         uy = [0.2 * v * math.sin(a) for v, a in zip(speeds, angles, strict=True)]
-        places = list(zip(SQUARE, ux, uy, strict=True))
-        wz = sum(x * b - y * a for (x, y), a, b in places) / (4 * lever2)
+        wheels = list(zip(SQUARE, ux, uy, strict=True))
+        wz = sum(x * b - y * a for (x, y), a, b in wheels) / (4 * lever2)
         vx, vy = sum(ux) / 4, sum(uy) / 4
-        slips = [math.hypot(vx - wz * y - a, vy + wz * x - b) for (x, y), a, b in places]
+        slips = [math.hypot(vx - wz * y - a, vy + wz * x - b) for (x, y), a, b in wheels]
         scrub += sum(slips) / 4 * dt
         along = (vx * after.vx + vy * after.vy + lever2 * wz * after.wz) / size
         across2 = vx * vx + vy * vy + lever2 * wz * wz - along * along
         unwanted += math.sqrt(max(across2, 0.0)) * dt
-    return _Way(scrub, unwanted)
+    return _Motion(scrub, unwanted)
 
 
 def _coordinating(before: Twist, after: Twist, dt: float) -> Step:
@@ -202,24 +203,25 @@ def _coordinating(before: Twist, after: Twist, dt: float) -> Step:
     from thorvaldc.runtime.calculators import BaseGeometry
     from thorvaldc.runtime.calculators.general import General
 
-    places = enumerate(SQUARE)
-    made = General(BaseGeometry.from_wheels([_wheel(f"w{i}", x, y) for i, (x, y) in places]))
+    positions = enumerate(SQUARE)
+    geometry = BaseGeometry.from_wheels([_wheel(f"w{i}", x, y) for i, (x, y) in positions])
+    calculator = General(geometry)
 
     def step(
         speeds: Sequence[float], angles: Sequence[float]
     ) -> tuple[Sequence[float], Sequence[float]]:
         if not angles:
-            joints = made.command(before).joints
+            joints = calculator.command(before).joints
             return joints.speeds, joints.angles
-        # The speeds are those for the angles that were measured: the wheels turn on after.
-        joints = made.command(after, JointStates(0.0, speeds, angles, [0.0] * 4), dt).joints
+        # The speeds fit the measured angles; the wheels turn afterwards.
+        joints = calculator.command(after, JointStates(0.0, speeds, angles, [0.0] * 4), dt).joints
         return joints.speeds, joints.angles
 
     return step
 
 
 def _by_cosine(before: Twist, after: Twist, dt: float) -> Step:
-    """The nearer of two opposite angles, each wheel slowed by the cosine of what is left."""
+    """Each wheel takes the nearer of two opposite angles, slowed by the cosine of its error."""
 
     def velocities(twist: Twist) -> list[tuple[float, float]]:
         return [(twist.vx - twist.wz * y, twist.vy + twist.wz * x) for x, y in SQUARE]

@@ -56,7 +56,7 @@ class WheelGeometry:
 
         For the twist xi = (vx, vy, wz), L xi is the speed of the contact point along the rolling
         direction, T xi its speed to the left.  (With a trail or a lateral offset, a turning
-        steering joint adds its own part.)
+        steering joint adds to these speeds.)
         """
         direction = self.heading + self.sign * angle
         c, s = math.cos(direction), math.sin(direction)

@@ -257,7 +257,8 @@ def chi_squares(fit: Fit) -> list[float]:
     """Returns D of each measurement: how badly the wheel disagrees with the other wheels.
 
     The residual r = m - H xi of a wheel that the fit uses has the covariance S = R - H P H'
-    (R: its own covariance; the fit follows the wheel's own error, which makes r smaller).
+    (R: covariance of the measurement).  The fit follows the error of each wheel in use, which
+    makes r smaller.
     For a wheel that the fit leaves out, S = R + H P H'.  Then
 
         D = r' S^-1 r

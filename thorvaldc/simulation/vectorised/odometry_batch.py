@@ -64,38 +64,38 @@ class OdometryBatch:
 
     def _is_usual(self, k: int, states: JointStates) -> bool:
         odometry, copied = self._odometries[k], self._copied[k]
-        before = odometry.joints
+        previous = odometry.joints
         if (
-            before is None
-            or before.positions is None
+            previous is None
+            or previous.positions is None
             or states.positions is None
             or states.yaw_rate is not None
             or not len(states.positions) == len(states.angles) == self._wheels
             or not len(states.speeds) == len(states.angle_rates) == self._wheels
-            or not _MIN_INTERVAL <= states.time - before.time <= LONGEST_INTERVAL
+            or not _MIN_INTERVAL <= states.time - previous.time <= LONGEST_INTERVAL
         ):
             return False
         if (
             copied is None
-            or copied[0] is not before
+            or copied[0] is not previous
             or copied[1] is not odometry.pose
             or copied[2] is not odometry.covariance_at_joints
         ):
-            self._times[k] = before.time
-            self._joints[:, :, k] = before.positions, before.angles
+            self._times[k] = previous.time
+            self._joints[:, :, k] = previous.positions, previous.angles
             self._poses[:, k] = odometry.pose
             self._covariances[:, k] = _upper(odometry.covariance_at_joints)
         return True
 
     def _integrate(
-        self, robots: list[int], joints: Sequence[JointStates], after: Array, now: float
+        self, robots: list[int], joints: Sequence[JointStates], end: Array, now: float
     ) -> None:
-        """Integrates one interval; ``after``: positions and angles (2, wheels, robots), rad."""
+        """Integrates one interval; ``end``: positions and angles (2, wheels, robots), rad."""
         n = len(robots)
-        before, times = self._joints[:, :, robots], np.array([joints[k].time for k in robots])
+        start, times = self._joints[:, :, robots], np.array([joints[k].time for k in robots])
         dt = times - self._times[robots]
-        speeds, rates = (after - before) / dt
-        angles = (before[1] + after[1]) / 2.0
+        speeds, rates = (end - start) / dt
+        angles = (start[1] + end[1]) / 2.0
         twists, noise, tests = np.empty((3, n)), np.empty((6, n)), np.empty((self._wheels, n))
         dropped = self._batch.estimate(speeds, angles, twists, noise, tests, rates)
         dx, dy, angle = twists * dt
@@ -106,7 +106,7 @@ class OdometryBatch:
             d2 /= np.tanh(dt / (2.0 * self._correlation))
         covariances = _full(self._covariances[:, robots])
         new_covariances = np.array(_upper(propagated(covariances, _full(noise), dx, dy, turn, d2)))
-        self._times[robots], self._joints[:, :, robots] = times, after
+        self._times[robots], self._joints[:, :, robots] = times, end
         self._poses[:, robots], self._covariances[:, robots] = poses, new_covariances
         columns = [array.T.tolist() for array in (twists, noise, tests, poses, new_covariances)]
         for i, (k, twist, q, test, pose, p) in enumerate(zip(robots, *columns, strict=True)):
