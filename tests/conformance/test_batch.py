@@ -73,10 +73,10 @@ def state(arrays: list[Array], k: int, yaw_rates: Array | None = None) -> JointS
     )
 
 
-def near(got: Array, expected: Array) -> None:
+def near(values: Array, expected: Array) -> None:
     """Compares to 1e-12 of the largest scalar value, or of 1."""
     scale = np.maximum(1.0, np.abs(expected).max(axis=0, initial=0.0))
-    assert np.all(np.abs(got - expected) <= TOLERANCE * scale)
+    assert np.all(np.abs(values - expected) <= TOLERANCE * scale)
 
 
 @pytest.mark.parametrize("name", ["general", "differential", "one_wheel"])
@@ -100,14 +100,14 @@ def test_inverse_is_that_of_a_fresh_calculator(name: str, data: st.DataObject, s
         near(speeds[:, k], np.array(joints.speeds))
 
 
-def same(told: TwistEstimate, twist: Array, covariance: Array, tests: Array) -> None:
+def same(scalar: TwistEstimate, twist: Array, covariance: Array, tests: Array) -> None:
     # What is hardly known has as many digits less.
-    (a, b, c), (_, d, e), (_, _, f) = told.covariance
+    (a, b, c), (_, d, e), (_, _, f) = scalar.covariance
     bound = TOLERANCE * max(1.0, math.sqrt(max(a, d, f)) / 1e-2)
-    scale = max(1.0, *(abs(v) for v in told.twist))
-    assert np.all(np.abs(twist - np.array(told.twist)) <= bound * scale)
+    scale = max(1.0, *(abs(v) for v in scalar.twist))
+    assert np.all(np.abs(twist - np.array(scalar.twist)) <= bound * scale)
     assert np.all(np.abs(covariance - np.array([a, b, c, d, e, f])) <= bound * max(a, d, f))
-    expected = np.array(told.chi_squares)
+    expected = np.array(scalar.chi_squares)
     assert np.all(np.abs(tests - expected) <= 1e-9 * np.maximum(1.0, expected))
 
 
@@ -135,10 +135,10 @@ def test_estimates_are_those_of_the_estimator(
         run = batch.estimate if faulty else batch.weighted
         dropped = run(speeds, angles, twists, covariances, tests, rates, yaw_rates)
         for k in range(N):
-            told = estimator.estimate(state(joints, k, yaw_rates))
-            same(told, twists[:, k], covariances[:, k], tests[:, k])
+            scalar = estimator.estimate(state(joints, k, yaw_rates))
+            same(scalar, twists[:, k], covariances[:, k], tests[:, k])
             if dropped is not None:
-                assert dropped.get(k, ()) == told.dropped
+                assert dropped.get(k, ()) == scalar.dropped
 
 
 @SETTINGS
@@ -150,9 +150,11 @@ def test_least_squares_are_those_of_the_estimator(wheels: list[WheelGeometry], s
     twists = np.empty((3, N))
     CalculatorBatch(calculator).least_squares(speeds, angles, twists, rates)
     for k in range(N):
-        told = calculator.estimator.least_squares(state(joints, k))
-        scale = max(1.0, *(abs(v) for v in told)) * max(1.0, 1.0 / calculator.geometry.length) ** 2
-        assert np.all(np.abs(twists[:, k] - np.array(told)) <= TOLERANCE * scale)
+        scalar = calculator.estimator.least_squares(state(joints, k))
+        scale = (
+            max(1.0, *(abs(v) for v in scalar)) * max(1.0, 1.0 / calculator.geometry.length) ** 2
+        )
+        assert np.all(np.abs(twists[:, k] - np.array(scalar)) <= TOLERANCE * scale)
 
 
 FOUR = [

@@ -59,7 +59,7 @@ def any_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
         )
     )
     plain = draw(st.booleans())
-    made = [
+    drawn_wheels = [
         wheel(
             f"w{i}",
             draw(coordinate(3.0)),
@@ -74,8 +74,8 @@ def any_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
         )
         for i in range(n)
     ]
-    assume(any(w.driven for w in made))
-    return made
+    assume(any(w.driven for w in drawn_wheels))
+    return drawn_wheels
 
 
 @st.composite
@@ -93,7 +93,7 @@ def axle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
     places = draw(
         st.lists(coordinate(2.0), min_size=2, max_size=8, unique_by=lambda v: round(v, 1))
     )
-    made = [
+    drawn_wheels = [
         wheel(
             f"w{i}",
             c * along - s * place,
@@ -104,13 +104,13 @@ def axle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
         )
         for i, place in enumerate(places)
     ]
-    return made + draw(casters())
+    return drawn_wheels + draw(casters())
 
 
 @st.composite
 def tricycle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
     offset = draw(st.booleans())
-    made = [
+    drawn_wheels = [
         wheel(
             "drive",
             draw(st.sampled_from([0.9, -1.2])),
@@ -125,8 +125,8 @@ def tricycle_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
     ]
     axle = draw(coordinate(0.4))
     places = draw(st.lists(coordinate(1.0), min_size=1, max_size=6))
-    made += [wheel(f"p{i}", axle, place, "passive") for i, place in enumerate(places)]
-    return made + draw(casters())
+    drawn_wheels += [wheel(f"p{i}", axle, place, "passive") for i, place in enumerate(places)]
+    return drawn_wheels + draw(casters())
 
 
 SUITED: dict[str, Callable[[], st.SearchStrategy[list[WheelGeometry]]]] = {
@@ -148,14 +148,14 @@ twists = st.builds(
 
 @pytest.fixture(params=sorted(PLUGINS.builtin), scope="module")
 def name(request: pytest.FixtureRequest) -> str:
-    found: str = request.param
-    return found
+    chosen_name: str = request.param
+    return chosen_name
 
 
 @pytest.fixture(params=EXACT, scope="module")
 def exact(request: pytest.FixtureRequest) -> str:
-    found: str = request.param
-    return found
+    chosen_name: str = request.param
+    return chosen_name
 
 
 def make(name: str, wheels: list[WheelGeometry]) -> BaseCalculator:
@@ -240,7 +240,7 @@ def test_a_flip_does_not_change_the_contact_velocity(name: str, data: st.DataObj
     """Started from either end of its range, a wheel without offsets rolls the same way."""
     wheels = data.draw(SUITED[name]())
     twist = data.draw(twists)
-    found: list[list[tuple[float, float]]] = []
+    velocities: list[list[tuple[float, float]]] = []
     for start in (-2.0, 2.0):
         calculator = make(name, wheels)
         n = len(wheels)
@@ -250,12 +250,12 @@ def test_a_flip_does_not_change_the_contact_velocity(name: str, data: st.DataObj
         directions = [w.heading + w.sign * a for w, a in zip(wheels, joints.angles, strict=True)]
         # Wheels with offsets have other speeds on the other branch, and with them the limit.
         rolling = [v * w.radius / command.scale for v, w in zip(joints.speeds, wheels, strict=True)]
-        found.append(
+        velocities.append(
             [(v * math.cos(d), v * math.sin(d)) for v, d in zip(rolling, directions, strict=True)]
         )
-    for w, one, two in zip(wheels, *found, strict=True):
+    for w, velocity, flipped in zip(wheels, *velocities, strict=True):
         if not (w.trail or w.lateral):
-            assert one == pytest.approx(two, abs=1.5 * LIMIT_TOLERANCE)
+            assert velocity == pytest.approx(flipped, abs=1.5 * LIMIT_TOLERANCE)
 
 
 @SETTINGS
@@ -297,9 +297,9 @@ def test_limits_hold_at_every_tick(name: str, data: st.DataObject) -> None:
 def test_order_of_the_wheels_does_not_matter(name: str, data: st.DataObject) -> None:
     wheels = data.draw(SUITED[name]())
     order = data.draw(st.permutations(range(len(wheels))))
-    one, two = make(name, wheels), make(name, [wheels[i] for i in order])
+    calculator_a, calculator_b = make(name, wheels), make(name, [wheels[i] for i in order])
     for twist in data.draw(st.lists(twists, min_size=1, max_size=3)):
-        a, b = one.command(twist), two.command(twist)
+        a, b = calculator_a.command(twist), calculator_b.command(twist)
         assert close(a.target, b.target, 1e-12)
         for j, i in enumerate(order):
             assert abs(a.joints.angles[i] - b.joints.angles[j]) <= 1e-9
@@ -308,8 +308,8 @@ def test_order_of_the_wheels_does_not_matter(name: str, data: st.DataObject) -> 
         zeros = [0.0] * n
         if name not in EXACT:
             continue
-        ea = one.odometry(JointStates(0.0, a.joints.speeds, a.joints.angles, zeros))
-        eb = two.odometry(JointStates(0.0, b.joints.speeds, b.joints.angles, zeros))
+        ea = calculator_a.odometry(JointStates(0.0, a.joints.speeds, a.joints.angles, zeros))
+        eb = calculator_b.odometry(JointStates(0.0, b.joints.speeds, b.joints.angles, zeros))
         assert ea.rank == eb.rank
         assert close(ea.twist, eb.twist, 1e-9)
 
@@ -331,13 +331,13 @@ def test_zero_twist_holds(name: str, data: st.DataObject) -> None:
 def test_scaling_keeps_the_angles(name: str, data: st.DataObject) -> None:
     wheels = data.draw(SUITED[name]())
     twist, factor = data.draw(twists), data.draw(st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
-    one, two = make(name, wheels), make(name, wheels)
+    calculator_a, calculator_b = make(name, wheels), make(name, wheels)
     fast, slow = sorted((twist, twist.scaled(factor)), key=lambda t: abs(t.speed) + abs(t.wz))
-    target = one.feasible(fast)
+    target = calculator_a.feasible(fast)
     for w in wheels:
         speed = math.hypot(target.vx - target.wz * w.y, target.vy + target.wz * w.x)
         assume(not w.steered or speed == 0.0 or speed > 2 * RESUME_ABOVE)
-    a, b = one.command(fast), two.command(slow)
+    a, b = calculator_a.command(fast), calculator_b.command(slow)
     assert list(a.joints.angles) == pytest.approx(list(b.joints.angles), abs=1e-9)
 
 
@@ -361,28 +361,28 @@ def test_bad_numbers_change_nothing(name: str, data: st.DataObject) -> None:
     wheels = data.draw(SUITED[name]())
     bad = data.draw(st.sampled_from([math.nan, math.inf, -math.inf]))
     first, second = data.draw(twists), data.draw(twists)
-    one, two = make(name, wheels), make(name, wheels)
+    calculator_a, calculator_b = make(name, wheels), make(name, wheels)
     n = len(wheels)
-    one.command(first)
-    two.command(first)
+    calculator_a.command(first)
+    calculator_b.command(first)
     k = data.draw(st.integers(0, 2))
     values = [*second]
     values[k] = bad
     with pytest.raises(NotFiniteError):
-        one.command(Twist(*values))
+        calculator_a.command(Twist(*values))
     fields = [[0.0] * n, [0.0] * n, [0.0] * n]
     fields[k][data.draw(st.integers(0, n - 1))] = bad
     states = JointStates(0.0, fields[0], fields[1], fields[2])
     with pytest.raises(NotFiniteError):
-        one.odometry(states)
+        calculator_a.odometry(states)
     with pytest.raises(NotFiniteError):
-        one.command(second, states, 0.02)
+        calculator_a.command(second, states, 0.02)
     with pytest.raises(ValueError, match="joint states"):
-        one.odometry(JointStates(0.0, [0.0] * (n + 1), [0.0] * n, [0.0] * n))
+        calculator_a.odometry(JointStates(0.0, [0.0] * (n + 1), [0.0] * n, [0.0] * n))
     for dt in (0.0, -0.1, math.nan):
         with pytest.raises(ValueError, match="time step"):
-            one.command(second, None, dt)
-    assert one.command(second) == two.command(second)
+            calculator_a.command(second, None, dt)
+    assert calculator_a.command(second) == calculator_b.command(second)
 
 
 @SETTINGS
@@ -414,12 +414,12 @@ def extra(calculator: BaseCalculator) -> float:
 @given(data=st.data())
 def test_same_commands_give_the_same(name: str, data: st.DataObject) -> None:
     wheels = data.draw(SUITED[name]())
-    one, two = make(name, wheels), make(name, wheels)
+    calculator_a, calculator_b = make(name, wheels), make(name, wheels)
     for twist in data.draw(st.lists(twists, min_size=1, max_size=4)):
-        assert one.command(twist) == two.command(twist)
-    one.reset()
+        assert calculator_a.command(twist) == calculator_b.command(twist)
+    calculator_a.reset()
     fresh = make(name, wheels)
-    assert one.command(twist) == fresh.command(twist)
+    assert calculator_a.command(twist) == fresh.command(twist)
 
 
 @SETTINGS
@@ -445,12 +445,12 @@ def test_a_reached_command_stays_through_rounding(name: str, data: st.DataObject
 def test_differential_estimates_as_general(
     wheels: list[WheelGeometry], twist: Twist, noise: float
 ) -> None:
-    one, two = make("differential", wheels), make("general", wheels)
-    a, b = one.command(twist), two.command(twist)
+    calculator_a, calculator_b = make("differential", wheels), make("general", wheels)
+    a, b = calculator_a.command(twist), calculator_b.command(twist)
     assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-12)
-    states, _, _ = states_of(one, twist)
+    states, _, _ = states_of(calculator_a, twist)
     states.speeds = [v + noise * (i == 0) for i, v in enumerate(states.speeds)]
-    same_estimate(one, two, states, 1e-9)
+    same_estimate(calculator_a, calculator_b, states, 1e-9)
 
 
 @SETTINGS
@@ -458,20 +458,20 @@ def test_differential_estimates_as_general(
 def test_one_wheel_estimates_as_general(
     wheels: list[WheelGeometry], twist: Twist, noise: float
 ) -> None:
-    one, two = make("one_wheel", wheels), make("general", wheels)
-    a, b = one.command(twist), two.command(twist)
+    calculator_a, calculator_b = make("one_wheel", wheels), make("general", wheels)
+    a, b = calculator_a.command(twist), calculator_b.command(twist)
     assert list(a.joints.angles) == pytest.approx(list(b.joints.angles), abs=1e-9)
     assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-9)
-    states, _, _ = states_of(one, twist)
+    states, _, _ = states_of(calculator_a, twist)
     states.angles = [v + noise * (w.steered) for v, w in zip(states.angles, wheels, strict=True)]
     states.angle_rates = [0.1 * w.steered for w in wheels]
-    same_estimate(one, two, states, 1e-9)
+    same_estimate(calculator_a, calculator_b, states, 1e-9)
 
 
 def same_estimate(
-    one: BaseCalculator, two: BaseCalculator, states: JointStates, bound: float
+    calculator_a: BaseCalculator, calculator_b: BaseCalculator, states: JointStates, bound: float
 ) -> None:
-    a, b = one.odometry(states), two.odometry(states)
+    a, b = calculator_a.odometry(states), calculator_b.odometry(states)
     assert a.rank == b.rank == 3
     assert close(a.twist, b.twist, bound)
     largest = max(max(row) for row in b.covariance)

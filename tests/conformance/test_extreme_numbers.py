@@ -56,22 +56,22 @@ def test_results_are_finite_or_refused(name: str, largest: float) -> None:
         if trial % 2:
             size = {key: 10.0 ** chance.uniform(-320.0, 308.0) or 1.0 for key in NOISE}
             noise = replace(noise, **size)
-        made = General(geometry, GeneralOptions(polish=2 * (trial % 3)), noise)
+        calculator = General(geometry, GeneralOptions(polish=2 * (trial % 3)), noise)
         states = JointStates(0.0, joints(n), joints(n), [0.0] * n)
         try:
-            estimate = made.odometry(states)
+            estimate = calculator.odometry(states)
             numbers = (*estimate.twist, *sum(estimate.covariance, ()), *estimate.chi_squares)
             assert all(map(math.isfinite, numbers))
         except NotFiniteError:
             pass
         try:
-            command = made.command(Twist(*joints(3)), states, 0.02)
+            command = calculator.command(Twist(*joints(3)), states, 0.02)
             numbers = (*command.joints.speeds, *command.joints.angles, *command.twist)
             assert all(map(math.isfinite, numbers))
         except NotFiniteError:
             pass
         # Warnings are errors in tests: numpy's of overflow and division, too.
-        batch = CalculatorBatch(made)
+        batch = CalculatorBatch(calculator)
         speeds, angles = np.array([joints(STATES) for _ in range(2 * n)]).reshape(2, n, STATES)
         twists, covariances = np.empty((3, STATES)), np.empty((6, STATES))
         for estimate in (batch.weighted, batch.estimate):

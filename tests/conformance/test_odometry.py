@@ -46,7 +46,7 @@ def joints(draw: st.DrawFn, n: int, bound: float = 8.0) -> JointStates:
 
 @st.composite
 def steered_wheels(draw: st.DrawFn) -> list[WheelGeometry]:
-    """Four to nine steered wheels that stand apart, so that any can be told from the others."""
+    """Four to nine steered wheels that stand apart, so that any can be estimate from the others."""
     places = draw(
         st.lists(
             st.tuples(st.integers(-3, 3), st.integers(-3, 3)),
@@ -81,11 +81,11 @@ def test_whatever_the_joints_say_the_estimate_is_sound(
     wheels: list[WheelGeometry], chosen: EstimatorOptions, data: st.DataObject
 ) -> None:
     estimator = TwistEstimator(BaseGeometry.from_wheels(wheels), None, chosen)
-    told = estimator.estimate(data.draw(joints(len(wheels))))
-    sound(told)
-    assert len(told.chi_squares) == len(wheels)
-    assert len(told.dropped) <= chosen.faulty
-    for i in told.dropped:
+    estimate = estimator.estimate(data.draw(joints(len(wheels))))
+    sound(estimate)
+    assert len(estimate.chi_squares) == len(wheels)
+    assert len(estimate.dropped) <= chosen.faulty
+    for i in estimate.dropped:
         assert not wheels[i].swivel
 
 
@@ -97,12 +97,12 @@ def test_no_size_of_a_joint_state_makes_a_nan(
     estimator = TwistEstimator(BaseGeometry.from_wheels(wheels), None, chosen)
     size = data.draw(st.sampled_from([1e-300, 1e-160, 1e-8, 1e8, 1e80, 1e160, 1e300]))
     try:
-        told = estimator.estimate(data.draw(joints(len(wheels), size)))
+        estimate = estimator.estimate(data.draw(joints(len(wheels), size)))
     except NotFiniteError:
         assert size >= 1e8
         return
-    assert all(math.isfinite(v) for v in told.twist)
-    assert all(math.isfinite(v) for row in told.covariance for v in row)
+    assert all(math.isfinite(v) for v in estimate.twist)
+    assert all(math.isfinite(v) for row in estimate.covariance for v in row)
 
 
 @SETTINGS
@@ -113,13 +113,13 @@ def test_joints_of_a_motion_tell_it_and_no_wheel_is_wrong(
     calculator = make("general", wheels)
     states, target, reached = states_of(calculator, twist)  # type: ignore[arg-type]
     assume(reached)
-    told = TwistEstimator(calculator.geometry, None, chosen).estimate(states)
-    sound(told)
-    assert told.dropped == ()
-    if told.rank == 3:
+    estimate = TwistEstimator(calculator.geometry, None, chosen).estimate(states)
+    sound(estimate)
+    assert estimate.dropped == ()
+    if estimate.rank == 3:
         spread = max(1.0, 1.0 / calculator.geometry.length)
-        assert close(told.twist, target, 1e-11 * spread**2)
-        assert max(told.chi_squares) < 1e-9
+        assert close(estimate.twist, target, 1e-11 * spread**2)
+        assert max(estimate.chi_squares) < 1e-9
 
 
 @SETTINGS
@@ -129,7 +129,7 @@ def test_order_of_the_wheels_does_not_matter(
 ) -> None:
     states = data.draw(joints(len(wheels)))
     order = data.draw(st.permutations(range(len(wheels))))
-    other = JointStates(
+    reordered_states = JointStates(
         0.0,
         [states.speeds[i] for i in order],
         [states.angles[i] for i in order],
@@ -139,12 +139,18 @@ def test_order_of_the_wheels_does_not_matter(
     )
     # Two hypotheses of equal cost may come in any order, so do not reject wheels.
     no_rejection = EstimatorOptions(faulty=0)
-    one = TwistEstimator(BaseGeometry.from_wheels(wheels), None, no_rejection).estimate(states)
+    estimate = TwistEstimator(BaseGeometry.from_wheels(wheels), None, no_rejection).estimate(states)
     turned = [wheels[i] for i in order]
-    two = TwistEstimator(BaseGeometry.from_wheels(turned), None, no_rejection).estimate(other)
-    assert one.rank == two.rank
-    sigma = math.sqrt(max(one.covariance[j][j] for j in range(3)))
-    assert close(one.twist, two.twist, 1e-6 * max(1.0, *(abs(v) for v in one.twist)) + 0.01 * sigma)
+    reordered = TwistEstimator(BaseGeometry.from_wheels(turned), None, no_rejection).estimate(
+        reordered_states
+    )
+    assert estimate.rank == reordered.rank
+    sigma = math.sqrt(max(estimate.covariance[j][j] for j in range(3)))
+    assert close(
+        estimate.twist,
+        reordered.twist,
+        1e-6 * max(1.0, *(abs(v) for v in estimate.twist)) + 0.01 * sigma,
+    )
 
 
 @SETTINGS
@@ -169,12 +175,12 @@ def test_one_wheel_that_is_plainly_wrong_is_named_and_does_no_harm(
         angles[i] += math.radians(40.0)
     else:
         speeds[i] *= 3.0 if wrong == "x3" else -1.0
-    told = calculator.odometry(JointStates(0.0, speeds, angles, states.angle_rates))
-    sound(told)
-    assert told.dropped == (i,)
+    estimate = calculator.odometry(JointStates(0.0, speeds, angles, states.angle_rates))
+    sound(estimate)
+    assert estimate.dropped == (i,)
     for j in range(3):
-        sigma = math.sqrt(told.covariance[j][j])
-        assert abs(told.twist[j] - target[j]) <= 0.5 * sigma
+        sigma = math.sqrt(estimate.covariance[j][j])
+        assert abs(estimate.twist[j] - target[j]) <= 0.5 * sigma
         assert sigma >= 0.99 * math.sqrt(healthy.covariance[j][j])
 
 
@@ -186,11 +192,11 @@ def test_a_gyro_never_makes_it_worse(wheels: list[WheelGeometry], twist: object)
     assume(reached)
     blind = calculator.odometry(states)
     states.yaw_rate = target.wz
-    told = calculator.odometry(states)
-    assert told.rank >= blind.rank
+    estimate = calculator.odometry(states)
+    assert estimate.rank >= blind.rank
     if blind.rank == 3:
-        assert told.covariance[2][2] <= blind.covariance[2][2] * 1.001
-    assert math.sqrt(told.covariance[2][2]) <= calculator.noise.gyro * 1.001
+        assert estimate.covariance[2][2] <= blind.covariance[2][2] * 1.001
+    assert math.sqrt(estimate.covariance[2][2]) <= calculator.noise.gyro * 1.001
 
 
 @pytest.mark.parametrize("what", ["speed", "steering angle", "steering rate", "position", "yaw"])

@@ -52,13 +52,13 @@ def run(driver: BaseDriver, twist: Twist | None, start: float, end: float) -> li
     return states
 
 
-def made(**settings: float) -> BaseDriver:
+def make_driver(**settings: float) -> BaseDriver:
     chosen = replace(ROBOT.driver, **settings)
     return BaseDriver(ROBOT, SimBase(ROBOT), settings=chosen)
 
 
 def test_follows_a_command() -> None:
-    driver = made()
+    driver = make_driver()
     states = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 4.0)
     last = states[-1]
     assert last.mode is DriveMode.DRIVING
@@ -78,7 +78,7 @@ def test_follows_a_command() -> None:
     ],
 )
 def test_ramp_keeps_both_accelerations_and_the_direction(slow: Twist, fast: Twist) -> None:
-    driver = made(max_linear_acceleration=1.0, max_angular_acceleration=0.5)
+    driver = make_driver(max_linear_acceleration=1.0, max_angular_acceleration=0.5)
     before = run(driver, slow, 0.0, 2.0)[-1].ramped
     assert before == pytest.approx(slow)
     fastest = 0.0
@@ -96,13 +96,13 @@ def test_ramp_keeps_both_accelerations_and_the_direction(slow: Twist, fast: Twis
 
 
 def test_twist_limits_keep_the_centre_of_rotation() -> None:
-    driver = made(max_linear_velocity=0.4, max_angular_velocity=0.2)
+    driver = make_driver(max_linear_velocity=0.4, max_angular_velocity=0.2)
     last = run(driver, Twist(1.0, 0.0, 1.0), 0.0, 4.0)[-1]
     assert last.ramped == pytest.approx((0.2, 0.0, 0.2))
 
 
 def test_time_out_ramps_to_zero_and_holds_the_steering() -> None:
-    driver = made()
+    driver = make_driver()
     driving = run(driver, Twist(0.4, 0.2, 0.3), 0.0, 3.0)[-1]
     assert driving.joints is not None
     angles = driving.joints.angles
@@ -126,7 +126,7 @@ def test_time_out_ramps_to_zero_and_holds_the_steering() -> None:
 
 
 def test_invalid_twist_is_rejected_and_the_last_valid_one_stays() -> None:
-    driver = made()
+    driver = make_driver()
     run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
     for bad in (math.nan, math.inf, -math.inf):
         assert not driver.command(Twist(0.0, bad, 0.0), 1.0)
@@ -161,7 +161,7 @@ def test_invalid_joint_states_stop_the_robot_and_keep_the_pose(what: str) -> Non
 
 
 def test_tick_at_the_same_or_an_earlier_time_does_nothing() -> None:
-    driver = made()
+    driver = make_driver()
     last = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)[-1]
     assert driver.tick(last.time) is last
     assert driver.tick(last.time - 5.0) is last
@@ -169,7 +169,7 @@ def test_tick_at_the_same_or_an_earlier_time_does_nothing() -> None:
 
 
 def test_a_gap_keeps_the_pose_and_grows_its_covariance() -> None:
-    driver = made()
+    driver = make_driver()
     last = run(driver, Twist(0.5, 0.0, 0.0), 0.0, 2.0)[-1]
     after = driver.tick(last.time + 3.0)
     assert after.pose == last.pose
@@ -178,7 +178,7 @@ def test_a_gap_keeps_the_pose_and_grows_its_covariance() -> None:
 
 
 def test_the_pose_can_be_set() -> None:
-    driver = made()
+    driver = make_driver()
     run(driver, Twist(0.5, 0.0, 0.0), 0.0, 2.0)
     driver.reset_pose(Pose2(5.0, 1.0, math.pi / 2))
     last = run(driver, Twist(0.5, 0.0, 0.0), 2.0, 4.0)[-1]
@@ -187,7 +187,7 @@ def test_the_pose_can_be_set() -> None:
 
 
 def test_covariance_grows_with_the_distance() -> None:
-    driver = made()
+    driver = make_driver()
     states = run(driver, Twist(0.5, 0.0, 0.1), 0.0, 6.0)
     sizes = [s.pose_covariance[0][0] + s.pose_covariance[1][1] for s in states[::50]]
     assert sizes == sorted(sizes)
@@ -201,13 +201,13 @@ def test_without_positions_the_speeds_are_integrated() -> None:
 
     driver = BaseDriver(ROBOT, SpeedsOnly(ROBOT))
     last = run(driver, Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
-    same = run(made(), Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
+    same = run(make_driver(), Twist(0.5, 0.0, 0.2), 0.0, 4.0)[-1]
     assert last.pose == pytest.approx(same.pose, abs=5e-3)
 
 
 def test_after_waiting_for_the_wheels_the_robot_does_not_jump() -> None:
     """A command sideways, for a robot at rest with its wheels forward."""
-    driver = made(max_linear_acceleration=1.5)
+    driver = make_driver(max_linear_acceleration=1.5)
     states = run(driver, Twist(0.0, 1.2, 0.0), 0.0, 4.0)
     speeds = [s.command.twist.speed for s in states if s.command is not None]
     window = 10

@@ -115,15 +115,15 @@ def test_updates_accumulate_until_the_tick() -> None:
 def test_invalid_change_is_rejected_and_changes_nothing(
     change: dict[str, object], message: str
 ) -> None:
-    driver, other = BaseDriver(PLAIN, SimBase(PLAIN)), BaseDriver(PLAIN, SimBase(PLAIN))
+    driver, unchanged = BaseDriver(PLAIN, SimBase(PLAIN)), BaseDriver(PLAIN, SimBase(PLAIN))
     run(driver, Twist(0.5, 0.1, 0.2), 0.0, 1.0)
-    run(other, Twist(0.5, 0.1, 0.2), 0.0, 1.0)
+    run(unchanged, Twist(0.5, 0.1, 0.2), 0.0, 1.0)
     with pytest.raises(ParameterError) as caught:
         driver.update(**change)  # type: ignore[arg-type]
     assert message in str(caught.value)
     run(driver, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
-    run(other, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
-    assert driver.state == other.state
+    run(unchanged, Twist(0.5, 0.1, 0.2), 1.0, 2.0)
+    assert driver.state == unchanged.state
     assert driver.parameters == Parameters.from_robot(PLAIN)
 
 
@@ -165,28 +165,28 @@ def test_every_calculator_resumes(name: str) -> None:
         "one_wheel": [(0.8, 0.0, "steered"), (0.0, 0.4, "passive"), (0.0, -0.4, "passive")],
     }
     geometry = BaseGeometry.from_robot(make_robot(kinds.get(name, FOUR_STEERED)))
-    one = calculator_class(name)(geometry)
-    two = calculator_class(name)(geometry)
+    kept = calculator_class(name)(geometry)
+    replaced = calculator_class(name)(geometry)
     n = len(geometry.wheels)
     radii = [w.radius for w in geometry.wheels]
     for k in range(60):
         twist = Twist(0.5 * math.cos(k / 9), 0.2 if k > 20 else 0.0, 0.3 * math.sin(k / 5))
-        a, b = one.command(twist, None, 0.02), two.command(twist, None, 0.02)
+        a, b = kept.command(twist, None, 0.02), replaced.command(twist, None, 0.02)
         assert a == b
         states = JointStates(0.0, a.joints.speeds, a.joints.angles, [0.0] * n)
-        assert one.odometry(states) == two.odometry(states)
-        made = two.with_parameters(radii, Noise())
-        made.resume(two)
-        two = made
+        assert kept.odometry(states) == replaced.odometry(states)
+        successor = replaced.with_parameters(radii, Noise())
+        successor.resume(replaced)
+        replaced = successor
 
 
 def test_class_of_a_given_calculator_is_kept() -> None:
     class Half(General):
         pass
 
-    made = Half(BaseGeometry.from_robot(PLAIN))
-    driver = BaseDriver(PLAIN, SimBase(PLAIN), made)
-    assert driver.calculator is made
+    calculator = Half(BaseGeometry.from_robot(PLAIN))
+    driver = BaseDriver(PLAIN, SimBase(PLAIN), calculator)
+    assert driver.calculator is calculator
     driver.update(radii={"w0": 0.25})
     driver.tick(0.0)
     assert type(driver.calculator) is Half

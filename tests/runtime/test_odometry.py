@@ -23,7 +23,7 @@ WHEELS = [wheel(f"w{i}", x, y, "steered") for i, (x, y) in enumerate(PLACES)]
 FASTEST = (1.5, 1.0)
 
 
-def made(noise: Noise | None = None) -> Odometry:
+def make_odometry(noise: Noise | None = None) -> Odometry:
     calculator = General(BaseGeometry.from_wheels(WHEELS))
     if noise is not None:
         calculator.estimator = TwistEstimator(calculator.geometry, noise)
@@ -48,14 +48,14 @@ def size(covariance: se2.Cov3) -> float:
 
 
 def test_constant_twists_are_integrated_exactly() -> None:
-    odometry = made()
+    odometry = make_odometry()
     driven(odometry, Twist(0.5, 0.2, 0.4), 0.0, 10.0)
     assert odometry.pose == pytest.approx(se2.exp(Twist(0.5, 0.2, 0.4), 10.0), abs=1e-9)
     assert 0.0 < size(odometry.covariance) < 0.01
 
 
 def test_gap_keeps_the_pose_and_increases_its_covariance() -> None:
-    odometry = made()
+    odometry = make_odometry()
     now = driven(odometry, Twist(0.5, 0.0, 0.1), 0.0, 2.0)
     pose, before = odometry.pose, odometry.covariance
     odometry.update(joints(odometry, Twist(0.5, 0.0, 0.1), now + 4.0), now + 4.0)
@@ -68,7 +68,7 @@ def test_gap_keeps_the_pose_and_increases_its_covariance() -> None:
 
 
 def test_decreasing_time_is_a_gap() -> None:
-    odometry = made()
+    odometry = make_odometry()
     now = driven(odometry, Twist(0.5, 0.0, 0.1), 0.0, 2.0)
     pose, before = odometry.pose, size(odometry.covariance)
     odometry.update(joints(odometry, Twist(0.5, 0.0, 0.1), -7.0), now + 0.02)
@@ -83,7 +83,7 @@ def test_decreasing_time_is_a_gap() -> None:
 @pytest.mark.parametrize("lost", [3, 40])
 @pytest.mark.parametrize("how", ["missing", "stale", "nan", "short"])
 def test_covariance_grows_while_joint_states_are_missing(how: str, lost: int) -> None:
-    odometry = made()
+    odometry = make_odometry()
     twist = Twist(0.5, 0.0, 0.1)
     now = driven(odometry, twist, 0.0, 2.0)
     pose, estimate, before = odometry.pose, odometry.estimate, size(odometry.covariance)
@@ -119,7 +119,7 @@ def test_covariance_grows_while_joint_states_are_missing(how: str, lost: int) ->
 
 
 def test_reset_sets_the_pose() -> None:
-    odometry = made()
+    odometry = make_odometry()
     driven(odometry, Twist(0.5, 0.0, 0.0), 0.0, 2.0)
     odometry.reset(Pose2(5.0, 1.0, math.pi / 2))
     assert odometry.covariance == ZERO_COV
@@ -129,7 +129,7 @@ def test_reset_sets_the_pose() -> None:
 
 def test_positions_are_more_accurate_than_speeds() -> None:
     """The speed is higher between the ticks than at the ticks."""
-    odometry = made()
+    odometry = make_odometry()
     zeros = [0.0] * 4
     for k in range(11):
         positions = [0.1 * k] * 4
@@ -159,7 +159,7 @@ def test_pose_errors_agree_with_the_covariance(correlation: float) -> None:
     left = math.exp(-dt / correlation) if correlation else 0.0
     total = 0.0
     for _ in range(runs):
-        odometry = made(noise)
+        odometry = make_odometry(noise)
         true, last = ORIGIN, Twist(0.0, 0.0, 0.0)
         errors = [[rng.gauss(0.0, 1.0) for _ in range(8)]]
         for _ in range(steps):

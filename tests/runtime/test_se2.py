@@ -65,20 +65,20 @@ def test_covariance_agrees_with_finite_differences(twist: Twist) -> None:
     dt, eps = 0.7, 1e-6
     end = se2.exp(twist, dt)
     unit = [[1.0 if i == j else 0.0 for j in range(3)] for i in range(3)]
-    for zero, one in (("twist", "pose"), ("pose", "twist")):
+    for constant, varied in (("twist", "pose"), ("pose", "twist")):
         for k in range(3):
             for m in range(k, 3):
                 d = [eps * (a + b) / 2.0 for a, b in zip(unit[k], unit[m], strict=True)]
-                if one == "pose":
+                if varied == "pose":
                     moved = se2.exp(Twist(*d), 1.0).moved(end)
                 else:
                     changed = Twist(*(a + b / dt for a, b in zip(twist, d, strict=True)))
                     moved = se2.exp(changed, dt)
                 change = [v / eps for v in log(moved.relative_to(end))]
                 source = tuple(tuple(a * b / eps**2 for b in d) for a in d)
-                if one == "twist":
+                if varied == "twist":
                     source = tuple(tuple(v / dt**2 for v in row) for row in source)
-                arguments = {one: source, zero: ZERO_COV}
+                arguments = {varied: source, constant: ZERO_COV}
                 covariance = se2.propagate(arguments["pose"], twist, arguments["twist"], dt)
                 for i in range(3):
                     for j in range(3):

@@ -17,9 +17,9 @@ GEOMETRY = BaseGeometry.from_wheels(
 
 
 def joints(twist: Twist, error: float = 0.0) -> JointStates:
-    made = RandomPairs(GEOMETRY).command(twist).joints
-    angles = [a + error * (-1) ** i for i, a in enumerate(made.angles)]
-    return JointStates(0.0, made.speeds, angles, [0.0] * 4)
+    commands = RandomPairs(GEOMETRY).command(twist).joints
+    angles = [a + error * (-1) ** i for i, a in enumerate(commands.angles)]
+    return JointStates(0.0, commands.speeds, angles, [0.0] * 4)
 
 
 @pytest.mark.parametrize("special", [True, False])
@@ -34,20 +34,20 @@ def joints(twist: Twist, error: float = 0.0) -> JointStates:
     ],
 )
 def test_exact_without_noise(twist: Twist, special: bool) -> None:
-    made = RandomPairs(GEOMETRY, RandomPairsOptions(special_cases=special))
-    assert made.odometry(joints(twist)).twist == pytest.approx(twist, abs=1e-9)
+    calculator = RandomPairs(GEOMETRY, RandomPairsOptions(special_cases=special))
+    assert calculator.odometry(joints(twist)).twist == pytest.approx(twist, abs=1e-9)
 
 
 def test_pairs_repeat_with_their_seed() -> None:
     states = joints(Twist(0.5, 0.1, 0.4), 0.02)
-    one, two = RandomPairs(GEOMETRY), RandomPairs(GEOMETRY)
-    other = RandomPairs(GEOMETRY, RandomPairsOptions(seed=2))
-    first = [one.odometry(states) for _ in range(3)]
-    assert first == [two.odometry(states) for _ in range(3)]
+    calculator, equal = RandomPairs(GEOMETRY), RandomPairs(GEOMETRY)
+    other_seed = RandomPairs(GEOMETRY, RandomPairsOptions(seed=2))
+    first = [calculator.odometry(states) for _ in range(3)]
+    assert first == [equal.odometry(states) for _ in range(3)]
     assert first[0] != first[1]
-    assert first[0] != other.odometry(states)
-    one.reset()
-    assert one.odometry(states) == first[0]
+    assert first[0] != other_seed.odometry(states)
+    calculator.reset()
+    assert calculator.odometry(states) == first[0]
 
 
 def test_almost_parallel_lines_count_as_parallel() -> None:
@@ -59,8 +59,10 @@ def test_almost_parallel_lines_count_as_parallel() -> None:
 
 
 def test_one_wheel_has_no_pair() -> None:
-    one = BaseGeometry.from_wheels([wheel("w", 0.5, 0.0, "steered"), wheel("c", 0, 0, "swivel")])
-    assert "fewer than two wheels" in (RandomPairs.unsuited_reason(one) or "")
+    geometry = BaseGeometry.from_wheels(
+        [wheel("w", 0.5, 0.0, "steered"), wheel("c", 0, 0, "swivel")]
+    )
+    assert "fewer than two wheels" in (RandomPairs.unsuited_reason(geometry) or "")
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def joints(
     return JointStates(0.0, speeds, angles, [0.0] * len(wheels))
 
 
-def spoilt(states: JointStates, i: int, wrong: str) -> JointStates:
+def with_fault(states: JointStates, i: int, wrong: str) -> JointStates:
     speeds, angles = list(states.speeds), list(states.angles)
     if wrong == "+20 deg":
         angles[i] += math.radians(20.0)
@@ -69,29 +69,31 @@ def test_one_faulty_wheel_is_dropped_and_has_no_effect(
     wheels: list[WheelGeometry], motion: Twist, wrong: str
 ) -> None:
     states = joints(wheels, motion)
-    found = estimator(wheels)
-    healthy = found.estimate(states)
+    twist_estimator = estimator(wheels)
+    healthy = twist_estimator.estimate(states)
     assert healthy.dropped == ()
     assert max(healthy.chi_squares) < 1e-9
     for i in range(len(wheels)):
-        estimate = found.estimate(spoilt(states, i, wrong))
+        estimate = twist_estimator.estimate(with_fault(states, i, wrong))
         assert estimate.dropped == (i,)
         assert estimate.chi_squares[i] == max(estimate.chi_squares)
         assert max(d for k, d in enumerate(estimate.chi_squares) if k != i) < 1e-2
         # The error of the row that is kept is within its assumed noise.
-        for got, true, sigma in zip(
+        for value, true, sigma in zip(
             estimate.twist, motion, sigmas(estimate.covariance), strict=True
         ):
-            assert abs(got - true) <= 0.25 * sigma
-        for got, true in zip(sigmas(estimate.covariance), sigmas(healthy.covariance), strict=True):
-            assert got >= true * 0.999
+            assert abs(value - true) <= 0.25 * sigma
+        for value, true in zip(
+            sigmas(estimate.covariance), sigmas(healthy.covariance), strict=True
+        ):
+            assert value >= true * 0.999
 
 
 def test_correct_row_of_a_faulty_wheel_is_still_used() -> None:
     states = joints(FOUR, MOTIONS[1])
-    found = estimator(FOUR)
-    slips = found.estimate(spoilt(states, 2, "1.5")).covariance
-    none = found.estimate(spoilt(states, 2, "both")).covariance
+    twist_estimator = estimator(FOUR)
+    slips = twist_estimator.estimate(with_fault(states, 2, "1.5")).covariance
+    none = twist_estimator.estimate(with_fault(states, 2, "both")).covariance
     assert all(a < b for a, b in zip(sigmas(slips), sigmas(none), strict=True))
 
 
@@ -101,17 +103,17 @@ def test_two_faulty_wheels_are_dropped_if_the_others_suffice() -> None:
     for seed in range(60):
         i, k = rng.sample(range(6), 2)
         states = joints(SIX, MOTIONS[seed % 3], Noise(), seed)
-        both = spoilt(spoilt(states, i, "1.4"), k, rng.choice(["0", "+20 deg", "0.7"]))
+        both = with_fault(with_fault(states, i, "1.4"), k, rng.choice(["0", "+20 deg", "0.7"]))
         estimate = estimator(SIX).estimate(both)
         alone = estimator(SIX, faulty=1).estimate(both)
         total += 1
         named += set(estimate.dropped) == {i, k}
         # With one rejection only, no hypothesis explains it.
         assert alone.dropped == () or set(alone.dropped) <= {i, k}
-        for got, true, sigma in zip(
+        for value, true, sigma in zip(
             estimate.twist, MOTIONS[seed % 3], sigmas(estimate.covariance), strict=True
         ):
-            assert abs(got - true) <= 6.0 * sigma
+            assert abs(value - true) <= 6.0 * sigma
     assert named >= 0.95 * total
 
 
@@ -122,7 +124,7 @@ def test_two_slipping_wheels_of_four() -> None:
     for seed in range(40):
         i, k = rng.sample(range(4), 2)
         states = joints(FOUR, MOTIONS[seed % 3], Noise(), seed)
-        estimate = estimator(FOUR).estimate(spoilt(spoilt(states, i, "1.5"), k, "0"))
+        estimate = estimator(FOUR).estimate(with_fault(with_fault(states, i, "1.5"), k, "0"))
         named += set(estimate.dropped) == {i, k}
     assert named >= 34
 
@@ -143,7 +145,7 @@ def test_of_two_wheels_that_disagree_none_is_dropped() -> None:
     """Either may be faulty; the covariance covers both cases."""
     wheels = FOUR[:2]
     states = joints(wheels, Twist(0.8, 0.0, 0.0))
-    estimate = estimator(wheels).estimate(spoilt(states, 0, "+20 deg"))
+    estimate = estimator(wheels).estimate(with_fault(states, 0, "+20 deg"))
     assert estimate.dropped == ()
     assert estimate.covariance[2][2] > 10.0 * estimator(wheels).estimate(states).covariance[2][2]
 
@@ -152,10 +154,10 @@ def test_of_three_wheels_on_an_axle_none_is_dropped() -> None:
     """Each pair agrees: three equally likely hypotheses; the covariance has their differences."""
     wheels = [wheel(f"w{i}", 0.0, y, "fixed") for i, y in enumerate((0.5, 0.0, -0.5))]
     states = joints(wheels, Twist(0.5, 0.0, 0.0))
-    found = estimator(wheels)
-    estimate = found.estimate(spoilt(states, 0, "1.5"))
+    twist_estimator = estimator(wheels)
+    estimate = twist_estimator.estimate(with_fault(states, 0, "1.5"))
     assert estimate.dropped == ()
-    # 0.25 m/s too much at one end: 0.5 m/s or 0.75 m/s, or the turn between.
+    # 0.25 m/s too much at one end: 0.5 m/s or 0.75 m/s, or a rotation in between.
     assert math.sqrt(estimate.covariance[0][0]) > 0.05
     assert math.sqrt(estimate.covariance[2][2]) > 0.1
 
@@ -176,17 +178,17 @@ def test_skidding_wheels_are_not_dropped() -> None:
 def test_casters_count_in_the_indices_of_wheels() -> None:
     wheels = [wheel("c", 0.0, 0.0, "swivel"), *FOUR]
     states = joints(wheels, MOTIONS[1])
-    estimate = estimator(wheels).estimate(spoilt(states, 3, "0"))
+    estimate = estimator(wheels).estimate(with_fault(states, 3, "0"))
     assert estimate.dropped == (3,)
     assert len(estimate.chi_squares) == 5
     assert estimate.chi_squares[0] == 0.0
 
 
 def test_healthy_wheels_are_rarely_dropped() -> None:
-    found = estimator(FOUR)
+    twist_estimator = estimator(FOUR)
     noise = Noise()
     dropped = sum(
-        bool(found.estimate(joints(FOUR, MOTIONS[seed % 3], noise, seed)).dropped)
+        bool(twist_estimator.estimate(joints(FOUR, MOTIONS[seed % 3], noise, seed)).dropped)
         for seed in range(1500)
     )
     assert dropped <= 0.015 * 1500
@@ -194,11 +196,11 @@ def test_healthy_wheels_are_rarely_dropped() -> None:
 
 def test_slips_have_size_and_direction() -> None:
     states = joints(FOUR, Twist(0.8, 0.0, 0.0))
-    found = estimator(FOUR)
-    slips = found.slips(spoilt(states, 1, "1.5"), Twist(0.8, 0.0, 0.0))
+    twist_estimator = estimator(FOUR)
+    slips = twist_estimator.slips(with_fault(states, 1, "1.5"), Twist(0.8, 0.0, 0.0))
     assert slips[0] == pytest.approx((0.0, 0.0))
     assert slips[1] == pytest.approx((-0.4, 0.0))  # the tread slides backwards over the ground
-    sideways = found.slips(states, Twist(0.8, 0.1, 0.0))
+    sideways = twist_estimator.slips(states, Twist(0.8, 0.1, 0.0))
     assert sideways[3] == pytest.approx((0.0, 0.1))
 
 
