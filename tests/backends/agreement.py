@@ -33,8 +33,8 @@ def differences(folder: Path, robot: Robot) -> list[str]:
     for path in ("urdf/robot.urdf", "mjcf/robot.xml", "mjcf/scene.xml"):
         try:
             models.append(mujoco.MjModel.from_xml_path(str(folder / path)))
-        except ValueError as fault:
-            check.differences.append(f"{path} does not load: {fault}")
+        except ValueError as error:
+            check.differences.append(f"{path} does not load: {error}")
     if not check.differences:
         check.structure(models[0], models[1])
         check.dynamics(models[0], models[1])

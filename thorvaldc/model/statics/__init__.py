@@ -1,0 +1,1 @@
+"""The statics of a robot: joint tree, mass matrix, wheel contacts, standing pose."""
