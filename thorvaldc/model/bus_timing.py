@@ -11,7 +11,13 @@ priority m or higher (after one blocking frame).  The response time of instance 
 with C the transmission time, T the period, J the jitter, and B the longest frame of lower
 priority, which cannot be interrupted.  Every instance in the busy period is
 examined.  The frames of one control cycle have a fixed order, which lowers the bound
-(``_critical_instants``).  All times are integers in picoseconds, rounded to the safe side.
+(``_critical_instants``):
+
+    0 s                                                     sync_period
+    |command 1|command 2|...|SYNC|report 1|report 2|...     |command 1|...
+     stage 0                 1    stage 2
+
+All times are integers in picoseconds, rounded to the safe side.
 
 Assumptions about the bus (``frame_streams``):
 
@@ -93,14 +99,14 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
         stream = streams[i]
         length, period = stream.bits * bit, max(1, int(stream.period * _SECOND))
         jitter = math.ceil(stream.jitter * _SECOND)
-        others = [(t, j, c, _ANY) for (t, j, _), c in above.items()]
-        share = sum([c / t for t, _, c, _ in others]) + sum(
+        more_urgent = [(t, j, c, _ANY) for (t, j, _), c in above.items()]
+        share = sum([c / t for t, _, c, _ in more_urgent]) + sum(
             [c / t for (t, _, _), c in cycle.items()]
         )
         if length / period + share < 1.0:
             times = [
-                _longest(length, period, lead, blocked[i], others + also, bit)
-                for lead, also in _critical_instants(period, jitter, stream.stage, cycle)
+                _longest(length, period, lead, blocked[i], more_urgent + cycle_frames, bit)
+                for lead, cycle_frames in _critical_instants(period, jitter, stream.stage, cycle)
             ]
             if None not in times:
                 bounds[i] = max(t for t in times if t is not None) / _SECOND
@@ -158,19 +164,19 @@ def _longest(
     worst = wait = instance = 0
     while wait < _LONGEST:
         # After this time the instance gets the bus.
-        wait = _settled(blocked + instance * length, wait, above, instance, bit)
+        wait = _fixed_point(blocked + instance * length, wait, above, instance, bit)
         if wait + lead < 0:
             return worst  # the busy period ends before this instance is due
         worst = max(worst, lead + wait - instance * period + length)
         instance += 1
         # More urgent frames that become due during the transmission extend the busy period.
-        end = _settled(blocked + instance * length, wait + length, above, instance, 0)
+        end = _fixed_point(blocked + instance * length, wait + length, above, instance, 0)
         if end + lead <= instance * period:
             return worst
     return None
 
 
-def _settled(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
+def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
     """Return the least time from ``time`` on at which ``own`` and all frames above it are sent.
 
     This is the fixed point of w(k) in the module's docstring.
