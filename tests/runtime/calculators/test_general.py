@@ -215,7 +215,7 @@ def test_two_wheels_on_one_axle_get_one_speed() -> None:
 def scrub(twist: Twist, coordinated: bool) -> float:
     """Mean distance (m) that four contacts slip while their wheels turn from forward to a twist.
 
-    The robot is taken to move as the plain least squares fit of its wheels' velocities.
+    The robot moves as the unweighted least-squares fit of its wheel velocities.
     """
     wheels = [replace(w, max_rate=2.0, max_speed=100.0) for w in four(*["steered"] * 4)]
     calculator, dt, slipped = general(*wheels), 0.01, 0.0
@@ -249,7 +249,7 @@ def test_coordinated_speeds_scrub_far_less_than_the_cosine_rule() -> None:
 def test_offset_contacts_do_not_push_the_robot_while_they_turn() -> None:
     """Wheels with contacts beside and behind the steering axis turn to a new motion.
 
-    What the joints tell while they move is the motion that the calculator says they make.
+    During the motion, the odometry of the joints agrees with the twist of the command.
     """
     wheels = [
         wheel("a", 0.5, 0.4, "steered", lateral=0.1, trail=-0.08),

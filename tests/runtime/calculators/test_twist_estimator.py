@@ -191,7 +191,8 @@ def test_a_suspect_wheel_is_dropped_only_if_the_options_allow_it() -> None:
     wheels = ROBOTS["4WD4WS"]
     geometry = BaseGeometry.from_wheels(wheels)
     states = noisy_joints(wheels, random.Random(1), noise=0.2)
-    assert TwistEstimator(geometry).estimate(states).dropped == ()
+    healthy = TwistEstimator(geometry).estimate(states)
+    assert healthy.dropped == ()
     states.speeds = [1.3 * states.speeds[0], *states.speeds[1:]]
     estimate = TwistEstimator(geometry).estimate(states)
     assert estimate.dropped == (0,)
@@ -200,6 +201,8 @@ def test_a_suspect_wheel_is_dropped_only_if_the_options_allow_it() -> None:
     gates = TwistEstimator(geometry).gates
     assert any(d > gate for d, gate in zip(test_only.chi_squares, gates, strict=True))
     assert test_only.twist != estimate.twist
+    # Without rejection, the misfit does not change the covariance.
+    assert test_only.covariance[2][2] < 2.0 * healthy.covariance[2][2]
 
 
 def test_a_gyro_pulls_the_yaw_rate() -> None:
