@@ -89,6 +89,7 @@ class Ramp:
         self._history = [_interpolate(actual, twist, share) for twist in self._history]
 
     def _slow_down(self, actual: Twist) -> None:
+        """Scales the ramp so that it leads ``actual``, projected on its direction, by ``LEAD``."""
         vx, vy, wz = self.twist
         lever = self._length * self._length
         size = math.sqrt(vx * vx + vy * vy + lever * wz * wz)
