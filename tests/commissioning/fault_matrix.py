@@ -30,14 +30,14 @@ LONGEST = 7.0
 
 
 class ManualFaultInjector(FaultInjector):
-    """Starts a fault with ``strike``; the test ends it with ``remove``."""
+    """Starts a fault with ``inject``; the test ends it with ``remove``."""
 
     remove: Callable[[], None]
     struck_at = 0.0
 
-    def strike(self, fault: BusFault) -> None:
+    def inject(self, fault: BusFault) -> None:
         self.struck_at = self.simulated.timeline.seconds
-        self.remove = self._inject(fault)
+        self.remove = self._start(fault)
 
 
 class Reaction(NamedTuple):
@@ -61,7 +61,7 @@ def react(fault: BusFault, frame: int) -> Reaction:
         fault = dataclasses.replace(fault, id=1 if frame == PHASES["scanning"] else 2)
     bench = Bench(four_drives(), SWAPPED)
     injector = ManualFaultInjector(bench.simulated, BusFaults(()))
-    bench.wire.at_frame(bench.wire.frames + frame, lambda: injector.strike(fault))
+    bench.wire.at_frame(bench.wire.frames + frame, lambda: injector.inject(fault))
     code = ""
     try:
         bench.apply()

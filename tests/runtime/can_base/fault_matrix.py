@@ -164,7 +164,7 @@ def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
     expected = {"idle": BaseState.READY, "driving": BaseState.ACTIVE, "stopping": BaseState.ACTIVE}
     assert rig.state is expected[phase], f"{rig.state} {rig.reason}"
     injected_at = rig.now
-    FaultInjector(rig.simulated, BusFaults(())).strike(fault)
+    FaultInjector(rig.simulated, BusFaults(())).inject(fault)
     state, after, rest = None, None, None
     while rig.now < injected_at + OBSERVED[phase]:
         if phase == "driving":

@@ -63,6 +63,7 @@ class _Connection:
             )
 
     def put(self, message: bytes) -> None:
+        """Queues a message for the client; drops it if the client does not read."""
         if len(self.out) > BACKLOG:
             self.lost += 1
         else:
@@ -85,9 +86,8 @@ class BusServer:
         self.lockstep = lockstep
         self.channels = tuple(wires)
         self.behind = 0
-        self._selector = (
-            selectors.SelectSelector()
-        )  # waits with microsecond resolution; epoll has milliseconds
+        # select waits with a resolution of microseconds, epoll of milliseconds.
+        self._selector = selectors.SelectSelector()
         self._connections: list[_Connection] = []
         self._paths: list[Path] = []
         self._listeners: list[socket.socket] = []

@@ -15,7 +15,7 @@ from thorvaldc.simulation.bus.cia402_axis import Axis, AxisSettings
 from thorvaldc.simulation.bus.device_description import DeviceDescription, commissioned_memory
 from thorvaldc.simulation.bus.object_dictionary import ObjectDictionary
 from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
-from thorvaldc.simulation.bus.simulated_motors import MotorModel
+from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.wire import Wire
 
 if TYPE_CHECKING:
@@ -86,6 +86,11 @@ class Cia402Drive(CanopenDevice):
             seed=specification.seed,
             nonvolatile=commissioned_memory(specification),
         )
+
+    def channel_motor(self, index: int) -> tuple[Encoder | None, MotorModel | None]:
+        if index >= len(self.axes):
+            return None, None
+        return self.axes[index].encoder, self.axes[index].motor
 
     def add_objects(self, objects: ObjectDictionary) -> None:
         for number, axis in enumerate(self.axes):

@@ -9,8 +9,6 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.cia402_device import Cia402Drive
-from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -41,11 +39,11 @@ class FaultInjector:
                 time = to_ns((fault.time or 0.0) + fault.delay)
                 simulated.timeline.at(time, self._starter(fault, 0.0))
 
-    def strike(self, fault: BusFault) -> None:
+    def inject(self, fault: BusFault) -> None:
         """Starts a fault now."""
         self.active.append(fault)
         self._report(fault, True)
-        remove = self._inject(fault)
+        remove = self._start(fault)
         if fault.duration is not None:
             timeline = self.simulated.timeline
             timeline.after(to_ns(fault.duration), lambda: self._end(fault, remove))
@@ -53,9 +51,9 @@ class FaultInjector:
     def _starter(self, fault: BusFault, delay: float) -> Action:
         def act() -> None:
             if delay > 0.0:
-                self.simulated.timeline.after(to_ns(delay), lambda: self.strike(fault))
+                self.simulated.timeline.after(to_ns(delay), lambda: self.inject(fault))
             else:
-                self.strike(fault)
+                self.inject(fault)
 
         return act
 
@@ -70,7 +68,7 @@ class FaultInjector:
 
     # -- kinds of faults ----------------------------------------------------------------------
 
-    def _inject(self, fault: BusFault) -> Action:
+    def _start(self, fault: BusFault) -> Action:
         """Starts a fault; returns the function that removes it."""
         wire = self.simulated.wires[fault.bus]
         devices = self._devices(fault)
@@ -93,9 +91,9 @@ class FaultInjector:
             return end_noise
         if fault.kind == "lost_frames":
             return self._drop_frames(fault, devices)
-        return self._inject_device_fault(fault, devices[0])
+        return self._start_device_fault(fault, devices[0])
 
-    def _inject_device_fault(self, fault: BusFault, device: SimulatedDevice) -> Action:
+    def _start_device_fault(self, fault: BusFault, device: SimulatedDevice) -> Action:
         if fault.kind == "mute":
             return _set_flag(device, "muted")
         if fault.kind == "heartbeat_stop" and isinstance(device, CanopenDevice):
@@ -111,10 +109,10 @@ class FaultInjector:
             device.change_bitrate(fault.bitrate)
             return lambda: device.change_bitrate(bitrate)
         elif fault.kind == "frozen_encoder":
-            encoder, _ = self._motor(device, fault.channel)
+            encoder, _ = self._channel_motor(device, fault.channel)
             return _set_flag(encoder, "frozen") if encoder is not None else _nothing
         elif fault.kind == "blocked_motor":
-            _, motor = self._motor(device, fault.channel)
+            _, motor = self._channel_motor(device, fault.channel)
             return _set_flag(motor, "blocked") if motor is not None else _nothing
         elif fault.kind == "babble":
             return self._babble(fault, device)
@@ -126,17 +124,10 @@ class FaultInjector:
         wire = self.simulated.wires[fault.bus]
         return [d for d in self.simulated.devices.values() if d.wire is wire]
 
-    def _motor(
+    def _channel_motor(
         self, device: SimulatedDevice, channel: str
     ) -> tuple[Encoder | None, MotorModel | None]:
-        index = self._channel_index(device.name, channel)
-        if isinstance(device, RoboteqController) and index < 2:
-            motor_channel = device.channels[index]
-            return motor_channel.encoder, motor_channel.motor
-        if isinstance(device, Cia402Drive) and index < len(device.axes):
-            axis = device.axes[index]
-            return axis.encoder, axis.motor
-        return None, None
+        return device.channel_motor(self._channel_index(device.name, channel))
 
     def _channel_index(self, node_name: str, channel: str) -> int:
         for bus in self.simulated.robot.buses:

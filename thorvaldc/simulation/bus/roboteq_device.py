@@ -31,7 +31,7 @@ from thorvaldc.simulation.bus.device_description import DeviceDescription
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
 from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
 from thorvaldc.simulation.bus.roboteq_channel import DRIVE, STALL_RPM, Channel, ChannelSettings
-from thorvaldc.simulation.bus.simulated_motors import MotorModel, MotorState
+from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel, MotorState
 from thorvaldc.simulation.bus.wire import Wire
 
 if TYPE_CHECKING:
@@ -205,6 +205,11 @@ class RoboteqController(CanopenDevice):
         for channel in self.channels:
             channel.release(self.now)
             channel.mode = DRIVE
+
+    def channel_motor(self, index: int) -> tuple[Encoder | None, MotorModel | None]:
+        if index >= len(self.channels):
+            return None, None
+        return self.channels[index].encoder, self.channels[index].motor
 
     def nmt_state_changed(self, state: NmtState) -> None:
         if state is not NmtState.OPERATIONAL:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import NANOSECONDS, to_ns
 from thorvaldc.simulation.bus.can_controller import CanController
+from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.timeline import Action, Event
 from thorvaldc.simulation.bus.wire import Wire
 
@@ -110,6 +111,10 @@ class SimulatedDevice:
 
     def stop(self) -> None:
         """Called after a loss of power: switch motors and outputs off here."""
+
+    def channel_motor(self, index: int) -> tuple[Encoder | None, MotorModel | None]:
+        """Returns encoder and motor of a channel, which injected faults freeze or block."""
+        return None, None
 
     def change_node_id(self, node_id: int) -> None:
         """Changes the id, as the maker's tool or a fault does.

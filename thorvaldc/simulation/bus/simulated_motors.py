@@ -167,6 +167,8 @@ class BaseMotors:
 
 
 class _BaseMotor(MotorModel):
+    """One joint of the base: a steering (commanded by angle) or a wheel (commanded by speed)."""
+
     def __init__(self, motors: BaseMotors, wheel: int, steering: bool) -> None:
         self._motors = motors
         self._wheel = wheel
