@@ -74,7 +74,7 @@ def test_threads_and_parts_do_not_change_the_result(
     first = rollouts.run(speeds[:, :3], angles[:, :3])
     then = rollouts.run(speeds[:, 3:], angles[:, 3:], states=first.states)
     assert then.poses == pytest.approx(one.poses[:, 3:], abs=1e-6)
-    monkeypatch.setattr("thorvaldc.simulation.vectorised.rollouts._ROOM", 1)
+    monkeypatch.setattr("thorvaldc.simulation.vectorised.rollouts._MAX_STATE_NUMBERS", 1)
     parts = Rollouts(robot, files).run(speeds, angles)
     assert parts.poses == pytest.approx(one.poses, abs=1e-6)
 
