@@ -1,4 +1,4 @@
-"""The files of one backend."""
+"""Runs one backend on a robot or a fleet."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from thorvaldc.model import Fleet, Robot
 
 
 def files_of(backend: type[Backend], model: Robot | Fleet) -> dict[str, bytes]:
-    """Return the files of a robot or a fleet."""
+    """Returns the files of a robot or a fleet."""
     return backend().emit(model) if isinstance(model, Robot) else backend().emit_fleet(model)

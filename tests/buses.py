@@ -1,4 +1,4 @@
-"""A robot model with one bus, built in Python: two drives and a battery."""
+"""A robot model with one bus, without the compiler: two drives and a battery."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ import math
 from tests.robots import SPAN, make_robot
 from thorvaldc.model.robot import Battery, Bus, Channel, FrameDefinition, Node, Robot, Signal
 
-GEAR, STEERING_GEAR, PPR, MAX_SPEED, LIMIT = 42.0, 42.857, 1024, 314.159, 3.078027759
-CYCLE = 0.02
+GEAR, STEERING_GEAR = 42.0, 42.857  # gear ratios
+PPR = 1024  # encoder pulses per turn of the motor
+MAX_SPEED = 314.159  # rad/s, motor
+LIMIT = 3.078027759  # rad, steering
+CYCLE = 0.02  # s
 
 
-def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[FrameDefinition, ...]:
+def drive_frames(
+    name: str, node_id: int, propulsion: str, steering: str
+) -> tuple[FrameDefinition, ...]:
     """Returns the frames of a propulsion and steering controller, with calculated scalings."""
     return (
         FrameDefinition(
             f"{name}_rpdo1",
-            0x200 + n,
+            0x200 + node_id,
             "pdo",
             "master",
             (name,),
@@ -42,7 +47,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
         ),
         FrameDefinition(
             f"{name}_rpdo4",
-            0x500 + n,
+            0x500 + node_id,
             "pdo",
             "master",
             (name,),
@@ -58,7 +63,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
         ),
         FrameDefinition(
             f"{name}_tpdo1",
-            0x180 + n,
+            0x180 + node_id,
             "pdo",
             name,
             ("master",),
@@ -89,7 +94,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
         ),
         FrameDefinition(
             f"{name}_tpdo4",
-            0x480 + n,
+            0x480 + node_id,
             "pdo",
             name,
             ("master",),
@@ -113,7 +118,7 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
         ),
         FrameDefinition(
             f"{name}_heartbeat",
-            0x700 + n,
+            0x700 + node_id,
             "heartbeat",
             name,
             ("master",),
@@ -126,12 +131,13 @@ def drive_frames(name: str, n: int, propulsion: str, steering: str) -> tuple[Fra
     )
 
 
-def drive_node(name: str, n: int, wheel: str) -> Node:
+def drive_node(name: str, node_id: int, wheel: str) -> Node:
+    """Returns the controller of the propulsion and steering motors of a wheel."""
     return Node(
         name,
         name.replace("_", "."),
         "thorvald_roboteq",
-        n,
+        node_id,
         "canopen",
         0x469,
         None,

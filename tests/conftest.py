@@ -1,3 +1,5 @@
+"""Settings and fixtures of all tests."""
+
 from __future__ import annotations
 
 import os
@@ -9,8 +11,8 @@ from hypothesis import HealthCheck, settings
 
 from tests.workshop import Workshop
 
-# The same examples on every machine, so that whoever has changed nothing sees nothing fail.
-# New ones are looked for with HYPOTHESIS_PROFILE=default.  No test fails for a slow machine.
+# Hypothesis draws the same examples on every machine: a test fails only because of a change.
+# HYPOTHESIS_PROFILE=default draws new ones.  There is no deadline: machines may be slow.
 settings.register_profile(
     "repeatable",
     derandomize=True,
@@ -20,12 +22,13 @@ settings.register_profile(
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
-# A shell starts what it puts in the background with Ctrl-C ignored, and every child has it from
-# there: the programs under test would not be interrupted.
+# A shell starts a background job with SIGINT ignored, and child processes inherit that.
+# The programs under test could then not be interrupted.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
 def workshop(tmp_path: Path) -> Workshop:
+    """Returns a folder for test robots."""
     return Workshop(tmp_path)

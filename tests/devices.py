@@ -21,8 +21,8 @@ DRIVE = "controller/propulsion_steering"
 TWO_DRIVES = "controller/propulsion_propulsion"
 CIA_402 = "controller/cia402_propulsion_steering"
 BATTERY = "battery/enclosure"
-CYCLE = 0.02
-LIMIT = 3.078027759
+CYCLE = 0.02  # s
+LIMIT = 3.078027759  # rad, steering
 MOTORS = make_robot(FOUR_STEERED).actuators
 SIMPLE = """
 description: test
@@ -36,6 +36,7 @@ can:
 
 
 def line(number: int, file: str = "robot.yaml") -> Span:
+    """Returns a span in one line of a file."""
     return Span(file, number, 1, number, 9)
 
 
@@ -57,14 +58,18 @@ class Bench:
         limits: tuple[float | None, float | None] = (-LIMIT, LIMIT),
         name: str | None = None,
     ) -> None:
+        """Adds a device of a module type; ``text`` replaces the type's module.yaml.
+
+        ``wires`` are the motors by channel, ``limits`` the steering limits in rad.
+        """
         display = f"{type_name}/module.yaml"
         data = text.encode() if text else (MODULES / display).read_bytes()
         document = read_text(data, display, self.report)
         assert document is not None
         module = ModuleType(type_name, MODULES / type_name, display, document)
         number = len(self.devices) + 1
-        here = line(number)
-        given = {k: (Node(v, here), EMPTY) for k, v in (params or {}).items()}
+        span = line(number)
+        values = {k: (Node(v, span), EMPTY) for k, v in (params or {}).items()}
         can = document.get("can")
         assert can is not None
         name = name or f"d{number}"
@@ -75,18 +80,19 @@ class Bench:
                 can,
                 document.get("channels"),
                 tuple(
-                    Wire(channel, motor, *limits, here)
+                    Wire(channel, motor, *limits, span)
                     if motor.role == "steering"
-                    else Wire(channel, motor, None, None, here)
+                    else Wire(channel, motor, None, None, span)
                     for channel, motor in (wires or {}).items()
                 ),
-                node_of(address, here) if address is not None else None,
-                Scope(module, given, Library(), self.report, None),
-                here,
+                node_of(address, span) if address is not None else None,
+                Scope(module, values, Library(), self.report, None),
+                span,
             )
         )
 
     def drive(self, address: object = None, index: int | None = None) -> None:
+        """Adds a controller for the two motors of wheel ``index``, by default of the next one."""
         i = 2 * (len(self.devices) if index is None else index)
         self.add(DRIVE, address, {"propulsion": MOTORS[i], "steering": MOTORS[i + 1]})
 
@@ -99,6 +105,7 @@ class Bench:
         foreign: str = "",
         lock: Lock | None = None,
     ) -> tuple[Bus, ...]:
+        """Returns the buses; ``foreign`` is the text of the section with foreign frames."""
         wired = [w.actuator for d in self.devices for w in d.wires]
         used = list(dict.fromkeys(wired)) if motors is None else motors
         section = read_text(foreign.encode(), "robot.yaml", self.report) if foreign else None
@@ -106,7 +113,7 @@ class Bench:
             self.devices, specs, used, cycle, self.report, foreign=section, lock=lock
         )
 
-    def fault(self, code: str) -> Diagnostic:
+    def only_diagnostic(self, code: str) -> Diagnostic:
         """Returns the only diagnostic, which must have this code."""
         assert [d.code.name for d in self.report] == [code]
         return next(iter(self.report))
@@ -116,6 +123,7 @@ EMPTY = Scope(None, {}, Library(), Report(), None)
 
 
 def node_of(value: object, span: Span) -> Node:
+    """Returns a scalar, or a flat mapping, as a YAML node."""
     if isinstance(value, dict):
         return Node({k: Node(v, span) for k, v in value.items()}, span)
     return Node(value, span)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The examples, compiled once per test run."""
+"""Compiled examples; each is compiled once per test run."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ FLEETS = tuple(sorted(path.parent.name for path in FOLDER.glob("*/fleet.yaml")))
 
 @functools.cache
 def example_robot(name: str) -> Robot:
-    done = compile_file(FOLDER / name / "robot.yaml")
-    assert isinstance(done.model, Robot), [d.message for d in done.report]
-    return done.model
+    compilation = compile_file(FOLDER / name / "robot.yaml")
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
+    return compilation.model
 
 
 @functools.cache
 def example_fleet(name: str) -> Fleet:
-    done = compile_file(FOLDER / name / "fleet.yaml")
-    assert isinstance(done.model, Fleet), [d.message for d in done.report]
-    return done.model
+    compilation = compile_file(FOLDER / name / "fleet.yaml")
+    assert isinstance(compilation.model, Fleet), [d.message for d in compilation.report]
+    return compilation.model

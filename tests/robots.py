@@ -1,4 +1,4 @@
-"""Robots built directly as models, for tests that need no compiler."""
+"""Robot models that are built without the compiler."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from thorvaldc.model import (
 from thorvaldc.model.spatial import combine
 
 SPAN = Span("test.yaml")
-G = 9.81
+G = 9.81  # m/s^2
 GREY = (0.5, 0.5, 0.5, 1.0)
-LIMIT = 3.078027759
+LIMIT = 3.078027759  # rad, steering
 
 
 def make_robot(
@@ -40,7 +40,7 @@ def make_robot(
     calculator: str = "general",
     suspended: bool = False,
 ) -> Robot:
-    """A box on wheels.
+    """Returns a box on wheels; lengths in m, masses in kg.
 
     Each wheel is ``(x, y, kind)``; kind is ``steered`` (driven and steered),
     ``fixed`` (driven, not steered), ``passive`` (fixed, not driven) or
@@ -49,7 +49,7 @@ def make_robot(
     links = [Link("base_link", "", None, (), (), SPAN)]
     joints: list[Joint] = []
     actuators: list[Actuator] = []
-    made: list[Wheel] = []
+    model_wheels: list[Wheel] = []
     frame = Inertial(
         body_mass, (0.0, 0.0, 0.0), (body_mass / 6, body_mass / 5, body_mass / 4, 0.1, 0.0, 0.0)
     )
@@ -66,24 +66,23 @@ def make_robot(
             SPAN,
         )
     )
-    placed = [frame.transformed(Pose((0.0, 0.0, body_height)))]
+    inertials = [frame.transformed(Pose((0.0, 0.0, body_height)))]
     leg = Inertial(18.0, (0.0, 0.01, -0.1), (0.5, 0.5, 0.1, 0.0, 0.0, 0.01))
-    iw = 6.0 * radius**2 / 2
+    iw = 6.0 * radius**2 / 2  # solid cylinder, m r^2 / 2, about its axis
     tyre = Inertial(6.0, (0.0, 0.0, 0.0), (iw / 2 + 0.01, iw, iw / 2 + 0.01, 0.0, 0.0, 0.0))
     carriage = Inertial(1.0, (0.0, 0.0, 0.0), (0.01, 0.01, 0.01, 0.0, 0.0, 0.0))
     for x, y, _ in wheels:
         if suspended:
-            placed.append(carriage.transformed(Pose((x, y, body_height))))
-        placed.append(leg.transformed(Pose((x, y, body_height))))
-        placed.append(tyre.transformed(Pose((x, y, radius))))
-    total = combine(placed)
-    n = len(wheels)
+            inertials.append(carriage.transformed(Pose((x, y, body_height))))
+        inertials.append(leg.transformed(Pose((x, y, body_height))))
+        inertials.append(tyre.transformed(Pose((x, y, radius))))
+    total = combine(inertials)
     for i, (x, y, kind) in enumerate(wheels):
         m = f"w{i}"
         parent = "frame_body"
         at = Pose((x, y, 0.0))
         suspension = None
-        load = total.mass * G / n
+        load = total.mass * G / len(wheels)  # N
         if suspended:
             suspension = f"{m}_suspension_travel"
             links.append(
@@ -111,7 +110,7 @@ def make_robot(
                 )
             )
             parent, at = f"{m}_suspension_carriage", Pose()
-        turning = kind in ("steered", "swivel")
+        turns_about_z = kind in ("steered", "swivel")
         steering = f"{m}_steering_axis"
         links.append(
             Link(
@@ -127,7 +126,7 @@ def make_robot(
             Joint(
                 steering,
                 m,
-                "fixed" if not turning else "continuous" if kind == "swivel" else "revolute",
+                "fixed" if not turns_about_z else "continuous" if kind == "swivel" else "revolute",
                 parent,
                 f"{m}_leg",
                 at,
@@ -199,7 +198,7 @@ def make_robot(
                     SPAN,
                 )
             )
-        made.append(
+        model_wheels.append(
             Wheel(
                 m,
                 m,
@@ -231,7 +230,7 @@ def make_robot(
         "",
         tuple(links),
         tuple(joints),
-        tuple(made),
+        tuple(model_wheels),
         tuple(actuators),
         (),
         (),

@@ -1,4 +1,4 @@
-"""One run reports every mistake of a file once, at its line."""
+"""One run reports every error of a file once, at its line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from thorvaldc.compiler.pipeline import compile_file
 
-# Each line contains the mistakes in EXPECTED; misspellings are deliberate.
+# The lines contain the errors in EXPECTED; misspellings are deliberate.
 PLANTED = """\
 thorvaldc: 1
 name: planted
@@ -43,8 +43,8 @@ def test_errors_of_all_stages_are_reported_in_one_run(tmp_path: Path) -> None:
     file.write_text(PLANTED, encoding="utf-8")
     compilation = compile_file(file)
     assert compilation.model is None
-    found = [(d.span.line, d.code.name) for d in compilation.report.sorted() if d.span]
-    assert sorted(found) == EXPECTED
+    reported = [(d.span.line, d.code.name) for d in compilation.report.sorted() if d.span]
+    assert sorted(reported) == EXPECTED
     assert all(d.span and d.span.file == str(file) for d in compilation.report)
 
 
@@ -92,7 +92,7 @@ name: cart
         ("mount: frame.rear_right", "design: {slope: 10}\n", "number-out-of-range"),
     ],
 )
-def test_one_mistake_is_reported_once(rr: str, head: str, code: str, tmp_path: Path) -> None:
+def test_one_error_is_reported_once(rr: str, head: str, code: str, tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(CART.format(rr=rr, head=head), encoding="utf-8")
     assert [d.code.name for d in compile_file(file).report] == [code]

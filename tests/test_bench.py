@@ -1,4 +1,4 @@
-"""The bench is run by hand: that its parts fit together is told here."""
+"""The bench runs only on request; these tests detect modules that cannot be imported any more."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 
 import bench
 
-PARTS = [m.name for m in pkgutil.iter_modules(bench.__path__) if m.name != "__main__"]
+MODULES = [m.name for m in pkgutil.iter_modules(bench.__path__) if m.name != "__main__"]
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_a_part_of_the_bench_can_be_imported(name: str) -> None:
+@pytest.mark.parametrize("name", MODULES)
+def test_module_of_the_bench_can_be_imported(name: str) -> None:
     importlib.import_module(f"bench.{name}")

@@ -16,7 +16,7 @@ MODULES = {
     "t/plate": """
         description: A body of 100 kg with its centre of mass in the middle and a free mount.
         params:
-          mass: {quantity: mass, default: 100 kg, description: Of it., source: "chosen: round"}
+          mass: {quantity: mass, default: 100 kg, description: Mass., source: "chosen: round"}
         links:
           body:
             parts:
@@ -40,10 +40,10 @@ MODULES = {
             type: text
             default: "no"
             choices: ["no", steers, swivels]
-            description: How it turns about z.
+            description: Rotation about z.
             source: "chosen: round"
           driven: {type: boolean, default: true, description: Motor., source: "chosen: round"}
-          limit: {quantity: angle, default: 180 deg, description: Of it., source: "chosen: round"}
+          limit: {quantity: angle, default: 180 deg, description: Of angle., source: "chosen: round"}
           torque: {quantity: torque, default: 50, description: Motor., source: "chosen: round"}
         mount: {kinds: [clamp, carriage], link: post}
         links:
@@ -117,7 +117,7 @@ MODULES = {
     "t/block": """
         description: A box that can be mounted at any pose.
         params:
-          mass: {quantity: mass, default: 10 kg, description: Of it., source: "chosen: round"}
+          mass: {quantity: mass, default: 10 kg, description: Mass., source: "chosen: round"}
           size:
             type: list
             quantity: length
@@ -143,7 +143,7 @@ CART = """
 
 
 class Workshop:
-    """``folder/robot.yaml`` and module documents under ``folder/my_modules``."""
+    """Writes ``folder/robot.yaml`` and modules under ``folder/my_modules``, and compiles them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

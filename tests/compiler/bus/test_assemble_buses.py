@@ -1,4 +1,4 @@
-"""Devices as the elaboration hands them over become buses; every fault names both parties."""
+"""Devices become buses; a diagnostic of a conflict names both devices."""
 
 from __future__ import annotations
 
@@ -212,10 +212,10 @@ def test_automatic_ids_are_the_lowest_free_and_never_take_an_explicit_one(bench:
 def test_id_out_of_range(bench: Bench) -> None:
     bench.drive(128)
     bench.build()
-    fault = bench.fault("can-id-range")
-    assert fault.span == line(1)
-    assert "128" in fault.message
-    assert "1 to 127" in fault.message
+    diagnostic = bench.only_diagnostic("can-id-range")
+    assert diagnostic.span == line(1)
+    assert "128" in diagnostic.message
+    assert "1 to 127" in diagnostic.message
 
 
 def test_id_twice_names_both_places(bench: Bench) -> None:
@@ -223,9 +223,9 @@ def test_id_twice_names_both_places(bench: Bench) -> None:
     bench.drive(5)
     bench.drive(4)
     bench.build()
-    fault = bench.fault("can-id-duplicate")
-    assert fault.span == line(3)
-    assert [label.span for label in fault.labels] == [line(1)]
+    diagnostic = bench.only_diagnostic("can-id-duplicate")
+    assert diagnostic.span == line(3)
+    assert [label.span for label in diagnostic.labels] == [line(1)]
 
 
 def test_id_spaces_and_buses_are_apart(bench: Bench) -> None:
@@ -251,7 +251,7 @@ def test_no_id_left(bench: Bench) -> None:
 def test_unknown_bus(bench: Bench) -> None:
     bench.drive({"bus": "mian"})
     bench.build()
-    assert bench.fault("can-bus-unknown").hint == "did you mean `main`?"
+    assert bench.only_diagnostic("can-bus-unknown").hint == "did you mean `main`?"
 
 
 def test_serial_number_twice(bench: Bench) -> None:
@@ -259,13 +259,15 @@ def test_serial_number_twice(bench: Bench) -> None:
     bench.drive({"serial": "0x13"})
     bench.drive({"serial": "0x12"})
     bench.build()
-    assert [label.span for label in bench.fault("can-serial-duplicate").labels] == [line(1)]
+    assert [label.span for label in bench.only_diagnostic("can-serial-duplicate").labels] == [
+        line(1)
+    ]
 
 
 def test_address_of_an_empty_enclosure(bench: Bench) -> None:
     bench.add(BATTERY, 1, params={"with_battery": False})
     assert bench.build() == ()
-    assert bench.fault("can-address-unused").span == line(1)
+    assert bench.only_diagnostic("can-address-unused").span == line(1)
 
 
 # -- COB-IDs --------------------------------------------------------------------------
@@ -276,11 +278,11 @@ def test_battery_against_a_drives_tpdo3(bench: Bench, offset: int, named: str) -
     bench.drive(offset + 5)
     bench.add(BATTERY, 5)
     bench.build()
-    fault = bench.fault("can-cob-id-conflict")
-    assert fault.span == line(2)
-    assert [label.span for label in fault.labels] == [line(1)]
-    assert named in fault.message
-    assert "tpdo3" in fault.message
+    diagnostic = bench.only_diagnostic("can-cob-id-conflict")
+    assert diagnostic.span == line(2)
+    assert [label.span for label in diagnostic.labels] == [line(1)]
+    assert named in diagnostic.message
+    assert "tpdo3" in diagnostic.message
 
 
 def test_battery_beside_other_ids_does_not_conflict(bench: Bench) -> None:
@@ -294,9 +296,9 @@ def test_battery_beside_other_ids_does_not_conflict(bench: Bench) -> None:
 def test_drive_with_the_masters_id(bench: Bench) -> None:
     bench.drive(127)
     bench.build()
-    fault = bench.fault("can-cob-id-conflict")
-    assert "0x77f" in fault.message
-    assert not fault.labels  # the master is in no line of the file
+    diagnostic = bench.only_diagnostic("can-cob-id-conflict")
+    assert "0x77f" in diagnostic.message
+    assert not diagnostic.labels  # the master is in no line of the file
 
 
 @pytest.mark.parametrize(
@@ -333,8 +335,8 @@ def test_foreign_frame_over_the_full_expansion(
     bench.add("my/sprayer", 6, text=simple(cob_id=cob_id, kind=kind), wires={"motor": MOTORS[2]})
     bench.build()
     assert " ".join(d.code.name for d in bench.report) == code
-    for fault in bench.report:
-        places = {label.span for label in fault.labels} | {fault.span}
+    for diagnostic in bench.report:
+        places = {label.span for label in diagnostic.labels} | {diagnostic.span}
         assert line(2) in places
 
 
@@ -342,7 +344,7 @@ def test_two_frames_of_one_device(bench: Bench) -> None:
     text = simple() + "    b: {cob_id: 0x190, kind: pdo, direction: report, length: 1}\n"
     bench.add("my/twice", 6, text=text, wires={"motor": MOTORS[0]})
     bench.build()
-    assert "two frames of `d1`" in bench.fault("can-cob-id-conflict").message
+    assert "two frames of `d1`" in bench.only_diagnostic("can-cob-id-conflict").message
 
 
 def test_names_must_differ(bench: Bench) -> None:
@@ -351,13 +353,13 @@ def test_names_must_differ(bench: Bench) -> None:
     bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]}, name="a")
     bench.add("my/b", 7, text=other, wires={"motor": MOTORS[2]}, name="a_b")
     bench.build()
-    assert "a_b_x" in bench.fault("can-name-conflict").message
+    assert "a_b_x" in bench.only_diagnostic("can-name-conflict").message
 
 
 def test_a_device_may_not_be_called_master(bench: Bench) -> None:
     bench.add("my/a", 6, text=simple(), wires={"motor": MOTORS[0]}, name="master")
     bench.build()
-    assert "master" in bench.fault("can-name-conflict").message
+    assert "master" in bench.only_diagnostic("can-name-conflict").message
 
 
 # -- layouts --------------------------------------------------------------------------
@@ -506,9 +508,9 @@ def test_full_speed_must_fit(bench: Bench, field: str, fits: bool) -> None:
     if fits:
         assert not list(bench.report)
     else:
-        fault = bench.fault("can-scale")
-        assert fault.span == line(1)
-        assert fault.labels[0].span.file == "my/a/module.yaml"
+        diagnostic = bench.only_diagnostic("can-scale")
+        assert diagnostic.span == line(1)
+        assert diagnostic.labels[0].span.file == "my/a/module.yaml"
 
 
 @pytest.mark.parametrize(
@@ -527,7 +529,7 @@ def test_a_motor_too_fast_for_tpdo1(bench: Bench) -> None:
     fast = dataclasses.replace(MOTORS[0], motor_max_speed=3500.0, max_velocity=3500.0 / 42)
     bench.add(DRIVE, 1, {"propulsion": fast, "steering": MOTORS[1]})
     bench.build()
-    assert "propulsion_velocity" in bench.fault("can-scale").message
+    assert "propulsion_velocity" in bench.only_diagnostic("can-scale").message
 
 
 def test_steering_without_limits_counts_as_half_a_turn_each_way(bench: Bench) -> None:
@@ -544,23 +546,23 @@ def test_bitrate_that_a_node_cannot_do(bench: Bench) -> None:
     bench.drive(1)
     bench.add(BATTERY, 1)
     bench.build((BusSpec("main", 800_000, line(99)),))
-    fault = bench.fault("can-bitrate")
-    assert "d2" in fault.message
-    assert fault.span == line(99)
-    assert fault.labels[0].span == line(2)
+    diagnostic = bench.only_diagnostic("can-bitrate")
+    assert "d2" in diagnostic.message
+    assert diagnostic.span == line(99)
+    assert diagnostic.labels[0].span == line(2)
 
 
 def test_bitrate_must_be_positive(bench: Bench) -> None:
     bench.drive(1)
     assert bench.build((BusSpec("main", 0, line(99)),)) == ()
-    assert bench.fault("can-bitrate").span == line(99)
+    assert bench.only_diagnostic("can-bitrate").span == line(99)
 
 
 @pytest.mark.parametrize("period", ["0", "-1 ms", "0.0 s"])
 def test_period_must_be_positive(bench: Bench, period: str) -> None:
     bench.add("my/a", 6, text=simple(period=period), wires={"motor": MOTORS[0]})
     bench.build()
-    assert bench.fault("can-period").span is not None
+    assert bench.only_diagnostic("can-period").span is not None
 
 
 def test_an_expression_at_fault_is_one_fault(bench: Bench) -> None:
@@ -568,10 +570,10 @@ def test_an_expression_at_fault_is_one_fault(bench: Bench) -> None:
     assert "unknown" in text
     bench.add("my/a", 6, text=text, wires={"motor": MOTORS[0]})
     bench.build()
-    (fault,) = bench.report
-    assert fault.code.number.startswith("TV2")
-    assert fault.span is not None
-    assert fault.span.file == "my/a/module.yaml"
+    (diagnostic,) = bench.report
+    assert diagnostic.code.number.startswith("TV2")
+    assert diagnostic.span is not None
+    assert diagnostic.span.file == "my/a/module.yaml"
 
 
 def test_load_of_four_drives(bench: Bench) -> None:
@@ -596,7 +598,7 @@ def test_load_of_four_drives(bench: Bench) -> None:
     bench.report = Report()
     (bus,) = bench.build(slow, cycle=0.01)
     assert bus.load == pytest.approx(0.87, abs=0.005)
-    assert "80 %" in bench.fault("can-overload").message
+    assert "80 %" in bench.only_diagnostic("can-overload").message
     late_frames = [f.name for f in bus.frames if f.deadline and f.response_time > f.deadline]
     assert late_frames == ["sync", "d1_rpdo4", "d2_rpdo4", "d3_rpdo4", "d4_rpdo4"]
 
@@ -615,29 +617,29 @@ def test_motor_on_two_channels(bench: Bench) -> None:
 def test_role_of_the_channel(bench: Bench) -> None:
     bench.add(DRIVE, 1, {"propulsion": MOTORS[1]})
     bench.build()
-    assert "propulsion" in bench.fault("channel-role").message
+    assert "propulsion" in bench.only_diagnostic("channel-role").message
 
 
 def test_unknown_channel(bench: Bench) -> None:
     bench.add(DRIVE, 1, {"propulsion": MOTORS[0], "steerng": MOTORS[1]})
     bench.build(motors=MOTORS[:1])
-    assert bench.fault("channel-unknown").hint == "did you mean `steering`?"
+    assert bench.only_diagnostic("channel-unknown").hint == "did you mean `steering`?"
 
 
 def test_motors_without_a_controller(bench: Bench) -> None:
     bench.drive(1)
     bench.build(motors=MOTORS[:3])
-    fault = bench.fault("motor-without-controller")
-    assert MOTORS[2].name in fault.message
+    diagnostic = bench.only_diagnostic("motor-without-controller")
+    assert MOTORS[2].name in diagnostic.message
     alone = Bench()
     assert alone.build(motors=MOTORS) == ()
-    assert "8 motors" in alone.fault("robot-without-controller").message
+    assert "8 motors" in alone.only_diagnostic("robot-without-controller").message
 
 
 def test_controller_without_a_motor(bench: Bench) -> None:
     bench.add(DRIVE, 1)
     bench.build(motors=())
-    assert bench.fault("controller-without-motor").span == line(1)
+    assert bench.only_diagnostic("controller-without-motor").span == line(1)
 
 
 def test_actuators_know_their_channel(bench: Bench) -> None:
@@ -670,7 +672,7 @@ def test_a_bus_without_a_bitrate_is_fast_enough(bench: Bench) -> None:
     assert not list(bench.report)
     (bus,) = bench.build([spec], cycle=0.005)
     assert bus.bitrate == 800_000
-    note = bench.fault("can-bitrate-chosen")
+    note = bench.only_diagnostic("can-bitrate-chosen")
     assert "800 kbit/s" in note.message
     (stated,) = bench.build([spec._replace(stated=True)], cycle=0.005)
     assert stated.bitrate == 500_000

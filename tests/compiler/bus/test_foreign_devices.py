@@ -75,8 +75,8 @@ def test_a_relayed_identifier_is_none_of_the_robots(bench: Bench, cob_id: int, c
     text = f"\nsprayer: {{frames: {{x: {{cob_id: {cob_id}, direction: command, rate: 1}}}}}}\n"
     bench.build(foreign=text)
     assert " ".join(d.code.name for d in bench.report) == code
-    for fault in bench.report:
-        places = [fault.span, *(label.span for label in fault.labels)]
+    for diagnostic in bench.report:
+        places = [diagnostic.span, *(label.span for label in diagnostic.labels)]
         assert any(place is not None and place.line == 2 for place in places)  # the sprayer
 
 
@@ -88,8 +88,8 @@ def test_its_id_is_taken(bench: Bench) -> None:
     bench = Bench()
     bench.drive(5)
     bench.build(foreign=SPRAYER.replace("0x185", "0x190").replace("0x205", "0x191"))
-    fault = bench.fault("can-id-duplicate")
-    assert (fault.span, fault.labels[0].span) != (None, None)
+    diagnostic = bench.only_diagnostic("can-id-duplicate")
+    assert (diagnostic.span, diagnostic.labels[0].span) != (None, None)
 
 
 def test_a_crowded_relay_is_a_load(bench: Bench) -> None:

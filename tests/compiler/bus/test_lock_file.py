@@ -106,11 +106,11 @@ def test_another_device_with_a_pinned_id_is_a_conflict_with_all_places(bench: Be
     later.add(DRIVE, 1, name="b")
     later.add(DRIVE, name="a")
     later.build(motors=(), lock=lock)
-    (fault,) = later.report.errors
-    assert fault.code.name == "can-lock-conflict"
-    assert fault.span == line(1)
-    assert [label.span.file for label in fault.labels] == ["robot.lock.yaml", "robot.yaml"]
-    assert fault.labels[1].span == line(2)
+    (diagnostic,) = later.report.errors
+    assert diagnostic.code.name == "can-lock-conflict"
+    assert diagnostic.span == line(1)
+    assert [label.span.file for label in diagnostic.labels] == ["robot.lock.yaml", "robot.yaml"]
+    assert diagnostic.labels[1].span == line(2)
 
 
 def test_a_foreign_device_with_a_pinned_id_is_a_conflict(bench: Bench) -> None:
@@ -118,9 +118,9 @@ def test_a_foreign_device_with_a_pinned_id_is_a_conflict(bench: Bench) -> None:
     lock = pinned(bench)
     foreign = "\nsprayer: {id: 1, frames: {s: {cob_id: 0x190, direction: report, rate: 1}}}\n"
     bench.build(motors=(), lock=lock, foreign=foreign)
-    (fault,) = bench.report.errors
-    assert fault.code.name == "can-lock-conflict"
-    assert "`sprayer`" in fault.message
+    (diagnostic,) = bench.report.errors
+    assert diagnostic.code.name == "can-lock-conflict"
+    assert "`sprayer`" in diagnostic.message
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -137,7 +137,7 @@ def test_a_wrong_object_of_a_module_used_twice_is_one_fault(bench: Bench) -> Non
         text = own("index: 0x20000, type: unsigned8, value: 1")
         bench.add("my/a", None, {"motor": motor}, text=text)
     bench.build()
-    assert bench.fault("can-object-range").span is not None
+    assert bench.only_diagnostic("can-object-range").span is not None
 
 
 # -- heartbeats ---------------------------------------------------------------------------
@@ -165,9 +165,9 @@ def test_heartbeats(bench: Bench, more: str, code: str) -> None:
     bench.add("my/a", 5, {"motor": MOTORS[0]}, text=beats(more))
     only(bench)
     assert " ".join(d.code.name for d in bench.report) == code
-    for fault in bench.report:
-        places = [fault.span, *(label.span for label in fault.labels)]
-        if "heartbeat" in fault.code.name:
+    for diagnostic in bench.report:
+        places = [diagnostic.span, *(label.span for label in diagnostic.labels)]
+        if "heartbeat" in diagnostic.code.name:
             assert line(1) in places
             assert "my/a/module.yaml" in [place.file for place in places if place is not None]
 
