@@ -43,7 +43,7 @@ MODULES = {
             description: Rotation about z.
             source: "chosen: round"
           driven: {type: boolean, default: true, description: Motor., source: "chosen: round"}
-          limit: {quantity: angle, default: 180 deg, description: Of angle., source: "chosen: round"}
+          limit: {quantity: angle, default: 180 deg, description: Limit., source: "chosen: round"}
           torque: {quantity: torque, default: 50, description: Motor., source: "chosen: round"}
         mount: {kinds: [clamp, carriage], link: post}
         links:
