@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.diagnostics.render import FORMATS, render
+from thorvaldc.diagnostics.renderers import FORMATS, render
 
 ROOT = Path(__file__).parents[2]
 LIMIT = 5.0  # s per document; most take some 10 ms

@@ -16,7 +16,7 @@ import typer
 from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.render import render, render_text
+from thorvaldc.diagnostics.renderers import render, render_text
 from thorvaldc.model.finite_json import finite
 
 FORMATS = ("text", "json", "github", "sarif")

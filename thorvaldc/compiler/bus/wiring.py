@@ -90,8 +90,10 @@ class Wiring(NamedTuple):
     def _wire(self, leaf: Instance, channel: str, node: Node) -> Wire | None:
         inside = leaf.parent if leaf.parent is not None else leaf
         reference = inside.scope.text(node)
-        found = self.resolver.references.find_motor(inside, reference, node) if reference else None
-        if found is None:
+        if not reference:
+            return None
+        motor = self.resolver.references.find_motor(inside, reference, node)
+        if motor is None:
             return None
         actuator = self.actuators.get(f"{name_prefix(found[0].path)}_{found[1]}")
         if actuator is None:

@@ -10,7 +10,7 @@ import pytest
 
 from thorvaldc.diagnostics import CODES, Label, Report, Span
 from thorvaldc.diagnostics.explain import UnknownCode, explain, find_code
-from thorvaldc.diagnostics.render import FORMATS, render, render_text
+from thorvaldc.diagnostics.renderers import FORMATS, render, render_text
 
 
 def text(source: str | None, *spans: Span, **options: Any) -> str:
