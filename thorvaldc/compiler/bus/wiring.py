@@ -95,7 +95,7 @@ class Wiring(NamedTuple):
         motor = self.resolver.references.find_motor(inside, reference, node)
         if motor is None:
             return None
-        actuator = self.actuators.get(f"{name_prefix(found[0].path)}_{found[1]}")
+        actuator = self.actuators.get(f"{name_prefix(motor[0].path)}_{motor[1]}")
         if actuator is None:
             return None
         joint = self.joints[actuator.joint]
