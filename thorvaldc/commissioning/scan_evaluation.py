@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from thorvaldc.can.canopen import HEARTBEAT, HIGHEST_NODE_ID
@@ -74,27 +74,39 @@ class ScanEvaluation:
         """Verdicts after an active scan: the nodes in order, then devices not in the file."""
         devices = self._assign_devices()
         entries = [self._verdict(node, devices.get(node.name)) for node in self.configuration.nodes]
-        assigned = list(devices.values())
         for device in (*self.findings.by_id.values(), *self.findings.without_id):
-            if any(device is other for other in assigned):
-                continue
-            evidence = None if device.id is None else self.findings.evidence.get(device.id)
-            same_id = [e for e in entries if e.found is not None and e.found.id == device.id]
-            if evidence is not None and device.id != UNCONFIGURED and same_id:
-                continue
-            if device.identity is not None and any(
-                other.identity == device.identity and other.id == device.id for other in assigned
-            ):
-                continue
-            if evidence is not None:
-                entries.append(ScanEntry("", DUPLICATE, None, device, evidence))
-                continue
-            id_text = "no id" if device.id == UNCONFIGURED else f"id {device.id}"
-            detail = f"a device with {id_text} that the robot file does not name"
-            if device.identity is None:
-                detail = f"the device with {id_text} does not report its identity"
-            entries.append(ScanEntry("", UNEXPECTED, None, device, detail))
+            if not self._is_listed(device, entries, devices.values()):
+                entries.append(self._unknown_device(device))
         return entries + self._unknown_heartbeats()
+
+    def _is_listed(
+        self,
+        device: FoundDevice,
+        entries: Sequence[ScanEntry],
+        assigned: Collection[FoundDevice],
+    ) -> bool:
+        """Whether the entries already contain a device."""
+        if any(device is other for other in assigned):
+            return True
+        # Several devices have this id: one entry reports them all.
+        is_duplicate = device.id in self.findings.evidence and device.id != UNCONFIGURED
+        same_id = (entry.found is not None and entry.found.id == device.id for entry in entries)
+        if is_duplicate and any(same_id):
+            return True
+        # LSS and SDO can find the same device.
+        return device.identity is not None and any(
+            other.identity == device.identity and other.id == device.id for other in assigned
+        )
+
+    def _unknown_device(self, device: FoundDevice) -> ScanEntry:
+        evidence = None if device.id is None else self.findings.evidence.get(device.id)
+        if evidence is not None:
+            return ScanEntry("", DUPLICATE, None, device, evidence)
+        id_text = "no id" if device.id == UNCONFIGURED else f"id {device.id}"
+        detail = f"a device with {id_text} that the robot file does not name"
+        if device.identity is None:
+            detail = f"the device with {id_text} does not report its identity"
+        return ScanEntry("", UNEXPECTED, None, device, detail)
 
     # -- which device is which node ---------------------------------------------------------------
 
