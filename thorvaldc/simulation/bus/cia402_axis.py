@@ -31,9 +31,12 @@ SERVO_LAG = 0.15
 VELOCITY_ERROR_TIME = 0.3
 """s for which the speed may differ from its set-point by a tenth of the top speed."""
 _MODES = tuple(Mode)
-INTERNAL_LIMIT = 1 << 11
+STANDING = 1e-3
+"""rad/s: a slower motor reports the speed zero."""
+INTERNAL_LIMIT, MODE_BIT = 1 << 11, 1 << 12
 FOLLOWING_ERROR_BIT = 1 << 13
-"""Bits of the status word; bit 12 has another meaning in each mode."""
+"""Bits of the status word.  Bit 12: set-point acknowledged, speed is zero, or target is used,
+depending on the mode."""
 
 FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_FAILED, CONNECTION_ERROR = 0x8611, 0x8400, 0xFF01, 0x8130
 """Error codes of EMCY and object 0x603F."""
@@ -203,6 +206,7 @@ class Axis:
         return None
 
     def statusword(self) -> int:
+        """Returns the bits of the power state, the limits and the mode of operation."""
         motion, homing = self.motion, self.homing
         low, high = self.limits
         beyond = self.position < low - 1e-3 or self.position > high + 1e-3
@@ -212,11 +216,11 @@ class Axis:
             if homing is not None:
                 word |= HOMING_ATTAINED * homing.attained | HOMING_ERROR * homing.failed
         elif motion.mode == Mode.PROFILE_POSITION:
-            word |= int(motion.acknowledged) << 12
+            word |= MODE_BIT * motion.acknowledged
         elif motion.mode == Mode.PROFILE_VELOCITY:
-            word |= int(abs(self.velocity) < 1e-3) << 12
+            word |= MODE_BIT * (abs(self.velocity) < STANDING)
         elif motion.mode in (Mode.CYCLIC_POSITION, Mode.CYCLIC_VELOCITY):
-            word |= int(self.states.state is DriveState.OPERATION_ENABLED) << 12
+            word |= MODE_BIT * (self.states.state is DriveState.OPERATION_ENABLED)
         if motion.mode in (Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION):
             word |= FOLLOWING_ERROR_BIT * (self._error_since is not None)
         return word
