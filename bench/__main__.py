@@ -1,4 +1,7 @@
-"""Take every figure, print the table, write bench.json."""
+"""Measures all figures, prints a table and writes bench.json.
+
+``python -m bench [MODULE ...]`` measures only the named modules and does not write bench.json.
+"""
 
 from __future__ import annotations
 
@@ -13,24 +16,25 @@ from bench.figure import ROOT, Figure
 
 
 def main(only: list[str]) -> int:
-    found: list[Figure] = []
+    figures: list[Figure] = []
     for info in sorted(pkgutil.iter_modules(bench.__path__), key=lambda m: m.name):
         if info.name.startswith("__") or (only and info.name not in only):
             continue
         module = importlib.import_module(f"bench.{info.name}")
         for figure in module.figures() if hasattr(module, "figures") else ():
-            found.append(figure)
+            figures.append(figure)
             print(row(figure), flush=True)
-    listed = [asdict(figure) | {"holds": figure.holds} for figure in found]
+    rows = [asdict(figure) | {"holds": figure.holds} for figure in figures]
     if not only:
-        (ROOT / "bench.json").write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
-    broken = [figure.name for figure in found if not figure.holds]
-    if broken:
-        print(f"does not hold: {', '.join(broken)}", file=sys.stderr)
+        (ROOT / "bench.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    missed = [figure.name for figure in figures if not figure.holds]
+    if missed:
+        print(f"bound missed: {', '.join(missed)}", file=sys.stderr)
     return 0
 
 
 def row(figure: Figure) -> str:
+    """Returns the line of a figure in the table."""
     sign = "<=" if figure.better == "lower" else ">="
     bound = "" if figure.bound is None else f"{sign} {figure.bound:g}"
     verdict = "" if figure.bound is None else ("holds" if figure.holds else "FAILS")

@@ -1,4 +1,4 @@
-"""A measured figure and the ways to measure it."""
+"""A measured figure, and functions that measure times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ EXAMPLE = ROOT / "examples" / "4wd4ws_wide" / "robot.yaml"
 
 @dataclass(frozen=True)
 class Figure:
-    """``bound`` is ``None`` for a figure that is only told; ``how`` says how it was taken."""
+    """A measured value with its bound; ``how`` describes the measurement.
+
+    A figure without a bound is printed but not judged.
+    """
 
     name: str
     value: float
@@ -29,27 +32,30 @@ class Figure:
 
     @property
     def holds(self) -> bool:
+        """Whether the value satisfies the bound, if there is one."""
         if self.bound is None:
             return True
         return self.value <= self.bound if self.better == "lower" else self.value >= self.bound
 
 
 def python(*arguments: str) -> list[str]:
+    """Returns a command that runs this Python interpreter."""
     return [sys.executable, *arguments]
 
 
 def side_by_side(
     commands: Sequence[Sequence[str]], rounds: int, folder: Path = ROOT
 ) -> list[float]:
-    """Median wall time (s) of each command as a whole process, run in turns.
+    """Returns the median wall time (s) of each command, including the start of its process.
 
-    The first round fills the disk's and the bytecode's caches and does not count.
+    The commands run in turns: a change of the machine's speed then affects all of them.  The
+    first round fills the caches of disk and bytecode and does not count.
     """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    taken: list[list[float]] = [[] for _ in commands]
+    all_times: list[list[float]] = [[] for _ in commands]
     for turn in range(rounds + 1):
-        for command, times in zip(commands, taken, strict=True):
+        for command, times in zip(commands, all_times, strict=True):
             start = time.perf_counter()
             subprocess.run(
                 command,
@@ -61,33 +67,34 @@ def side_by_side(
             )
             if turn > 0:
                 times.append(time.perf_counter() - start)
-    return [statistics.median(times) for times in taken]
+    return [statistics.median(times) for times in all_times]
 
 
-def least_times(works: Sequence[Callable[[], object]], rounds: int) -> list[float]:
-    """Least time (s) of each call in this process, taken in turns, after one that does not count.
+def least_times(functions: Sequence[Callable[[], object]], rounds: int) -> list[float]:
+    """Returns the least processor time (s) of each function, called in turns in this process.
 
-    Processor time, and the least of it: what else the machine does only adds.
+    Other work of the machine can only make a call slower, so the least time has the least
+    disturbance.  The first call of each function does not count.
     """
-    for work in works:
-        work()
-    taken: list[list[float]] = [[] for _ in works]
+    for function in functions:
+        function()
+    all_times: list[list[float]] = [[] for _ in functions]
     for _ in range(rounds):
-        for work, times in zip(works, taken, strict=True):
+        for function, times in zip(functions, all_times, strict=True):
             gc.collect()
             start = time.process_time()
-            work()
+            function()
             times.append(time.process_time() - start)
-    return [min(times) for times in taken]
+    return [min(times) for times in all_times]
 
 
-def median_time(work: Callable[[], object], rounds: int) -> float:
-    """Median processor time (s) of a call in this process, after one that does not count."""
-    work()
+def median_time(function: Callable[[], object], rounds: int) -> float:
+    """Returns the median processor time (s) of a call; the first call does not count."""
+    function()
     times = []
     for _ in range(rounds):
         gc.collect()
         start = time.process_time()
-        work()
+        function()
         times.append(time.process_time() - start)
     return statistics.median(times)

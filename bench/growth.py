@@ -1,4 +1,4 @@
-"""How compiling grows with the robot: 9 and 90 drive modules."""
+"""Growth of the compile time with the size of the robot: 9 and 90 drive modules."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ PITCH = 1.3  # m, between wheels
 
 
 def robot(rows: int, columns: int) -> str:
-    """A frame with ``rows`` x ``columns`` steered drives, each with its controller.
+    """Returns a robot file with ``rows`` x ``columns`` steered drives, each with its controller.
 
-    Nine drives take half of a bus, so there is a bus for every nine.
+    Nine drives use half of the capacity of a bus, so there is one bus for nine drives.
     """
     lines = [
         "thorvaldc: 1",
@@ -39,24 +39,24 @@ def figures() -> Iterator[Figure]:
     from thorvaldc.backends import DEFAULT_TARGETS
     from thorvaldc.compiler.pipeline import compile_file, emit
 
-    def work(path: Path) -> object:
-        done = compile_file(path)
-        if done.model is None:
-            raise RuntimeError(str([d.message for d in done.report.errors]))
-        return emit(done.model, DEFAULT_TARGETS, done.report)
+    def build(path: Path) -> object:
+        compilation = compile_file(path)
+        if compilation.model is None:
+            raise RuntimeError(str([d.message for d in compilation.report.errors]))
+        return emit(compilation.model, DEFAULT_TARGETS, compilation.report)
 
     with tempfile.TemporaryDirectory() as folder:
         small, large = Path(folder, "9.yaml"), Path(folder, "90.yaml")
         small.write_text(robot(3, 3), encoding="utf-8")
         large.write_text(robot(9, 10), encoding="utf-8")
-        of_small, of_large = least_times([lambda: work(small), lambda: work(large)], rounds=15)
+        small_time, large_time = least_times([lambda: build(small), lambda: build(large)], 15)
     yield Figure(
         "growth from 9 to 90 modules",
-        of_large / (10 * of_small),
+        large_time / (10 * small_time),
         "",
         1.2,
         "lower",
         "compile and emit in process, least processor time of 15:"
-        f" {of_small * 1e3:.1f} ms for 9 steered drives, {of_large * 1e3:.0f} ms for 90;"
-        " over ten times the former",
+        f" {small_time * 1e3:.1f} ms for 9 steered drives, {large_time * 1e3:.0f} ms for 90;"
+        " the ratio is the second over ten times the first",
     )

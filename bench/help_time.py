@@ -1,6 +1,6 @@
 """Time of ``thorvaldc --help`` relative to the smallest typer program.
 
-The help needs only the command table, so it should cost little more than typer itself.
+The help needs only the command table, so it should take little more time than typer itself.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ app()
 
 def figures() -> Iterator[Figure]:
     plain = BARE.replace("Typer()", "Typer(rich_markup_mode=None)")
-    ours, bare, without_rich = side_by_side(
+    thorvaldc_time, bare, without_rich = side_by_side(
         [
             python("-m", "thorvaldc", "--help"),
             python("-c", BARE, "--help"),
@@ -31,11 +31,11 @@ def figures() -> Iterator[Figure]:
     )
     yield Figure(
         "--help over bare typer",
-        ours / bare,
+        thorvaldc_time / bare,
         "",
         1.15,
         "lower",
-        f"{ours * 1e3:.0f} ms, a typer program of one command {bare * 1e3:.0f} ms"
-        f" (with rich's help off {without_rich * 1e3:.0f} ms); whole processes in turns,"
+        f"{thorvaldc_time * 1e3:.0f} ms, a typer program of one command {bare * 1e3:.0f} ms"
+        f" (without the help of rich {without_rich * 1e3:.0f} ms); whole processes in turns,"
         " medians of 21",
     )

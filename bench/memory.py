@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from bench.figure import EXAMPLE, ROOT, Figure, python
 
-# A process of its own, small, so that its memory is not counted for the build's.
+# A separate small process measures its children: its own memory does not count.
 MEASURE = """
 import resource, subprocess, sys
 subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
@@ -19,12 +19,12 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         build = python("-m", "thorvaldc", "build", str(EXAMPLE), "-o", f"{folder}/out")
-        done = subprocess.run(
+        process = subprocess.run(
             python("-c", MEASURE, *build), cwd=ROOT, check=True, capture_output=True, text=True
         )
     yield Figure(
         "peak memory of a build",
-        int(done.stdout) / 1024,
+        int(process.stdout) / 1024,
         "MB",
         150,
         "lower",

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 
 def example(name: str) -> Path:
+    """Returns the path of an example's robot file."""
     return ROOT / "examples" / name / "robot.yaml"
 
 

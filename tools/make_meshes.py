@@ -1,7 +1,8 @@
-"""Writes the library's meshes: ``python tools/make_meshes.py [--check]``.
+"""Writes the meshes of the library and the examples: ``python tools/make_meshes.py [--check]``.
 
-A module's meshes go to ``modules/<type>/meshes/``, an example's to its own.  ``--check``
-writes nothing and exits with 1 where a file differs from what would be written.
+The meshes of a module go to ``modules/<type>/meshes/``, those of an example to
+``examples/<name>/meshes/``.  ``--check`` writes nothing and exits with 1 if a file is not up
+to date.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ EXAMPLES: dict[str, Callable[[], Meshes]] = {
 
 
 def make_all() -> dict[str, bytes]:
-    """Every mesh file by its path from the top of the repository."""
+    """Returns all mesh files, by path in the repository."""
     folders = {f"modules/{name}": make for name, make in LIBRARY.items()}
     folders |= {f"examples/{name}": make for name, make in EXAMPLES.items()}
     return {
@@ -72,7 +73,7 @@ def make_all() -> dict[str, bytes]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the meshes, or compare them with what is there."""
+    """Writes the meshes, or with ``--check`` compares them with the files."""
     stale = 0
     for path, data in make_all().items():
         file = ROOT / path

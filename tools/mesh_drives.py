@@ -1,4 +1,4 @@
-"""Meshes of the modules that carry and turn the wheels."""
+"""Meshes of drive, steering and suspension modules and of casters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mesh_wheels import passive_wheel
 
 
 def finned_motor(radius: float, length: float, fins: int) -> Solid:
-    """A motor along z, its gear side at z = 0, with cooling fins and a cable gland."""
+    """Returns a motor along z, with the gear side at z = 0, cooling fins and a cable gland."""
     outline = []
     inner = radius * 0.86
     for i in range(fins):
@@ -55,7 +55,7 @@ def finned_motor(radius: float, length: float, fins: int) -> Solid:
 
 
 def gear_housing(radius: float, length: float) -> Solid:
-    """A stepped round case along z, centred, with bolted covers."""
+    """Returns a stepped round case along z, centred at the origin, with bolted covers."""
     h = length / 2
     case = revolve(
         [
@@ -77,7 +77,7 @@ def gear_housing(radius: float, length: float) -> Solid:
 
 
 def tube_clamp(x: float, y: float, z: float) -> Solid:
-    """Two halves with a gap at the tube's middle and four bolts; for tubes along x or y."""
+    """Returns a clamp for a tube along x or y: two halves, a gap at the tube, four bolts."""
     half = block(x, y, z / 2 - 0.003, 0.010)
     shift = z / 4 + 0.0015
     parts = [half.moved(z=shift), half.moved(z=-shift)]
@@ -90,7 +90,10 @@ def tube_clamp(x: float, y: float, z: float) -> Solid:
 
 
 def drive() -> Meshes:
-    """Column: height 1 downwards, scaled along z.  Arm: length 1 along y, scaled."""
+    """Returns the drive.
+
+    The module scales the column (height 1, downwards) along z, and the arm (length 1) along y.
+    """
     column = extrude(rectangle(0.100, 0.050, 0.012), -1.0, 0.0)
     rib = extrude(rectangle(0.030, 0.058, 0.004), -0.93, -0.12)
     arm = extrude(rectangle(0.110, 0.034, 0.010), 0.0, 1.0).turned("x", ALONG_Y)
@@ -101,7 +104,7 @@ def drive() -> Meshes:
         0.060,
         0.008,
     )
-    # Outline in (y, z); extruded along x.
+    # The outline is in (y, z), extruded along x.
     elbow = elbow.turned("x", math.pi / 2).turned("z", math.pi / 2)
     disc = join(
         [
@@ -142,6 +145,7 @@ def drive() -> Meshes:
 
 
 def steering() -> Meshes:
+    """Returns the steering module: a worm gear with its motor along y, and a flange below."""
     case = revolve(
         [
             (0.050, -0.140),
@@ -157,7 +161,7 @@ def steering() -> Meshes:
         ],
         36,
     )
-    # Where the worm's shaft enters, along y.
+    # The shaft of the worm enters here, along y.
     snout = along_y(cylinder(0.044, 0.070, 24, 0.004)).moved(y=0.052, z=-0.092)
     saddle = block(0.092, 0.092, 0.016, 0.004).moved(z=-0.050)
     rib = extrude(
@@ -185,7 +189,11 @@ def steering() -> Meshes:
 
 
 def suspension() -> Meshes:
-    """Spring and damper stand along z from 0; the plate lies in y = 0, rails on its +y side."""
+    """Returns the suspension.
+
+    Spring and damper are along z, from z = 0.  The plate is in the plane y = 0; the rails are
+    on its +y side.
+    """
     half = [(0.055, -0.100), (0.070, -0.085), (0.070, 0.120), (0.050, 0.185)]
     outline = half + [(-x, z) for x, z in reversed(half)]
     plate = extrude(outline, -0.008, 0.008, 0.003).turned("x", math.pi / 2)
@@ -224,7 +232,11 @@ def suspension() -> Meshes:
 
 
 def caster(trail: bool) -> Meshes:
-    """Arm: height 1 downwards; with a trail it leans back by 1; thickness along y."""
+    """Returns a caster.
+
+    The arm has the height 1, downwards; with ``trail`` it leans back by 1.  Its thickness is
+    along y.
+    """
     if trail:
         outline = [(0.35, 0.0), (0.32, -0.12), (-0.66, -0.86), (-0.72, -1.0)]
         outline += [(-1.0, -1.10), (-1.28, -1.0), (-1.25, -0.86), (-0.95, -0.25), (-0.85, 0.0)]

@@ -23,7 +23,7 @@ from mesh_solids import (
 
 
 def battery() -> Meshes:
-    """Length 0.56, width 0.26, height 0.23; the bottom's middle is the origin."""
+    """Returns the enclosure: length 0.56 m, width 0.26 m, height 0.23 m; origin: bottom centre."""
     length, width, height = 0.56, 0.26, 0.23
     seam = 0.175
     box = extrude(rounded_rectangle(length - 0.012, width - 0.012, 0.030, 4), 0.0, seam, 0.008)
@@ -94,16 +94,21 @@ def battery() -> Meshes:
 
 
 def frame_clamps() -> Meshes:
+    """Returns the clamps and end caps of a tube frame."""
     return {"clamp": tube_clamp(0.11, 0.10, 0.08), "end_cap": end_cap()}
 
 
 def end_cap() -> Solid:
-    """For a tube of radius 1, at the origin, outwards along x."""
+    """Returns the cap of a tube of radius 1 that ends at the origin; it points along x."""
     return along_x(revolve([(0.98, -0.10), (1.04, -0.02), (1.04, 0.10), (0.90, 0.22)], 24))
 
 
 def portal() -> Meshes:
-    """Elbow: a bend of radius 1 from the origin, upwards, to (1, 0, 1), forwards; pipe of 0.16."""
+    """Returns the parts of a portal frame.
+
+    The elbow has the bend radius 1 and the pipe radius 0.16.  It starts at the origin in
+    direction z and ends at (1, 0, 1) in direction x.
+    """
     angles = np.linspace(0.0, math.pi / 2, 9)
     path = np.column_stack([1.0 - np.cos(angles), np.zeros(9), np.sin(angles)])
     gusset = extrude(
@@ -117,7 +122,7 @@ def portal() -> Meshes:
 
 
 def sheet_metal() -> Meshes:
-    """Length 1.0, width 0.36, height 0.24; the bottom's middle is the origin."""
+    """Returns the body: length 1.0 m, width 0.36 m, height 0.24 m; origin: bottom centre."""
     length, width, height = 1.0, 0.36, 0.24
 
     def ring(z: float, front: float, rear: float, side: float, radius: float) -> np.ndarray:
@@ -161,7 +166,7 @@ def sheet_metal() -> Meshes:
 
 
 def sensor_hood() -> Meshes:
-    """A hood that is open below, its middle the origin, with eyes for its two rods."""
+    """Returns a hood that is open below, centred at the origin, with eyes for its two rods."""
     outer = rounded_rectangle(0.30, 0.44, 0.03, 4)
     inner = rounded_rectangle(0.27, 0.41, 0.02, 4)
     top = rounded_rectangle(0.22, 0.36, 0.03, 4)
@@ -182,6 +187,7 @@ def sensor_hood() -> Meshes:
 
 
 def lidar() -> Meshes:
+    """Returns a scanner whose laser plane is in the window, 0.085 m over the foot."""
     base = join(
         [
             extrude(rounded_rectangle(0.100, 0.100, 0.018, 3), 0.0, 0.050, 0.004),
@@ -199,6 +205,7 @@ def lidar() -> Meshes:
 
 
 def gnss() -> Meshes:
+    """Returns an antenna with a foot at z = 0 and a neck for a mast below."""
     dome = revolve(
         [
             (0.060, 0.0),
@@ -221,6 +228,7 @@ def gnss() -> Meshes:
 
 
 def imu() -> Meshes:
+    """Returns a box on a base plate, with a plug and marks of the x and y axes."""
     box = join(
         [
             block(0.046, 0.058, 0.022, 0.003).moved(z=0.013),
@@ -238,8 +246,9 @@ def imu() -> Meshes:
 
 
 def camera() -> Meshes:
+    """Returns a stereo camera on a stem; the lenses point along x."""
     body = extrude(rounded_rectangle(0.092, 0.026, 0.012, 4), -0.013, 0.013, 0.002)
-    # Outline in (y, z); along x.
+    # The outline is in (y, z), extruded along x.
     body = body.turned("x", math.pi / 2).turned("z", math.pi / 2)
     lens = along_x(join([cylinder(0.009, 0.006, 20), cylinder(0.005, 0.008, 14)]))
     small = along_x(cylinder(0.005, 0.006, 14))

@@ -1,8 +1,8 @@
-"""Closed solids as vertices and triangles, enough to build the library's meshes.
+"""Closed solids of vertices and triangles, for the meshes of the library.
 
-Every function gives a :class:`Solid` with outward faces.  Solids are joined by
-putting them side by side or into one another, without boolean operations: each
-stays closed, so the whole does.  Lengths in m, angles in rad.
+Every function returns a :class:`Solid` whose faces point outwards.  ``join`` puts solids side
+by side or into one another, without Boolean operations: each part remains closed, so the
+whole is closed too.  Lengths are in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 Outline = Sequence[tuple[float, float]]
 
-ALONG_Y = -math.pi / 2  # turns z onto y, about x
+ALONG_Y = -math.pi / 2  # rotation about x from z to y
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,11 @@ class Solid:
     faces: Faces
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Solid:
+        """Returns the solid, translated."""
         return Solid(self.vertices + np.array([x, y, z]), self.faces)
 
     def turned(self, axis: str, angle: float) -> Solid:
-        """Rotated by ``angle`` about the axis ``x``, ``y`` or ``z`` through the origin."""
+        """Returns the solid, rotated by ``angle`` about the axis ``x``, ``y`` or ``z``."""
         c, s = math.cos(angle), math.sin(angle)
         matrix = {
             "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -43,29 +44,26 @@ class Solid:
         return Solid(self.vertices @ np.array(matrix).T, self.faces)
 
     def scaled(self, x: float, y: float, z: float) -> Solid:
-        """Stretched by positive factors."""
+        """Returns the solid, scaled by positive factors."""
         return Solid(self.vertices * np.array([x, y, z]), self.faces)
-
-    def mirrored_y(self) -> Solid:
-        return Solid(self.vertices * np.array([1.0, -1.0, 1.0]), self.faces[:, ::-1])
 
 
 Meshes = dict[str, Solid]
-"""A module's meshes by the names of their files, without the ending."""
+"""The meshes of a module by file name, without the extension."""
 
 
 def along_y(solid: Solid) -> Solid:
-    """What was built along z, along y."""
+    """Rotates a solid that is built along z, so that it is along y."""
     return solid.turned("x", ALONG_Y)
 
 
 def along_x(solid: Solid) -> Solid:
-    """What was built along z, along x."""
+    """Rotates a solid that is built along z, so that it is along x."""
     return solid.turned("y", math.pi / 2)
 
 
 def join(solids: Iterable[Solid]) -> Solid:
-    """All of them in one."""
+    """Returns all solids as one."""
     vertices: list[Points] = []
     faces: list[Faces] = []
     offset = 0
@@ -77,15 +75,15 @@ def join(solids: Iterable[Solid]) -> Solid:
 
 
 def around(solid: Solid, count: int, axis: str = "z", start: float = 0.0) -> Solid:
-    """``count`` copies, evenly about an axis."""
+    """Returns ``count`` copies at equal angles about an axis, the first at ``start``."""
     return join(solid.turned(axis, start + 2 * math.pi * i / count) for i in range(count))
 
 
 def loft(rings: Sequence[Points], *, closed: bool = False) -> Solid:
-    """Skin over rings of equally many points.
+    """Returns the solid whose surface connects rings with the same number of points.
 
-    Ends are closed by a fan about their middle (so they must be star-shaped from
-    it); with ``closed`` the last ring joins the first instead.
+    A fan of triangles from its centre closes each end, so the end must be star-shaped about
+    its centre.  With ``closed``, the last ring is connected to the first instead.
     """
     count, size = len(rings), len(rings[0])
     vertices = [np.asarray(ring, dtype=np.float64) for ring in rings]
@@ -105,15 +103,17 @@ def loft(rings: Sequence[Points], *, closed: bool = False) -> Solid:
 
 
 def _outward(solid: Solid) -> Solid:
+    """Returns the solid with outward faces: then the sum of signed volumes is positive."""
     a, b, c = (solid.vertices[solid.faces[:, i]] for i in range(3))
     volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())
     return solid if volume > 0 else Solid(solid.vertices, solid.faces[:, ::-1])
 
 
 def revolve(profile: Outline, segments: int, *, closed: bool = False) -> Solid:
-    """``profile`` of (radius, height) turned about z.
+    """Returns the solid of revolution about z of a profile of (radius, height).
 
-    ``closed`` makes a ring of a closed profile; otherwise the ends are flat discs.
+    With ``closed``, the profile is closed and the solid is a ring.  Otherwise flat discs close
+    the ends.
     """
     angles = np.arange(segments) * (2 * math.pi / segments)
     cos, sin = np.cos(angles), np.sin(angles)
@@ -122,7 +122,7 @@ def revolve(profile: Outline, segments: int, *, closed: bool = False) -> Solid:
 
 
 def cylinder(radius: float, length: float, segments: int = 24, bevel: float = 0.0) -> Solid:
-    """Along z, centred."""
+    """Returns a cylinder along z, with its centre at the origin."""
     h = length / 2
     if bevel:
         profile = [
@@ -137,7 +137,7 @@ def cylinder(radius: float, length: float, segments: int = 24, bevel: float = 0.
 
 
 def extrude(outline: Outline, low: float, high: float, bevel: float = 0.0) -> Solid:
-    """A star-shaped outline (x, y) from z = ``low`` to ``high``, ends bevelled."""
+    """Returns a prism with a star-shaped outline (x, y) from z = ``low`` to ``high``."""
     points = np.asarray(outline, dtype=np.float64)
 
     def at(z: float, inset: float) -> Points:
@@ -149,30 +149,33 @@ def extrude(outline: Outline, low: float, high: float, bevel: float = 0.0) -> So
     return loft([at(low, bevel), at(low + bevel, 0.0), at(high - bevel, 0.0), at(high, bevel)])
 
 
-def _inset(points: Points, by: float) -> Points:
-    """Corners moved inwards along their mitres."""
+def _inset(points: Points, distance: float) -> Points:
+    """Moves the edges of a polygon inwards by ``distance``; corners move along their mitres.
+
+    With the unit normals n1 and n2 of its edges, a corner moves by
+    ``distance`` times 2 (n1 + n2) / |n1 + n2|^2.
+    """
     area = float(
         np.sum(points[:, 0] * np.roll(points[:, 1], -1) - points[:, 1] * np.roll(points[:, 0], -1))
     )
     edge = np.roll(points, -1, axis=0) - points
     normal = np.column_stack([-edge[:, 1], edge[:, 0]]) * (1.0 if area > 0 else -1.0)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    before = np.roll(normal, 1, axis=0)
-    mitre = normal + before
+    mitre = normal + np.roll(normal, 1, axis=0)
     length = np.einsum("ij,ij->i", mitre, mitre)[:, None] / 2.0
-    inner: Points = points + by * mitre / length
+    inner: Points = points + distance * mitre / length
     return inner
 
 
 def rectangle(x: float, y: float, chamfer: float) -> list[tuple[float, float]]:
-    """A rectangle with cut corners, centred."""
+    """Returns a rectangle with chamfered corners, centred at the origin."""
     a, b, c = x / 2, y / 2, chamfer
     corners = [(a, b - c), (a - c, b), (c - a, b), (-a, b - c)]
     return corners + [(-px, -py) for px, py in corners]
 
 
 def rounded_rectangle(x: float, y: float, radius: float, steps: int) -> list[tuple[float, float]]:
-    """A rectangle with round corners, centred; ``steps`` edges per corner."""
+    """Returns a centred rectangle with round corners of ``steps`` edges each."""
     points = []
     for i, (sx, sy) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
         for j in range(steps + 1):
@@ -187,7 +190,7 @@ def rounded_rectangle(x: float, y: float, radius: float, steps: int) -> list[tup
 
 
 def block(x: float, y: float, z: float, bevel: float = 0.0) -> Solid:
-    """A box, centred, all edges bevelled."""
+    """Returns a centred box with bevelled edges."""
     if not bevel:
         return extrude(
             [(x / 2, y / 2), (-x / 2, y / 2), (-x / 2, -y / 2), (x / 2, -y / 2)], -z / 2, z / 2
@@ -196,29 +199,30 @@ def block(x: float, y: float, z: float, bevel: float = 0.0) -> Solid:
 
 
 def bolt(radius: float, height: float) -> Solid:
-    """A hexagonal head that stands on z = 0."""
+    """Returns the hexagonal head of a bolt, with its lower face at z = 0."""
     return cylinder(radius, height, 6).moved(z=height / 2)
 
 
 def sweep(path: Points, radius: float, segments: int) -> Solid:
-    """A round bar along a path of points (n, 3)."""
+    """Returns a round bar along a path of points (n, 3)."""
     rings = []
     tangents = np.gradient(path, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     side = np.array([0.0, 0.0, 1.0]) if abs(tangents[0][2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     angles = np.arange(segments) * (2 * math.pi / segments)
     for point, tangent in zip(path, tangents, strict=True):
+        # Project the last direction onto the normal plane: the bar does not twist.
         side = side - tangent * float(side @ tangent)
         side /= np.linalg.norm(side)
-        other = np.cross(tangent, side)
+        binormal = np.cross(tangent, side)
         rings.append(
-            point + radius * (np.outer(np.cos(angles), side) + np.outer(np.sin(angles), other))
+            point + radius * (np.outer(np.cos(angles), side) + np.outer(np.sin(angles), binormal))
         )
     return loft(rings)
 
 
 def coil(radius: float, wire: float, height: float, turns: int, per_turn: int = 16) -> Solid:
-    """A coil spring along z from 0 to ``height``; ``wire`` is the radius of its wire."""
+    """Returns a coil spring along z from 0 to ``height``; ``wire`` is the radius of its wire."""
     count = turns * per_turn + 1
     t = np.linspace(0.0, 1.0, count)
     angle = 2 * math.pi * turns * t
@@ -229,10 +233,10 @@ def coil(radius: float, wire: float, height: float, turns: int, per_turn: int = 
 
 
 def to_stl(solid: Solid) -> bytes:
-    """Binary STL.
+    """Returns a binary STL file.
 
-    Coordinates are rounded to a micrometre first, so that the last bits of a C
-    library's sine do not show in the file; triangles without area are left out.
+    Coordinates are rounded to a micrometre, because the last bits of ``sin`` differ between C
+    libraries and files must not.  Triangles without area are left out.
     """
     rounded = np.round(solid.vertices, 6) + 0.0
     a, b, c = (rounded[solid.faces[:, i]] for i in range(3))

@@ -1,4 +1,4 @@
-"""Meshes of wheels: radius 1 and width 1, about y."""
+"""Meshes of wheels with radius 1 and width 1; the axis is y."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mesh_solids import (
 
 
 def agricultural_tyre(lugs: int) -> Solid:
-    """A carcass with chevron lugs, alternately to the left and the right."""
+    """Returns a carcass with chevron lugs, alternately on the left and on the right."""
     carcass = revolve(
         [
             (0.52, -0.40),
@@ -48,7 +48,7 @@ def agricultural_tyre(lugs: int) -> Solid:
 
 
 def _lug(side: float) -> Solid:
-    """A bar from the middle of the tread to its shoulder, swept back."""
+    """Returns a bar from the middle of the tread to its shoulder, swept back."""
     rings = []
     #        across, sweep, inner radius, outer radius, half width at the foot and at the top
     for across, angle, inner, outer, foot, top in (
@@ -67,7 +67,7 @@ def _lug(side: float) -> Solid:
 
 
 def ribbed_tyre() -> Solid:
-    """A passive wheel's tyre: three ribs around, no lugs."""
+    """Returns the tyre of a passive wheel: three ribs around it, no lugs."""
     return along_y(
         revolve(
             [
@@ -95,7 +95,7 @@ def ribbed_tyre() -> Solid:
 
 
 def rim(seat: float) -> Solid:
-    """The barrel, with a valve; ``seat`` is the radius of the tyre's bead."""
+    """Returns the barrel with a valve; ``seat`` is the radius of the tyre's bead."""
     barrel = revolve(
         [
             (seat + 0.05, -0.42),
@@ -117,7 +117,7 @@ def rim(seat: float) -> Solid:
 
 
 def spokes(seat: float, count: int) -> Solid:
-    """Spokes and the centre that is bolted to the hub."""
+    """Returns the spokes and the centre, which is bolted to the hub."""
     spoke = extrude(
         [(0.11, 0.10), (-0.11, 0.10), (-0.075, seat - 0.02), (0.075, seat - 0.02)],
         -0.17,
@@ -129,14 +129,15 @@ def spokes(seat: float, count: int) -> Solid:
 
 
 def wheel_bolts(circle: float, count: int) -> Solid:
-    """Bolts and a cap on both faces of the rim's centre."""
-    one = bolt(0.026, 0.06).moved(x=circle, z=0.24)
+    """Returns bolts and a cap on both faces of the rim's centre."""
+    wheel_bolt = bolt(0.026, 0.06).moved(x=circle, z=0.24)
     cap = cylinder(0.07, 0.60, 16, 0.015)
-    face = around(one, count)
+    face = around(wheel_bolt, count)
     return along_y(join([face, face.turned("x", math.pi), cap]))
 
 
 def passive_wheel() -> Meshes:
+    """Returns the meshes of a wheel without a motor."""
     return {
         "tyre": ribbed_tyre(),
         "rim": rim(0.56),
@@ -146,7 +147,10 @@ def passive_wheel() -> Meshes:
 
 
 def greenhouse_wheel() -> Meshes:
-    """The floor's tyre; the rail's wheel is a spool with flanges of 1.3 times its radius."""
+    """Returns a wheel for floor and rails.
+
+    The wheel for rails is a spool; its flanges have 1.26 times the rolling radius.
+    """
     tyre = along_y(
         revolve(
             [

@@ -1,7 +1,8 @@
 """Renders the examples: ``python tools/render_examples.py [NAME ...]``.
 
-Each example is compiled and a picture of it written to ``examples/<name>/picture.png``.
-``MUJOCO_GL`` says what draws; EGL or OSMesa, whichever works, unless it is set.
+The script compiles each example and writes its picture to ``examples/<name>/picture.png``.
+The environment variable ``MUJOCO_GL`` selects the OpenGL backend.  Without it, the script uses
+EGL or OSMesa, whichever works.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 from thorvaldc.simulation.pictures.render import View, render
 
 ROOT = Path(__file__).resolve().parent.parent
-SPIN = 0.35  # rad between a wheel and the next, so that they do not look alike
+SPIN = 0.35  # rad between the angles of successive wheels, so that they do not look alike
 
 
 class Look(NamedTuple):
-    """Where the camera is, and the twist that the wheels are steered for."""
+    """The pose of the camera, and the twist that determines the steering angles."""
 
     view: View = View()
     twist: Twist = ZERO_TWIST
@@ -42,7 +43,7 @@ LOOKS = {
 
 
 def render_example(name: str) -> bytes:
-    """The picture of an example as PNG.  ``SystemExit`` where it does not compile."""
+    """Returns the picture of an example as PNG; raises ``SystemExit`` if it does not compile."""
     folder = ROOT / "examples" / name
     file = next(folder / f for f in ("robot.yaml", "fleet.yaml") if (folder / f).is_file())
     compilation = compile_file(file)
@@ -54,7 +55,7 @@ def render_example(name: str) -> bytes:
 
 
 def main(names: list[str]) -> int:
-    """Render the examples named, or all."""
+    """Renders the named examples, by default all."""
     choose_opengl_backend()
     for name in names or sorted(p.name for p in (ROOT / "examples").iterdir() if p.is_dir()):
         picture = render_example(name)

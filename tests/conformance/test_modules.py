@@ -1,4 +1,4 @@
-"""The library's module folders: sources, meshes, sizes, and each type in a small robot."""
+"""All modules of the library: sources, meshes, sizes, and each module type in a small robot."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ MAX_BYTES = 300_000
 
 
 def document(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = yaml.safe_load((MODULES / name / "module.yaml").read_text())
-    return found
+    """Returns the module.yaml of a module type."""
+    content: dict[str, Any] = yaml.safe_load((MODULES / name / "module.yaml").read_text())
+    return content
 
 
 def parts_of(name: str) -> Iterator[dict[str, Any]]:
@@ -38,23 +39,26 @@ def parts_of(name: str) -> Iterator[dict[str, Any]]:
         yield from link.get("parts", [])
 
 
-def compiled(folder: Path, modules: dict[str, Any], **more: Any) -> Robot:
-    """A robot of these modules; fails on any diagnostic, warnings too."""
+def compiled(folder: Path, modules: dict[str, Any], **sections: Any) -> Robot:
+    """Compiles a robot with these modules and sections; fails on diagnostics, also warnings."""
     file = folder / "robot.yaml"
-    file.write_text(yaml.safe_dump({"thorvaldc": 1, "name": "small", "modules": modules, **more}))
-    done = compile_file(file)
-    assert not list(done.report), [d.message for d in done.report]
-    assert isinstance(done.model, Robot)
-    return done.model
+    file.write_text(
+        yaml.safe_dump({"thorvaldc": 1, "name": "small", "modules": modules, **sections})
+    )
+    compilation = compile_file(file)
+    assert not list(compilation.report), [d.message for d in compilation.report]
+    assert isinstance(compilation.model, Robot)
+    return compilation.model
 
 
-PLACES = {"fl": (0.55, 0.45), "fr": (0.55, -0.45), "rl": (-0.55, 0.45), "rr": (-0.55, -0.45)}
+# x, y in base_link, m
+POSITIONS = {"fl": (0.55, 0.45), "fr": (0.55, -0.45), "rl": (-0.55, 0.45), "rr": (-0.55, -0.45)}
 
 
 def on_four(wheel: dict[str, Any], root: str = "frame/tube_rectangular") -> dict[str, Any]:
-    """Four of the same on a frame, each with its own position."""
+    """Returns a frame with four modules of one type."""
     modules: dict[str, Any] = {"base": {"type": root}}
-    for name, (x, y) in PLACES.items():
+    for name, (x, y) in POSITIONS.items():
         modules[name] = {**wheel, "mount": {"parent": "base", "xyz": [x, y, 0]}}
     return modules
 
@@ -65,21 +69,21 @@ CONTROLLERS = {
     "controller/cia402_propulsion_steering": ("propulsion", "steering"),
     "controller/cia402_propulsion": ("propulsion",),
 }
-NEEDED = {"frame/tube": {"length": "1 m"}, "frame/beam": {"length": "1 m"}}
+REQUIRED_PARAMS = {"frame/tube": {"length": "1 m"}, "frame/beam": {"length": "1 m"}}
 
 
 def small_robot(name: str) -> dict[str, Any]:
-    """The smallest sensible robot with that type in it, as the module ``it`` or ``fl``."""
-    found = document(name)
-    if "mount" not in found and "modules" not in found:
+    """Returns a small robot with a module of this type, called ``base``, ``fl`` or ``it``."""
+    content = document(name)
+    if "mount" not in content and "modules" not in content:
         return on_four(STEERED, name)
-    if name.startswith("wheel/") and "drive_flange" in found["mount"]["kinds"]:
+    if name.startswith("wheel/") and "drive_flange" in content["mount"]["kinds"]:
         return on_four({"type": "assembly/steered_drive", "params": {"wheel": name}})
-    if "wheel" in found or "modules" in found:
+    if "wheel" in content or "modules" in content:
         return on_two({"type": name})
     modules = on_four(STEERED)
     mount = {"parent": "base", "xyz": [0, 0, 0.1]}
-    modules["it"] = {"type": name, "mount": mount, "params": NEEDED.get(name, {})}
+    modules["it"] = {"type": name, "mount": mount, "params": REQUIRED_PARAMS.get(name, {})}
     if name in CONTROLLERS:
         modules["fl"]["params"] = {"controller": "none"}
         modules["it"]["channels"] = {role: f"fl.{role}" for role in CONTROLLERS[name]}
@@ -92,20 +96,20 @@ def small_robot(name: str) -> dict[str, Any]:
 
 
 def on_two(wheel: dict[str, Any]) -> dict[str, Any]:
-    """Two of the same in front; behind, what makes a robot of them that can turn."""
+    """Returns a frame with two modules of one type in front, and rear wheels that can turn."""
     fixed = wheel["type"] == "assembly/fixed_drive"
     modules = on_four({"type": "caster/swivel"} if fixed else STEERED)
     for name in ("fl", "fr"):
         modules[name] = {**modules[name], **wheel}
-        if wheel["type"] == "wheel/passive":  # on a stub of its own, at the height of its axle
-            modules[name]["mount"] = {"parent": "base", "xyz": [*PLACES[name], -0.5]}
+        if wheel["type"] == "wheel/passive":  # mounted at the height of its axle, without a leg
+            modules[name]["mount"] = {"parent": "base", "xyz": [*POSITIONS[name], -0.5]}
     if fixed:
         channels = {"left": "fl.propulsion", "right": "fr.propulsion"}
         modules["both"] = {"type": "controller/propulsion_propulsion", "channels": channels}
     return modules
 
 
-# Tried with the assemblies that they are parts of.
+# Parts of assemblies: the tests of the assemblies include them.
 PARTS = (
     "drive/standard",
     "steering/standard",
@@ -115,48 +119,48 @@ PARTS = (
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in PARTS])
-def test_in_a_small_robot(name: str, tmp_path: Path) -> None:
+def test_small_robot_with_the_module_compiles(name: str, tmp_path: Path) -> None:
     robot = compiled(tmp_path, small_robot(name))
-    own = [link for link in robot.links if link.module.split(".")[0] in ("it", "fl", "base")]
-    assert own
+    names = {link.module.split(".")[0] for link in robot.links}
+    assert names & {"it", "fl", "base"}
     assert all(wheel.load > 20.0 for wheel in robot.wheels)
     assert all(abs(wheel.contact_height) < 1e-9 for wheel in robot.wheels)
 
 
-def test_the_library_checks_clean() -> None:
-    done = check_library(None)
-    assert done.names == NAMES
-    assert not list(done.report), [d.message for d in done.report]
+def test_check_of_the_library_reports_nothing() -> None:
+    check = check_library(None)
+    assert check.names == NAMES
+    assert not list(check.report), [d.message for d in check.report]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_folder_is_light(name: str) -> None:
+def test_module_folder_is_small(name: str) -> None:
     size = sum(p.stat().st_size for p in (MODULES / name).rglob("*") if p.is_file())
     assert size < MAX_BYTES
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_numbers_say_where_they_come_from(name: str) -> None:
-    found = document(name)
-    stated = [p for p in found.get("params", {}).values() if "default" in p]
-    stated += [part for part in parts_of(name) if "mass" in part]
-    stated += list(found.get("motors", {}).values()) if "links" in found else []
-    stated += [found["wheel"]] if "wheel" in found else []
-    for item in stated:
+def test_numbers_have_a_source(name: str) -> None:
+    content = document(name)
+    items = [p for p in content.get("params", {}).values() if "default" in p]
+    items += [part for part in parts_of(name) if "mass" in part]
+    items += list(content.get("motors", {}).values()) if "links" in content else []
+    items += [content["wheel"]] if "wheel" in content else []
+    for item in items:
         assert item.get("source", "").startswith(ORIGINS), item
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_meshes_are_used_and_exist(name: str) -> None:
-    used = {
+    referenced = {
         part["shape"]["mesh"]["file"] for part in parts_of(name) if "mesh" in part.get("shape", {})
     }
-    there = {f"meshes/{p.name}" for p in (MODULES / name / "meshes").glob("*")}
-    assert used == there
+    files = {f"meshes/{p.name}" for p in (MODULES / name / "meshes").glob("*")}
+    assert referenced == files
 
 
 @pytest.mark.parametrize("path", MESHES)
-def test_a_mesh_is_closed(path: str) -> None:
+def test_mesh_is_closed(path: str) -> None:
     mesh = trimesh.load(io.BytesIO((ROOT / path).read_bytes()), file_type="stl", force="mesh")
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -165,13 +169,13 @@ def test_a_mesh_is_closed(path: str) -> None:
     assert len(mesh.faces) < 3000
 
 
-def test_meshes_are_what_the_generator_makes() -> None:
+def test_meshes_are_up_to_date() -> None:
     command = [sys.executable, str(ROOT / "tools" / "make_meshes.py"), "--check"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
 
 
-def test_the_palette_is_used_and_whole() -> None:
+def test_palette_has_exactly_the_used_colors() -> None:
     palette = yaml.safe_load((MODULES / "palette.yaml").read_text())
     used = {part["color"] for name in NAMES for part in parts_of(name) if "color" in part}
     assert {c for c in used if not c.startswith("#")} == set(palette)
@@ -179,14 +183,21 @@ def test_the_palette_is_used_and_whole() -> None:
 
 @pytest.mark.parametrize("radius", [0.12, 0.2, 0.21])
 @pytest.mark.parametrize("drive", ["steered_drive", "suspended_steered_drive"])
-def test_legs_fit_the_wheels(drive: str, radius: float, tmp_path: Path) -> None:
-    """The frame is at 0.65 m and the contact below the mount, whatever the wheel."""
+def test_frame_height_does_not_depend_on_the_wheels(
+    drive: str, radius: float, tmp_path: Path
+) -> None:
+    """The frame is at 0.65 m and the contact point is below the mount, for every wheel radius."""
     wheel = {"type": "wheel/agri_200", "params": {"radius": radius}}
     robot = compiled(tmp_path, on_four({"type": f"assembly/{drive}", "params": {"wheel": wheel}}))
     assert robot.joint("base_mount").pose.xyz[2] == pytest.approx(0.65, abs=1e-9)
-    for name, (x, y) in PLACES.items():
-        (found,) = (w for w in robot.wheels if w.module.split(".")[0] == name)
-        assert (found.x, found.y, found.trail, found.lateral_offset) == pytest.approx((x, y, 0, 0))
+    for name, (x, y) in POSITIONS.items():
+        (wheel_model,) = (w for w in robot.wheels if w.module.split(".")[0] == name)
+        assert (
+            wheel_model.x,
+            wheel_model.y,
+            wheel_model.trail,
+            wheel_model.lateral_offset,
+        ) == pytest.approx((x, y, 0, 0))
 
 
 def test_a_leg_on_the_other_side_is_its_mirror_image(tmp_path: Path) -> None:
@@ -204,21 +215,21 @@ def test_a_leg_on_the_other_side_is_its_mirror_image(tmp_path: Path) -> None:
         assert right.inertia == pytest.approx((ixx, iyy, izz, -ixy, ixz, -iyz), abs=1e-12)
 
 
-def test_the_leg_weighs_what_is_known_of_it(tmp_path: Path) -> None:
-    """Drive and steering module together: 18.04 kg."""
+def test_leg_has_the_estimated_mass(tmp_path: Path) -> None:
+    """Drive and steering module together have 18.04 kg; see modules/README.md."""
     robot = compiled(tmp_path, on_four(STEERED))
     leg = [link for link in robot.links if link.module.startswith(("fl.drive", "fl.steering"))]
     assert sum(link.inertial.mass for link in leg if link.inertial) == pytest.approx(18.04)
 
 
-def test_the_readmes_module_works(tmp_path: Path) -> None:
-    """A wheel of one's own, without parameters: legs take its size from what it says of itself."""
+def test_module_of_the_readme_works(tmp_path: Path) -> None:
+    """The wheel has no parameters: the legs read its radius from its section `wheel`."""
     text = (MODULES / "README.md").read_text()
-    found = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
-    assert found is not None
-    own = tmp_path / "my_modules" / "wheel" / "big_400"
-    shutil.copytree(MODULES / "wheel" / "agri_200" / "meshes", own / "meshes")
-    (own / "module.yaml").write_text(found[1])
+    example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert example is not None
+    module_folder = tmp_path / "my_modules" / "wheel" / "big_400"
+    shutil.copytree(MODULES / "wheel" / "agri_200" / "meshes", module_folder / "meshes")
+    (module_folder / "module.yaml").write_text(example[1])
     assert not list(check_library(tmp_path / "my_modules").report)
     modules = on_four({"type": "assembly/steered_drive", "params": {"wheel": "wheel/big_400"}})
     modules["base"]["params"] = {"length": "1.6 m", "width": "1.4 m"}

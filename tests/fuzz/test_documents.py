@@ -1,7 +1,7 @@
-"""Any document gives diagnostics or a robot: no traceback, no hang.
+"""Every document results in diagnostics or a robot, without a traceback and within a time limit.
 
-5000 mutations of the real examples and of the library's own modules, of their
-text and of their trees.  The same ones in every run.
+The tests compile 5000 mutations of the examples and of the library's modules: mutations of
+the text and of the YAML tree.  Every run has the same mutations.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MODULES = [
     (path.parent.relative_to(ROOT / "modules").as_posix(), path.read_text(encoding="utf-8"))
     for path in sorted((ROOT / "modules").glob("*/*/module.yaml"))
 ]
-USER = """thorvaldc: 1
+ROBOT_WITH_MODULE = """thorvaldc: 1
 name: r
 library: [lib]
 modules:
@@ -67,27 +67,30 @@ VALUES: list[Any] = [
 ]
 
 
-class Hang(Exception):
-    pass
+class TooSlow(Exception):
+    """A document took four times the limit."""
 
 
 @contextmanager
-def no_hang() -> Iterator[None]:
+def time_limit() -> Iterator[None]:
+    """Fails after LIMIT; interrupts the block after four times LIMIT."""
+
     def stop(*_: object) -> None:
-        raise Hang(f"more than {4 * LIMIT} s")
+        raise TooSlow(f"more than {4 * LIMIT} s")
 
     previous = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, 4 * LIMIT)
-    began = time.perf_counter()
+    start = time.perf_counter()
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, previous)
-    assert time.perf_counter() - began < LIMIT
+    assert time.perf_counter() - start < LIMIT
 
 
 def compile_and_show(robot: bytes, module: tuple[str, bytes] | None = None) -> None:
+    """Compiles a robot file and a module of its library, and renders the diagnostics."""
     folder = Path(tempfile.mkdtemp(prefix="fuzz"))
     try:
         path = folder / "robot.yaml"
@@ -96,7 +99,7 @@ def compile_and_show(robot: bytes, module: tuple[str, bytes] | None = None) -> N
             module_file = folder / "lib" / module[0] / "module.yaml"
             module_file.parent.mkdir(parents=True)
             module_file.write_bytes(module[1])
-        with no_hang():
+        with time_limit():
             compilation = compile_file(path)
             assert compilation.model is not None or compilation.report.has_errors
             if compilation.model is not None:
@@ -107,7 +110,8 @@ def compile_and_show(robot: bytes, module: tuple[str, bytes] | None = None) -> N
         shutil.rmtree(folder)
 
 
-def many(count: int) -> Callable[[Any], Any]:
+def examples(count: int) -> Callable[[Any], Any]:
+    """Returns Hypothesis settings: ``count`` examples, the same in every run."""
     return settings(
         max_examples=count,
         deadline=None,
@@ -119,12 +123,12 @@ def many(count: int) -> Callable[[Any], Any]:
 
 # -- text -----------------------------------------------------------------------------
 
-places = st.floats(0, 1, exclude_max=True)
+positions = st.floats(0, 1, exclude_max=True)
 edits = st.lists(
     st.tuples(
         st.sampled_from(["insert", "replace", "delete", "swap lines", "repeat", "cut"]),
-        places,
-        places,
+        positions,
+        positions,
         st.one_of(st.sampled_from(PIECES), st.text(max_size=4)),
     ),
     min_size=1,
@@ -133,19 +137,20 @@ edits = st.lists(
 
 
 def edit_text(text: str, operations: list[tuple[str, float, float, str]]) -> bytes:
-    for operation, where, other, piece in operations:
-        at = int(where * len(text))
+    """Applies edits to a text; positions are fractions of its length."""
+    for operation, first, second, piece in operations:
+        at = int(first * len(text))
         if operation == "insert":
             text = text[:at] + piece + text[at:]
         elif operation == "replace":
             text = text[:at] + piece + text[at + max(len(piece), 1) :]
         elif operation == "delete":
-            text = text[:at] + text[at + 1 + int(other * 20) :]
+            text = text[:at] + text[at + 1 + int(second * 20) :]
         elif operation == "cut":
             text = text[:at]
         else:
             lines = text.splitlines(True) or [""]
-            i, j = int(where * len(lines)), int(other * len(lines))
+            i, j = int(first * len(lines)), int(second * len(lines))
             if operation == "repeat":
                 lines.insert(j, lines[i])
             else:
@@ -154,19 +159,19 @@ def edit_text(text: str, operations: list[tuple[str, float, float, str]]) -> byt
     return text.encode("utf-8", "surrogatepass")
 
 
-@many(1500)
+@examples(1500)
 @given(st.sampled_from(ROBOTS), edits)
 def test_text_of_robots(text: str, operations: list[tuple[str, float, float, str]]) -> None:
     compile_and_show(edit_text(text, operations))
 
 
-@many(1000)
+@examples(1000)
 @given(st.sampled_from(MODULES), edits)
 def test_text_of_modules(
     module: tuple[str, str], operations: list[tuple[str, float, float, str]]
 ) -> None:
     name, text = module
-    robot = USER.replace("TYPE", name).encode()
+    robot = ROBOT_WITH_MODULE.replace("TYPE", name).encode()
     compile_and_show(robot, (name, edit_text(text, operations)))
 
 
@@ -175,8 +180,8 @@ def test_text_of_modules(
 changes = st.lists(
     st.tuples(
         st.sampled_from(["set", "set", "remove", "rename", "add", "copy"]),
-        places,
-        places,
+        positions,
+        positions,
         st.one_of(
             st.sampled_from(VALUES),
             st.integers(-(2**70), 2**70),
@@ -201,12 +206,13 @@ def holders(tree: Any) -> list[tuple[Any, Any]]:
 
 
 def change_tree(tree: Any, operations: list[tuple[str, float, float, Any]]) -> bytes:
-    for operation, where, other, drawn in operations:
+    """Applies changes to a tree in place; returns it as JSON, which is also YAML."""
+    for operation, first, second, drawn in operations:
         value = copy.deepcopy(drawn)
         all_holders = holders(tree)
         if not all_holders:
             break
-        holder, key = all_holders[int(where * len(all_holders))]
+        holder, key = all_holders[int(first * len(all_holders))]
         if operation == "set":
             holder[key] = value
         elif operation == "remove":
@@ -214,26 +220,26 @@ def change_tree(tree: Any, operations: list[tuple[str, float, float, Any]]) -> b
         elif operation == "rename" and isinstance(holder, dict):
             holder[value if isinstance(value, str) else "renamed"] = holder.pop(key)
         elif operation == "add" and isinstance(holder, dict):
-            holder[PIECES[int(other * len(PIECES))]] = value
+            holder[PIECES[int(second * len(PIECES))]] = value
         else:  # copied, because a cyclic tree cannot be written
-            source, name = all_holders[int(other * len(all_holders))]
+            source, name = all_holders[int(second * len(all_holders))]
             holder[key] = json.loads(json.dumps(source[name]))
     return json.dumps(tree, ensure_ascii=False).encode("utf-8", "surrogatepass")
 
 
-@many(1500)
+@examples(1500)
 @given(st.sampled_from(ROBOTS), changes)
 def test_trees_of_robots(text: str, operations: list[tuple[str, float, float, Any]]) -> None:
     compile_and_show(change_tree(yaml.safe_load(text), operations))
 
 
-@many(1000)
+@examples(1000)
 @given(st.sampled_from(MODULES), changes)
 def test_trees_of_modules(
     module: tuple[str, str], operations: list[tuple[str, float, float, Any]]
 ) -> None:
     name, text = module
-    robot = USER.replace("TYPE", name).encode()
+    robot = ROBOT_WITH_MODULE.replace("TYPE", name).encode()
     compile_and_show(robot, (name, change_tree(yaml.safe_load(text), operations)))
 
 

@@ -1,4 +1,4 @@
-"""An environment that holds the wheel ``thorvaldc-runtime`` and what it requires, nothing else.
+"""Creates an environment that contains only the wheel ``thorvaldc-runtime`` and its requirements.
 
 Nothing is downloaded: the required packages are copied, file by file, from the environment that
 runs the tests.  So numpy, MuJoCo, PyYAML and the rest of thorvaldc are really absent.
@@ -19,11 +19,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def requirements_of(name: str, extras: tuple[str, ...] = ()) -> dict[str, Distribution]:
-    """The distributions that ``name`` needs, with their own needs, by name."""
+    """Returns ``name`` and all its direct and indirect requirements, by name."""
     distributions: dict[str, Distribution] = {}
-    waiting = [Requirement(f"{name}[{','.join(extras)}]")]
-    while waiting:
-        requirement = waiting.pop()
+    pending = [Requirement(f"{name}[{','.join(extras)}]")]
+    while pending:
+        requirement = pending.pop()
         if requirement.name in distributions:
             continue
         try:
@@ -37,7 +37,7 @@ def requirements_of(name: str, extras: tuple[str, ...] = ()) -> dict[str, Distri
             if candidate.marker is None or any(
                 candidate.marker.evaluate({"extra": extra}) for extra in names
             ):
-                waiting.append(candidate)
+                pending.append(candidate)
     return distributions
 
 
@@ -80,7 +80,7 @@ def copy(dependency: Distribution, site: Path) -> None:
     """Copies the files of an installed distribution to another site-packages."""
     for file in dependency.files or ():
         if ".." in file.parts or file.suffix == ".pyc":
-            continue  # scripts, and bytecode that Python makes again
+            continue  # scripts are outside; Python compiles the bytecode again
         target = site / file
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(str(file.locate()), target)

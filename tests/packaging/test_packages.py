@@ -1,7 +1,8 @@
-"""Wheel and sdist work where the checkout is not: built, installed apart, and used.
+"""The wheel and the sdist work without the checkout.
 
-The fresh environment borrows the packages of the one that runs the tests (a
-``.pth`` line), so that nothing is fetched; thorvaldc itself is the wheel's.
+The tests build them, install the wheel in a new environment and use it.  A ``.pth`` file gives
+the new environment the packages of the environment that runs the tests, so nothing is
+downloaded.  thorvaldc itself comes from the wheel.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# One worker for all of them, so that the packages are built once.
+# One worker runs all these tests: then the packages are built once.
 pytestmark = pytest.mark.xdist_group("packaging")
 
 
 def run(*command: str | Path, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-    done = subprocess.run(
+    process = subprocess.run(
         [str(part) for part in command],
         cwd=cwd,
         env=environment,
@@ -34,13 +35,13 @@ def run(*command: str | Path, cwd: Path, check: bool = True) -> subprocess.Compl
         text=True,
         check=False,
     )
-    assert not check or done.returncode == 0, done.stdout + done.stderr
-    return done
+    assert not check or process.returncode == 0, process.stdout + process.stderr
+    return process
 
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The sdist, and the wheel that is built from the sdist."""
+    """Builds the sdist, and the wheel from the sdist."""
     out = tmp_path_factory.mktemp("dist")
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT, cwd=out)
     (sdist,) = out.glob("*.tar.gz")
@@ -50,24 +51,30 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def environment(packages: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The ``bin`` of a fresh environment with the wheel installed."""
+    """Installs the wheel in a new environment; returns its ``bin``."""
     home = tmp_path_factory.mktemp("environment")
     venv.create(home, with_pip=False, symlinks=True)
     (site,) = (home / "lib").glob("python*/site-packages")
-    (site / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (site / "test_packages.pth").write_text(sysconfig.get_path("purelib") + "\n")
     install(home / "bin", packages[1])
     return home / "bin"
 
 
-def install(bin: Path, what: Path) -> None:
+def install(bin: Path, package: Path) -> None:
     run(
         *(sys.executable, "-m", "pip", "--python", bin / "python", "install", "--quiet"),
-        *("--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check", what),
+        *(
+            "--no-deps",
+            "--no-index",
+            "--no-build-isolation",
+            "--disable-pip-version-check",
+            package,
+        ),
         cwd=bin,
     )
 
 
-def test_wheel_holds_the_data(packages: tuple[Path, Path]) -> None:
+def test_wheel_contains_the_data(packages: tuple[Path, Path]) -> None:
     names = zipfile.ZipFile(packages[1]).namelist()
     for part in ("modules/drive/standard/module.yaml", "templates/robot/4wd4ws.yaml"):
         assert f"thorvaldc/_data/{part}" in names
@@ -76,7 +83,7 @@ def test_wheel_holds_the_data(packages: tuple[Path, Path]) -> None:
     assert not [name for name in names if name.startswith(("tests/", "bench/", "build/"))]
 
 
-def test_sdist_holds_what_a_build_and_the_tests_need(packages: tuple[Path, Path]) -> None:
+def test_sdist_contains_the_files_for_builds_and_tests(packages: tuple[Path, Path]) -> None:
     with tarfile.open(packages[0]) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
     for part in ("Makefile", "LICENSE", "modules/palette.yaml", "examples/4wd4ws_wide/robot.yaml"):
@@ -84,26 +91,24 @@ def test_sdist_holds_what_a_build_and_the_tests_need(packages: tuple[Path, Path]
     assert not [name for name in names if name.startswith((".venv", "build/"))]
 
 
-def test_installed_elsewhere_it_starts_checks_builds_and_drives(
-    environment: Path, tmp_path: Path
-) -> None:
+def test_installed_wheel_checks_builds_and_simulates(environment: Path, tmp_path: Path) -> None:
     thorvaldc = environment / "thorvaldc"
-    where = run(
+    location = run(
         environment / "python", "-c", "import thorvaldc; print(thorvaldc.__file__)", cwd=tmp_path
     )
-    assert where.stdout.startswith(str(environment.parent))
+    assert location.stdout.startswith(str(environment.parent))
     run(thorvaldc, "new", "mine", cwd=tmp_path)
     assert "mine, 4 wheels" in run(thorvaldc, "check", "mine/robot.yaml", cwd=tmp_path).stdout
     run(thorvaldc, "build", "mine/robot.yaml", cwd=tmp_path)
     assert (tmp_path / "build/mine/manifest.json").is_file()
-    driven = run(thorvaldc, "sim", "mine/robot.yaml", "--duration", "1", "--json", cwd=tmp_path)
-    assert json.loads(driven.stdout)
+    simulation = run(thorvaldc, "sim", "mine/robot.yaml", "--duration", "1", "--json", cwd=tmp_path)
+    assert json.loads(simulation.stdout)
     assert "TV501" in run(thorvaldc, "explain", "TV501", cwd=tmp_path).stdout
     assert "drive/standard" in run(thorvaldc, "modules", "list", cwd=tmp_path).stdout
     assert json.loads(run(thorvaldc, "schema", "robot", cwd=tmp_path).stdout)
 
 
-def test_a_backend_of_another_package(environment: Path, tmp_path: Path) -> None:
+def test_backend_of_another_package(environment: Path, tmp_path: Path) -> None:
     package = tmp_path / "package"
     (package / "sheet").mkdir(parents=True)
     (package / "pyproject.toml").write_text(

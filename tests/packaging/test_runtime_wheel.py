@@ -19,7 +19,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-# One worker for all of them, so that the wheel is built once.
+# One worker runs all these tests: then the wheel is built once.
 pytestmark = pytest.mark.xdist_group("packaging")
 
 ABSENT = ("numpy", "mujoco", "yaml", "jsonschema", "trimesh", "xacro", "jinja2", "cantools")
@@ -33,14 +33,14 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def runtime(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The ``bin`` of an environment with the runtime wheel; pyserial is there for slcan."""
+    """Returns the ``bin`` of an environment with the runtime wheel, and pyserial for slcan."""
     home = tmp_path_factory.mktemp("robot_computer")
     return runtime_environment.create(home, wheel, ("python-can", "typer", "pyserial"))
 
 
 @pytest.fixture
 def build(tmp_path: Path) -> Path:
-    """A folder with ``good.yaml`` and a ``model.json`` as a robot's computer gets it."""
+    """Returns a folder with ``good.yaml`` and ``model.json``, the input of a robot's computer."""
     (tmp_path / "good.yaml").write_text(GOOD)
     compilation = compile_file(tmp_path / "good.yaml")
     assert compilation.model is not None
@@ -49,8 +49,8 @@ def build(tmp_path: Path) -> Path:
 
 
 def environment_of(folder: Path) -> dict[str, str]:
-    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-    return {**kept, "XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder / "state")}
+    variables = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    return {**variables, "XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder / "state")}
 
 
 def call(runtime: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -65,7 +65,7 @@ def call(runtime: Path, folder: Path, *arguments: str) -> subprocess.CompletedPr
     )
 
 
-def test_the_wheel_holds_the_rooms_of_the_runtime_alone(wheel: Path) -> None:
+def test_wheel_contains_only_the_rooms_of_the_runtime(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for room in ("can", "cli", "commissioning", "diagnostics", "model", "runtime"):
         assert f"thorvaldc/{room}/__init__.py" in names
@@ -79,7 +79,7 @@ def test_the_environment_has_no_compiler_and_no_numpy(runtime: Path, tmp_path: P
         f"print([n for n in {ABSENT!r} if u.find_spec(n)]"
         f" + [n for n in {ROOMS_LEFT_OUT!r} if u.find_spec('thorvaldc.' + n)])"
     )
-    found = subprocess.run(
+    process = subprocess.run(
         [str(runtime / "python"), "-c", program],
         cwd=tmp_path,
         env=environment_of(tmp_path),
@@ -87,7 +87,7 @@ def test_the_environment_has_no_compiler_and_no_numpy(runtime: Path, tmp_path: P
         text=True,
         check=True,
     )
-    assert found.stdout == "[]\n"
+    assert process.stdout == "[]\n"
 
 
 def test_every_module_of_the_runtime_can_be_imported(runtime: Path, tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_every_module_of_the_runtime_can_be_imported(runtime: Path, tmp_path: Pa
     )
 
 
-def test_it_drives_a_simulated_robot_of_another_process(runtime: Path, build: Path) -> None:
+def test_run_drives_a_simulated_robot_of_another_process(runtime: Path, build: Path) -> None:
     with running(build, "good.yaml") as (_, bus):
         for _ in range(3):
             drive = call(
@@ -123,7 +123,7 @@ def test_it_drives_a_simulated_robot_of_another_process(runtime: Path, build: Pa
     assert summary["pose"]["x"] > 0.3
 
 
-def test_it_drives_over_python_can(runtime: Path, build: Path) -> None:
+def test_run_drives_over_python_can(runtime: Path, build: Path) -> None:
     robot = compile_file(build / "good.yaml").model
     assert isinstance(robot, Robot)
     simulated = SimulatedRobot(robot)
@@ -147,7 +147,7 @@ def test_it_drives_over_python_can(runtime: Path, build: Path) -> None:
     assert json.loads(out)["pose"]["x"] > 0.2
 
 
-def test_it_scans_and_verifies_the_bus(runtime: Path, build: Path) -> None:
+def test_scan_and_verify(runtime: Path, build: Path) -> None:
     with running(build, "good.yaml") as (_, bus):
         channel = f"sim:{bus['channel']}"
         scan = call(runtime, build, "can", "scan", "model.json", "--bus", channel, "--json")
@@ -158,7 +158,7 @@ def test_it_scans_and_verifies_the_bus(runtime: Path, build: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["check", "build", "sim", "view", "render", "import"])
-def test_commands_of_the_compiler_say_what_to_install(
+def test_commands_of_the_compiler_name_the_package_to_install(
     runtime: Path, build: Path, command: str
 ) -> None:
     refused = call(runtime, build, command, "good.yaml")
@@ -167,7 +167,7 @@ def test_commands_of_the_compiler_say_what_to_install(
     assert "Traceback" not in refused.stderr
 
 
-def test_a_robot_document_needs_the_compiler(runtime: Path, build: Path) -> None:
+def test_run_with_a_robot_file_needs_the_compiler(runtime: Path, build: Path) -> None:
     refused = call(runtime, build, "run", "good.yaml", "--bus", "sim:nobody")
     assert refused.returncode == 3, refused.stderr
     assert "model.json" in refused.stderr
@@ -180,7 +180,7 @@ def test_help_names_the_commands(runtime: Path, tmp_path: Path) -> None:
     assert shown.stderr == ""
 
 
-def test_the_interpreter_is_that_of_the_environment(runtime: Path) -> None:
-    """A borrowed interpreter would find the packages of the tests' own environment."""
+def test_runtime_has_its_own_interpreter(runtime: Path) -> None:
+    """Another interpreter would find the packages of the environment that runs the tests."""
     assert (runtime / "python").exists()
     assert str(runtime) not in sys.path
