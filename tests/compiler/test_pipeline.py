@@ -16,7 +16,7 @@ from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import MODEL_FILE, compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.model.serialize import from_json
+from thorvaldc.model.model_json import from_json
 
 ROOT = FOLDER.parent
 

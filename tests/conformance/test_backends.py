@@ -32,7 +32,7 @@ from thorvaldc.backends import Backend
 from thorvaldc.backends.statics_backend import StaticsBackend
 from thorvaldc.diagnostics import CODES
 from thorvaldc.model import Fleet, Link, Placement, Pose, Robot
-from thorvaldc.model.serialize import to_json
+from thorvaldc.model.model_json import to_json
 from thorvaldc.model.statics.standing_pose import solve_statics
 
 TARGETS = backends.names()

@@ -8,12 +8,12 @@ from typing import Any
 
 import jsonschema
 import pytest
+from tests.model.test_model_json import GOOD, changed, everything
 
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
-from tests.model.test_serialize import GOOD, changed, everything
 from thorvaldc.model import Fleet, Placement, Pose
 from thorvaldc.model.json_schema import model_schema, model_schema_text
-from thorvaldc.model.serialize import VERSION, to_json
+from thorvaldc.model.model_json import VERSION, to_json
 
 # The fields and types of each version.  Do not change an entry: a program that reads the
 # version exists.  When the fields change, increase VERSION, add an entry here, and a line in the
@@ -39,7 +39,7 @@ def fingerprint(schema: dict[str, Any]) -> str:
 
 def test_changed_fields_have_a_new_version() -> None:
     assert FINGERPRINTS.get(VERSION) == fingerprint(SCHEMA), (
-        "the fields of model.json changed: increase VERSION in thorvaldc/model/serialize.py, and "
+        "the fields of model.json changed: increase VERSION in thorvaldc/model/model_json.py, and "
         f"add {fingerprint(SCHEMA)!r} to FINGERPRINTS and a line to docs/model.md"
     )
 

@@ -15,7 +15,7 @@ from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.serialize import to_json
+from thorvaldc.model.model_json import to_json
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 from thorvaldc.runtime.twist_text import parse_twist
 from thorvaldc.simulation.manoeuvre import Segment, default_manoeuvre, fleet_manoeuvres, twist_at

@@ -14,7 +14,7 @@ from thorvaldc.cli.installation import is_runtime_only
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.model_file import load_model
+from thorvaldc.model.model_json import load_model
 
 
 class LoadedRobot(NamedTuple):

@@ -27,7 +27,7 @@ from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.serialize import to_json
+from thorvaldc.model.model_json import to_json
 
 if TYPE_CHECKING:  # Creating these classes takes milliseconds, and few files need them.
     from thorvaldc.compiler.scenario.variations import Change

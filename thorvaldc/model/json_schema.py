@@ -10,7 +10,7 @@ import typing
 from typing import Any
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.serialize import FORMAT, KINDS, SHAPES, VERSION, type_hints
+from thorvaldc.model.model_json import FORMAT, KINDS, SHAPES, VERSION, type_hints
 
 _PLAIN = {
     bool: "boolean",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.simulation.run_result import result_table
-from thorvaldc.simulation.scenario_run import ScenarioResult
+from thorvaldc.simulation.scenario_expectations import ScenarioResult
 
 
 def scenario_text(result: ScenarioResult) -> str:

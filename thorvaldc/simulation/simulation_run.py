@@ -11,7 +11,7 @@ from pathlib import Path
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.model_file import load_model
+from thorvaldc.model.model_json import load_model
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.driver_parameters import Parameters

@@ -10,8 +10,8 @@ from tests.cli.conftest import GOOD
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
+from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.model.robot import TwistInput
-from thorvaldc.model.serialize import from_json, to_json
 
 
 def compiled(folder: Path, driver: str) -> Compilation:

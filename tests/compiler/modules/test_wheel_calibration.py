@@ -10,7 +10,7 @@ import pytest
 
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Cylinder, Robot
-from thorvaldc.model.serialize import from_json, to_json
+from thorvaldc.model.model_json import from_json, to_json
 
 ROBOT = """\
 thorvaldc: 1

@@ -19,7 +19,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import OBJECT_TYPES
-from thorvaldc.model.serialize import from_json, to_json
+from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.sim_base import SimBase

@@ -14,9 +14,11 @@ import math
 import types
 import typing
 from collections.abc import Callable, Hashable
+from pathlib import Path
 from typing import Any, cast
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
@@ -256,3 +258,20 @@ def from_json(text: str) -> Robot | Fleet:
         raise ModelFormatError(f"expected {expected}, found {_text(kind)}", "kind")
     decode = _decoder(cast(Hashable, KINDS[kind]))
     return cast(Robot | Fleet, decode(head["model"], kind.lower()))
+
+
+def load_model(build: Path) -> Robot | Fleet:
+    """Return the model of a build folder.  Raises ``DiagnosticError`` (``model-unreadable``)."""
+    path = build / "model.json"
+    try:
+        return from_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DiagnosticError(
+            "model-unreadable",
+            f"cannot read {path}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}",
+            hint="build the robot first: thorvaldc build",
+        ) from error
+    except ModelFormatError as error:
+        raise DiagnosticError(
+            "model-unreadable", f"{path}: {error}", hint="build the robot again"
+        ) from error

@@ -40,7 +40,7 @@ from thorvaldc.model import (
     World,
 )
 from thorvaldc.model import robot as robot_module
-from thorvaldc.model.serialize import ModelFormatError, from_json, to_json
+from thorvaldc.model.model_json import ModelFormatError, from_json, to_json
 
 POSE = Pose.from_xyz_rpy((0.1, -0.2, 1 / 3), (0.3, 0.2, 0.1))
 GREY = (0.5, 0.25, 1.0, 1.0)

@@ -1,0 +1,110 @@
+"""Expectations of a scenario: each metric against its bounds, and the result of the whole run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from thorvaldc.diagnostics import Span
+from thorvaldc.model.scenario import Expectation
+from thorvaldc.simulation.run_result import SimulationResult
+from thorvaldc.simulation.scenario_metrics import UNITS
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The result of one expectation for one robot; values in SI."""
+
+    robot: str
+    metric: str
+    value: float
+    minimum: float | None
+    maximum: float | None
+    span: Span
+
+    @property
+    def passed(self) -> bool:
+        """The value is finite and within the bounds."""
+        above = self.minimum is None or self.value >= self.minimum
+        below = self.maximum is None or self.value <= self.maximum
+        return math.isfinite(self.value) and above and below
+
+    @property
+    def bounds(self) -> str:
+        """The bounds as text, such as ``at most 20 deg``."""
+        unit = UNITS[self.metric]
+        texts = []
+        if self.minimum is not None:
+            texts.append(f"at least {_with_unit(self.minimum, unit)}")
+        if self.maximum is not None:
+            texts.append(f"at most {_with_unit(self.maximum, unit)}")
+        return " and ".join(texts)
+
+    @property
+    def value_text(self) -> str:
+        """The value with its unit."""
+        return _with_unit(self.value, UNITS[self.metric])
+
+
+def _with_unit(value: float, unit: str) -> str:
+    if unit == "rad":
+        return f"{math.degrees(value):.4g} deg"
+    return f"{value:.4g} {unit}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioResult:
+    """Result of a scenario: ``metrics`` by robot and name in SI, the ``checks``, and a hash.
+
+    ``hash`` covers every number of every tick: runs that are equal to the last bit have
+    equal hashes.
+    """
+
+    scenario: str
+    run: SimulationResult
+    metrics: Mapping[str, Mapping[str, float]]
+    checks: tuple[Check, ...]
+    hash: str
+
+    @property
+    def completed(self) -> bool:
+        """The run reached its end, and no robot fell over."""
+        return not self.run.diverged and not any(robot.tipped for robot in self.run.robots)
+
+    @property
+    def passed(self) -> bool:
+        """The run is complete and all expectations are met."""
+        return self.completed and all(check.passed for check in self.checks)
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the result as plain values."""
+        checks = [
+            {
+                "robot": check.robot,
+                "metric": check.metric,
+                "value": check.value,
+                "min": check.minimum,
+                "max": check.maximum,
+                "passed": check.passed,
+            }
+            for check in self.checks
+        ]
+        return {
+            "scenario": self.scenario,
+            "passed": self.passed,
+            "completed": self.completed,
+            "hash": self.hash,
+            "checks": checks,
+            "metrics": {name: dict(values) for name, values in self.metrics.items()},
+            "run": self.run.as_json(),
+        }
+
+
+def check_expectation(robot: str, values: Mapping[str, float], expectation: Expectation) -> Check:
+    """Compares a metric of a robot with the bounds of an expectation."""
+    value = values[expectation.metric]
+    return Check(
+        robot, expectation.metric, value, expectation.least, expectation.most, expectation.span
+    )
