@@ -8,9 +8,9 @@ from typing import Any
 
 import jsonschema
 import pytest
-from tests.model.test_model_json import GOOD, changed, everything
 
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.model.test_model_json import GOOD, changed, everything
 from thorvaldc.model import Fleet, Placement, Pose
 from thorvaldc.model.json_schema import model_schema, model_schema_text
 from thorvaldc.model.model_json import VERSION, to_json
