@@ -13,7 +13,7 @@ import thorvaldc
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/4wd4ws_slim/robot.yaml"
 
 
-def test_from_a_file_to_a_drive() -> None:
+def test_compile_emit_and_simulate() -> None:
     compilation = thorvaldc.compile(EXAMPLE)
     files = thorvaldc.emit(compilation.model, ["mjcf"], compilation.report)
     result = thorvaldc.Simulation(compilation.model, files).run(0.5, _forward())
@@ -44,7 +44,7 @@ def test_the_import_loads_no_other_module() -> None:
     assert process.stdout == "[]\n"
 
 
-def test_the_script_of_the_readme_runs(tmp_path: Path) -> None:
+def test_script_of_the_readme_runs(tmp_path: Path) -> None:
     readme = (EXAMPLE.parents[2] / "README.md").read_text(encoding="utf-8")
     document = readme.split("```yaml\n", 1)[1].split("```", 1)[0]
     (tmp_path / "first.yaml").write_text(document, encoding="utf-8")

@@ -257,7 +257,7 @@ def test_values_that_cannot_be_converted_are_reported() -> None:
 # -- the other files -----------------------------------------------------------------------
 
 
-def test_a_ros_2_file_with_merge_keys() -> None:
+def test_ros_2_file_with_merge_keys() -> None:
     _, report, robot = built("slim")
     assert robot.name == "slim"
     assert robot.namespace == "slim_1"
@@ -296,7 +296,7 @@ def test_two_propulsion_motors_on_one_controller(name: str) -> None:
         find(report, "import-left-out", "str_lim", "no steering")
 
 
-def test_two_entries_with_a_node_each_stay_two_wheels(tmp_path: Path) -> None:
+def test_two_entries_with_two_node_ids_become_two_wheels(tmp_path: Path) -> None:
     text = """
 motor_drives:
   a: {node: 1, x: 0, y: 0.4, type: 1}

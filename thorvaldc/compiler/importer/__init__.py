@@ -1,6 +1,11 @@
 """Converts configuration files of the original system to robot.yaml.
 
-``docs/import.md`` describes the conversion.
+``docs/import.md`` describes the conversion.  The steps and their files::
+
+    original_file                         file -> tree of texts, as ROS reads YAML
+    original_mapping, conversion_log      typed values; a log entry for each value
+    tube_frame, drives, casters, devices  values -> modules of the robot
+    robot_text                            modules -> text of robot.yaml
 """
 
 from __future__ import annotations
