@@ -254,7 +254,7 @@ def test_an_interrupt_closes_the_journal() -> None:
 
 def test_a_node_that_cannot_store_stops_it() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
-    bench.devices()["rl_controller"].store = lambda changes, done=None: None  # type: ignore[method-assign]
+    bench.devices()["rl_controller"].store = lambda changes, on_stored=None: None  # type: ignore[method-assign]
     with pytest.raises(DiagnosticError, match=r"step 1 of 9 .*does not answer"):
         bench.apply()
 

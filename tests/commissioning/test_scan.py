@@ -27,7 +27,7 @@ def passive(bench: Bench) -> ScanResult:
 
 def verdicts(scan: ScanResult) -> dict[str, str]:
     return {
-        entry.node or str(entry.found and entry.found.id): entry.verdict for entry in scan.entries
+        entry.node or str(entry.device and entry.device.id): entry.verdict for entry in scan.entries
     }
 
 

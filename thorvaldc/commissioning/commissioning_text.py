@@ -18,7 +18,7 @@ def scan_table(scan: ScanResult) -> str:
 
 
 def _scan_row(entry: ScanEntry) -> tuple[str, ...]:
-    device = entry.found
+    device = entry.device
     found_id, description = "", ""
     if device is not None:
         if device.id is not None:
@@ -85,8 +85,8 @@ def verification_table(verification: Verification) -> str:
             "ok" if check.passed else "DIFFERS",
             check.node or "bus",
             check.what,
-            check.wanted,
-            check.found,
+            check.expected,
+            check.actual,
         )
         for check in verification.checks
     ]

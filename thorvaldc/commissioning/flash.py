@@ -65,7 +65,7 @@ class Flash:
         self.journal = journal
         self.executor = StepExecutor(master, journal, operator)
         self._scanning = scanning
-        self._progress = progress or (lambda number, total, step, done: None)
+        self._progress = progress or (lambda number, total, step, completed: None)
 
     # -- the three modes -----------------------------------------------------------------------
 
@@ -158,12 +158,12 @@ class Flash:
         self.master.exclusive = True
         ids = sorted(
             {
-                entry.found.id
+                entry.device.id
                 for entry in first.entries
                 if entry.node
-                and entry.found is not None
-                and entry.found.id is not None
-                and entry.found.id != UNCONFIGURED
+                and entry.device is not None
+                and entry.device.id is not None
+                and entry.device.id != UNCONFIGURED
                 and configuration.node(entry.node).sdo
             }
         )
@@ -217,9 +217,9 @@ class Flash:
                 run.plan.steps[i].node for i in run.started_steps if i < len(run.plan.steps)
             }
         for entry in scan.entries:
-            if not entry.node or entry.found is None or entry.found.id is None:
+            if not entry.node or entry.device is None or entry.device.id is None:
                 continue
-            name, node_id, identity = entry.node, entry.found.id, entry.found.identity
+            name, node_id, identity = entry.node, entry.device.id, entry.device.identity
             known = identities.get(name)
             if known is not None and identity is not None and known != identity:
                 raise ambiguous(f"{name} is not the device that it was when the flash was started")

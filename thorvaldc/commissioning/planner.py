@@ -46,9 +46,9 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
     strangers, problems, notes = _find_obstacles(configuration, scan)
     ids = scan.ids()
     identities = {
-        entry.node: entry.found.identity
+        entry.node: entry.device.identity
         for entry in scan.entries
-        if entry.node and entry.found is not None and entry.found.identity is not None
+        if entry.node and entry.device is not None and entry.device.identity is not None
     }
     moving = [
         node
@@ -56,9 +56,13 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
         if node.lss and node.name in ids and node.name in identities and ids[node.name] != node.id
     ]
     occupied = Counter(
-        entry.found.id
+        entry.device.id
         for entry in scan.entries
-        if entry.found is not None and entry.found.id is not None and entry.found.id != UNCONFIGURED
+        if entry.device is not None
+        and entry.device.id is not None
+        and entry.device.id != UNCONFIGURED
+        and entry.device.id is not None
+        and entry.device.id != UNCONFIGURED
     )
     by_hand = _nodes_set_by_hand(configuration, scan)
     moves, blocked = _address_steps(moving, ids, identities, occupied, by_hand)
@@ -131,7 +135,7 @@ def _find_obstacles(
             continue
         if entry.verdict == DUPLICATE:
             problems += _duplicate_problem(node, entry, scan)
-        elif entry.found is None and node.lss:
+        elif entry.device is None and node.lss:
             problems.append(f"{node.name} is missing: {entry.detail}")
         elif entry.verdict == MISSING:
             notes.append(f"no frame of {node.name} was received; nothing is written to it")
@@ -142,7 +146,7 @@ def _unknown_device(
     configuration: BusConfiguration, scan: ScanResult, entry: ScanEntry
 ) -> tuple[list[str], list[str]]:
     """Returns a stranger or a problem for a device that the file does not name."""
-    device = entry.found
+    device = entry.device
     if _nodes_set_by_hand(configuration, scan) and device is not None:
         # It may be a node whose id the operator still has to set.
         identity = device.identity
@@ -164,7 +168,7 @@ def _unknown_device(
 
 
 def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResult) -> list[str]:
-    device = entry.found
+    device = entry.device
     at = Counter(scan.ids().values())
     known = node.lss and device is not None and device.identity is not None
     ids = {node.id} if device is None else {node.id, device.id}
@@ -184,7 +188,7 @@ def _candidates(
         for node in configuration.nodes
         if node.lss
         and node.serial is None
-        and scan.entry(node.name).found is None
+        and scan.entry(node.name).device is None
         and device.identity is not None
         and node.is_like(device.identity)
     ]

@@ -90,7 +90,7 @@ class ScanEvaluation:
             return True
         # Several devices have this id: one entry reports them all.
         is_duplicate = device.id in self.findings.evidence and device.id != UNCONFIGURED
-        same_id = (entry.found is not None and entry.found.id == device.id for entry in entries)
+        same_id = (entry.device is not None and entry.device.id == device.id for entry in entries)
         if is_duplicate and any(same_id):
             return True
         # LSS and SDO can find the same device.

@@ -28,7 +28,7 @@ class ScanEntry:
     node: str
     verdict: str
     wanted_id: int | None
-    found: FoundDevice | None
+    device: FoundDevice | None
     detail: str = ""
 
 
@@ -59,9 +59,9 @@ class ScanResult:
     def ids(self) -> dict[str, int]:
         """The CANopen id of each node of the robot on the bus; 255: it has none."""
         return {
-            entry.node: entry.found.id
+            entry.node: entry.device.id
             for entry in self.entries
-            if entry.node and entry.found is not None and entry.found.id is not None
+            if entry.node and entry.device is not None and entry.device.id is not None
         }
 
     def as_json(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class ScanResult:
 
 
 def _entry_json(entry: ScanEntry) -> dict[str, Any]:
-    device = entry.found
+    device = entry.device
     return {
         "node": entry.node or None,
         "verdict": entry.verdict,

@@ -73,7 +73,7 @@ class Scanner:
         self.configuration = configuration
         self.sdo = SdoClient(master)
         self.lss = LssMaster(master)
-        self._progress = progress or (lambda activity, done, total: None)
+        self._progress = progress or (lambda activity, completed, total: None)
         self._findings = Findings()
 
     def passive(self) -> ScanResult:
@@ -104,16 +104,16 @@ class Scanner:
         findings.evidence = dict(previous.duplicates)
         lss_nodes = {node.name for node in self.configuration.nodes if node.lss}
         identities = [
-            (entry.node, entry.found.identity)
+            (entry.node, entry.device.identity)
             for entry in previous.entries
             if entry.node in lss_nodes
-            and entry.found is not None
-            and entry.found.identity is not None
+            and entry.device is not None
+            and entry.device.identity is not None
         ]
         self._select(identities)
         ids = {device.id for device in findings.by_name.values()}
         for entry in previous.entries:
-            device = entry.found
+            device = entry.device
             if device is None or device.id is None or entry.node in findings.by_name:
                 continue
             if device.id == UNCONFIGURED:
@@ -306,7 +306,7 @@ class Scanner:
         enabled: list[tuple[str, str]] = []
         for entry in entries:
             node = self.configuration.node(entry.node) if entry.node else None
-            node_id = entry.found.id if entry.found is not None else None
+            node_id = entry.device.id if entry.device is not None else None
             if node is None or not node.drive or node_id is None or node_id == UNCONFIGURED:
                 continue
             if self.master.states.get(node_id) == NmtState.OPERATIONAL:

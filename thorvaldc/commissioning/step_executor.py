@@ -211,17 +211,17 @@ class StepExecutor:
             raise StepFailed("the operator declined the step")
         single_node = dataclasses.replace(configuration, nodes=(node,))
         scan = Scanner(self.master, single_node).active(values=False)
-        answering = [entry for entry in scan.entries if entry.found is not None]
+        answering = [entry for entry in scan.entries if entry.device is not None]
         if len(answering) != 1 or scan.duplicates:
             devices = "no device answers" if not answering else "more than one device answers"
             raise StepFailed(f"{devices}; {node.module} alone should")
         entry = answering[0]
         if entry.verdict in (MISSING, DUPLICATE) or entry.node != node.name:
-            node_id = None if entry.found is None else entry.found.id
+            node_id = None if entry.device is None else entry.device.id
             raise StepFailed(
                 f"a device answers at id {node_id}, not at {step.after} as {node.name}"
             )
-        texts = [] if entry.found is None else list(entry.found.texts)
+        texts = [] if entry.device is None else list(entry.device.texts)
         read = {"id": step.after, "set_by": "the operator", "says": texts}
         self.journal.done(number, step.node, read)
 

@@ -30,12 +30,18 @@ class Check:
 
     node: str
     what: str
-    wanted: str
-    found: str
+    expected: str
+    actual: str
     passed: bool
 
     def as_json(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__slots__}
+        return {
+            "node": self.node,
+            "what": self.what,
+            "wanted": self.expected,
+            "found": self.actual,
+            "passed": self.passed,
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -249,13 +249,13 @@ class CanopenDevice(SimulatedDevice):
         if value != SAVE:
             raise SdoAbort(AbortCode.STORE_REFUSED)
         parameters = self.objects.parameters()
-        return lambda done: self.store({PARAMETERS: parameters}, done)
+        return lambda on_stored: self.store({PARAMETERS: parameters}, on_stored)
 
     def _load_defaults(self, value: Any) -> DelayedWrite:
         """Object 0x1011: the factory values apply from the next reset on."""
         if value != LOAD:
             raise SdoAbort(AbortCode.STORE_REFUSED)
-        return lambda done: self.store({PARAMETERS: {}}, done)
+        return lambda on_stored: self.store({PARAMETERS: {}}, on_stored)
 
     # -- SDO and PDO ---------------------------------------------------------------------------
 
@@ -390,9 +390,9 @@ class CanopenDevice(SimulatedDevice):
         self._pending_rate = bitrate
         return True
 
-    def _store_lss(self, done: Callable[[int], None]) -> None:
+    def _store_lss(self, on_stored: Callable[[int], None]) -> None:
         pending = {NODE_ID: self._pending_id, BITRATE: self._pending_rate}
-        self.store(pending, lambda: done(0))
+        self.store(pending, lambda: on_stored(0))
 
     def _lss_left(self) -> None:
         """CiA 305: a device without an id applies its first one now; others wait for a reset."""

@@ -182,8 +182,8 @@ class SimulatedDevice:
 
     # -- non-volatile memory -------------------------------------------------------------------
 
-    def store(self, changes: Mapping[str, Any], done: Action | None = None) -> None:
-        """Writes to ``nonvolatile``.  After the write time the values are there; calls ``done``."""
+    def store(self, changes: Mapping[str, Any], on_stored: Action | None = None) -> None:
+        """Writes to ``nonvolatile`` after the write time, and then calls ``on_stored``."""
         self._writing = {**self._writing, **changes}
         values = dict(changes)
 
@@ -191,7 +191,7 @@ class SimulatedDevice:
             self.nonvolatile.update(values)
             for key in values:
                 self._writing.pop(key, None)
-            if done is not None:
-                done()
+            if on_stored is not None:
+                on_stored()
 
         self.after(self.write_time, finish)
