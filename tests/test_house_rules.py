@@ -18,7 +18,6 @@ LONGEST_FILE, LONGEST_FUNCTION = 600, 100  # lines
 VAGUE = frozenset(
     [
         "asked",
-        "before",
         "done",
         "found",
         "given",
