@@ -1,4 +1,4 @@
-"""The interface of base calculators."""
+"""Abstract base class of the base calculators, and the command that a calculator returns."""
 
 from __future__ import annotations
 
@@ -17,23 +17,26 @@ from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 
 _MAX_TWIST_SQUARED = 1e18
-"""Square of a commanded twist (m^2/s^2) above which it counts as not finite."""
+"""Square of a commanded twist (m^2/s^2) from which the twist is rejected as not finite."""
 
 
 @dataclass(slots=True)
 class BaseCommand:
-    """Joint commands for a twist, and how far they realise it.
+    """Joint commands for a twist, with the limits and conditions that changed the twist.
 
-    ``joints``: commands per wheel.  ``target``: the feasible twist nearest to the commanded one,
-    scaled to the speed limits of the wheels.  ``twist``: the twist of these joint commands, which
-    differs from ``target`` while wheels steer or accelerate.  ``infeasible``: the part of the
-    commanded twist that the fixed wheels do not allow.  ``scale``: factor of the speed limits
-    (1: no limit reached).  ``unreachable``: indices of wheels that stand because no angle within
-    their steering limits fits the twist.  ``required_rates`` (rad/s, per wheel): the steering rate
-    that would reach the target angle within the tick; a wheel with a lower limit is late.  0
-    without a time step.  ``must_stop``: a rolling wheel has to turn around.  All wheels hold their
-    angles, and the driver has to ramp the twist down to zero; then the wheel turns.
-    ``aligned``: every wheel is near enough to its target angle to roll.
+    - ``joints``: commands of the spin and steering joints of each wheel.
+    - ``target``: feasible twist nearest to the commanded twist, scaled to the wheels' speed limits.
+    - ``twist``: twist that these joint commands produce.  It differs from ``target`` while wheels
+      steer or accelerate.
+    - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
+    - ``scale``: factor by which the speed limits reduce the twist. 1 if no wheel reaches its limit.
+    - ``unreachable``: indices of the wheels that stand still because no angle within their steering
+      limits fits the twist.
+    - ``required_rates``: for each wheel, the steering rate (rad/s) that would reach the target
+      angle within the tick.  A wheel is late if its rate limit is lower. 0 without a time step.
+    - ``must_stop``: ``True`` if a rolling wheel has to turn around.  All wheels then hold their
+      angles until the driver has ramped the twist down to zero.
+    - ``aligned``: ``True`` if every wheel is close enough to its target angle to roll.
     """
 
     joints: JointCommands
@@ -49,14 +52,14 @@ class BaseCommand:
 
 @dataclass(frozen=True, slots=True)
 class NoOptions:
-    """Options of a calculator that has none.  Options are a frozen dataclass of scalars."""
+    """Options of a calculator without options."""
 
 
 OdometryMethod = Callable[[Any, JointStates], TwistEstimate]
 
 
 def finite_result(odometry: OdometryMethod) -> OdometryMethod:
-    """Decorates an odometry method: it raises ``NotFiniteError`` if the result is not finite."""
+    """Wraps an odometry method to raise ``NotFiniteError`` if its result is not finite."""
 
     @functools.wraps(odometry)
     def checked(self: Any, states: JointStates) -> TwistEstimate:
@@ -73,11 +76,12 @@ def finite_result(odometry: OdometryMethod) -> OdometryMethod:
 
 
 class BaseCalculator(abc.ABC):
-    """Joint commands and odometry of one robot; stores its last command.
+    """Computes the joint commands and the odometry of one robot, and stores the last command.
 
-    A subclass defines its name, its options as a frozen dataclass with defaults (whose
-    ``__post_init__`` raises ``ValueError`` for values out of range), and in
-    ``unsuited_reason`` the robots that it cannot drive.
+    A subclass defines ``name``, ``summary`` and ``Options``.  ``Options`` is a frozen dataclass of
+    scalars with default values.  Its ``__post_init__`` raises ``ValueError`` for values out of
+    range.  A subclass also overrides ``unsuited_reason`` to reject robots that the calculator
+    cannot drive.
     """
 
     name: ClassVar[str]
@@ -94,12 +98,15 @@ class BaseCalculator(abc.ABC):
 
     @classmethod
     def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
-        """Returns why this calculator cannot drive such a robot, or ``None`` if it can."""
+        """Returns the reason why this calculator cannot drive the robot, or ``None`` if it can."""
         return None
 
     @abc.abstractmethod
     def feasible(self, twist: Twist) -> Twist:
-        """Returns the nearest twist that the fixed wheels allow, without regard to speed limits."""
+        """Returns the feasible twist nearest to ``twist``, without regard to speed limits.
+
+        A twist is feasible if it causes no side slip on the fixed wheels.
+        """
 
     @abc.abstractmethod
     def command(
@@ -107,28 +114,42 @@ class BaseCalculator(abc.ABC):
     ) -> BaseCommand:
         """Computes joint commands for a twist of ``base_link``.
 
-        With ``states``, the wheel speeds fit the steering angles that the wheels have now.  With
-        ``dt`` (s since the last command), steering and drive motors keep their rates and
-        accelerations.  Without both, the result is the inverse kinematics.  Raises
-        ``NotFiniteError`` for a value that is not a finite number, and then changes nothing.
+        With ``states``, the wheel speeds fit the measured steering angles.  With ``dt``, the time
+        in s since the last command, the joint commands respect the rate and acceleration limits of
+        the motors.  Without ``states`` and ``dt``, the result is the inverse kinematics.
+
+        Raises ``NotFiniteError`` if a value is not a finite number.  The last command is unchanged
+        after this error.
         """
 
     def odometry(self, states: JointStates) -> TwistEstimate:
-        """Estimates the twist from the joint states.  Raises ``NotFiniteError``, ``ValueError``."""
+        """Estimates the twist from the joint states.
+
+        Raises ``NotFiniteError`` if a value is not a finite number.  Raises ``ValueError`` if the
+        number of wheels is wrong.
+        """
         return self.estimator.estimate(states)
 
     @abc.abstractmethod
     def reset(self, states: JointStates | None = None) -> None:
-        """Forgets the last command; the joints are at ``states``, or at zero without them."""
+        """Discards the last command.
+
+        The calculator then assumes that the joints are at ``states``.  Without ``states``, it
+        assumes that all joints are at zero.
+        """
 
     def with_parameters(self, radii: Sequence[float], noise: Noise) -> Self:
-        """Returns a calculator with other wheel radii (m) and noise, and without a last command."""
+        """Returns a calculator with different wheel radii (m) and measurement noise.
+
+        The returned calculator has no last command.
+        """
         return type(self)(self.geometry.with_radii(radii), self.options, noise)
 
     def resume(self, previous: Self) -> None:
-        """Takes over the last command of ``previous``, a calculator for the same wheels.
+        """Copies the last command of ``previous``, a calculator for the same wheels.
 
-        A subclass that stores anything between commands takes it over here.
+        A subclass that stores values between commands overrides this method and copies these
+        values.
         """
         return
 

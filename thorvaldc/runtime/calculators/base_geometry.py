@@ -10,21 +10,31 @@ from thorvaldc.model import Robot, Wheel
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _SAME_HEADING = math.radians(10.0)
-"""Fixed wheels whose headings differ by less (rad) form one axle, which scrubs a little.
-Otherwise their axle lines intersect, and the robot can only turn about the intersection."""
+"""Largest difference (rad) between the headings of fixed wheels that form one axle.
+
+Such an axle scrubs a little.  With a larger difference the axle lines intersect, and the robot can
+only turn about the intersection.
+"""
 _SAME_LINE = 1e-3
-"""Axle lines closer than this (m) count as one line."""
+"""Largest distance (m) between axle lines that count as one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelGeometry:
-    """A wheel in ``base_link``; ``thorvaldc.model.Wheel`` defines the geometric fields.
+    """Geometry and limits of one wheel, in ``base_link``.
 
-    ``steered``: a motor turns the steering joint.  ``swivel``: the wheel turns freely and measures
-    nothing about the robot's motion.  ``encoder``: its speed is measured.
-    Limits of the spin joint: ``max_speed`` (rad/s), ``max_acceleration`` (rad/s^2).  Limits of the
-    steering joint: ``lower``/``upper`` (rad, ``None``: unlimited), ``max_rate`` (rad/s),
-    ``max_rate_change`` (rad/s^2).
+    ``thorvaldc.model.Wheel`` documents the geometric fields.
+
+    - ``driven``: ``True`` if a motor drives the spin joint.
+    - ``steered``: ``True`` if a motor turns the steering joint.
+    - ``swivel``: ``True`` if the wheel turns freely about its steering axis.  Such a wheel does not
+      measure the robot's motion.
+    - ``encoder``: ``True`` if the wheel speed is measured.
+    - ``max_speed``: speed limit of the spin joint, rad/s.
+    - ``max_acceleration``: acceleration limit of the spin joint, rad/s^2.
+    - ``lower``, ``upper``: limits of the steering angle, rad.  ``None`` if the angle is unlimited.
+    - ``max_rate``: rate limit of the steering joint, rad/s.
+    - ``max_rate_change``: acceleration limit of the steering joint, rad/s^2.
     """
 
     name: str
@@ -48,15 +58,16 @@ class WheelGeometry:
 
     @property
     def fixed(self) -> bool:
-        """The wheel neither steers nor swivels."""
+        """``True`` if the wheel neither steers nor swivels."""
         return not (self.steered or self.swivel)
 
     def rows(self, angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Returns the rolling row L and the side-slip row T at a steering angle (0: fixed wheel).
+        """Returns the rolling row L and the side-slip row T of the wheel at a steering angle (rad).
 
-        For the twist xi = (vx, vy, wz), L xi is the speed of the contact point along the rolling
-        direction, T xi its speed to the left.  (With a trail or a lateral offset, a turning
-        steering joint adds to these speeds.)
+        The twist is the vector xi = (vx, vy, wz).  L xi is the speed of the contact point along the
+        rolling direction.  T xi is the speed of the contact point to the left of the rolling
+        direction.  If the wheel has a trail or a lateral offset, a turning steering joint adds to
+        both speeds.  The angle of a fixed wheel is 0.
         """
         direction = self.heading + self.sign * angle
         c, s = math.cos(direction), math.sin(direction)
@@ -68,12 +79,14 @@ class WheelGeometry:
 
 @dataclass(frozen=True, slots=True)
 class BaseGeometry:
-    """A robot's wheels, and the groups of wheels that share a joint.
+    """The wheels of a robot, and the groups of wheels that share a joint.
 
-    ``steering_groups``: per steering joint, the indices of its wheels (most joints have one).
-    ``spin_groups``: the indices of the wheels of each spin joint that carries several.
-    ``centre``: centroid (m) of the wheels that do not swivel.  ``length`` (m): root mean square
-    distance of these wheels from it; the lever that converts angular to linear speed.
+    - ``steering_groups``: for each steering joint, the indices of its wheels.  Most joints have one
+      wheel.
+    - ``spin_groups``: for each spin joint with several wheels, the indices of its wheels.
+    - ``centre``: centroid (m) of the wheels that do not swivel.
+    - ``length``: root mean square distance (m) of these wheels from the centroid.  The calculators
+      use it as the lever that converts angular to linear speed.
     """
 
     wheels: tuple[WheelGeometry, ...]
@@ -98,9 +111,10 @@ class BaseGeometry:
         steering: Sequence[str | None] | None = None,
         spin: Sequence[str] | None = None,
     ) -> BaseGeometry:
-        """Returns the geometry of these wheels.
+        """Returns the geometry of a robot with the given wheels.
 
-        ``steering`` and ``spin`` are the names of their joints, by default a joint for each wheel.
+        ``steering`` and ``spin`` contain the name of each wheel's steering joint and spin joint.
+        By default every wheel has its own joints.
         """
         steering = steering or [w.name for w in wheels]
         spin = spin or [w.name for w in wheels]
@@ -127,7 +141,7 @@ class BaseGeometry:
         )
 
     def with_radii(self, radii: Sequence[float]) -> BaseGeometry:
-        """Returns the same wheels with these radii (m), one per wheel."""
+        """Returns a copy of the geometry with different wheel radii (m), one per wheel."""
         wheels = zip(self.wheels, radii, strict=True)
         return replace(self, wheels=tuple(replace(w, radius=r) for w, r in wheels))
 
@@ -137,13 +151,19 @@ class BaseGeometry:
 
     @property
     def max_wheel_speed(self) -> float:
-        """Speed limit (m/s) of the fastest driven wheel; 1.5 if no wheel has a limit."""
+        """Speed limit (m/s) of the fastest driven wheel.
+
+        1.5 m/s if no driven wheel has a speed limit.
+        """
         speeds = [w.max_speed * w.radius for w in self.wheels if w.driven]
         return max((v for v in speeds if math.isfinite(v)), default=1.5)
 
     @property
     def steering_time(self) -> float:
-        """Time (s) from rest until every steering joint turns at its full rate; 0 without any."""
+        """Time (s) that the slowest steering joint needs to accelerate from rest to its full rate.
+
+        0 if no steering joint has an acceleration limit.
+        """
         times = [
             w.max_rate / w.max_rate_change
             for w in self.wheels
@@ -180,19 +200,21 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
 
 
 class FixedWheels:
-    """The constraint that fixed wheels put on the twist.
+    """The constraint that fixed wheels impose on the twist.
 
-    Fixed wheels of equal heading act as one axle through their mean contact.  An axle has one
-    constraint, its side-slip row: (nx, ny, d) . (vx, vy, wz) = 0, with the normal n of its
-    wheels.  Hence:
+    Fixed wheels with the same heading act as one axle.  The axle lies at the mean contact point of
+    its wheels.  Each axle allows no motion across its wheels.  The equation of this constraint is
+    (nx, ny, d) . (vx, vy, wz) = 0, where n is the normal of the wheels.  The number of axles
+    determines the feasible twists:
 
     - no axle: every twist is feasible;
-    - one axle: wz and the speed along the wheels are free, the speed across follows;
-    - two axles: the robot can only turn about the intersection of their lines;
+    - one axle: wz and the speed along the wheels are free, and both determine the speed across;
+    - two axles: the robot can only turn about the intersection of the two axle lines;
     - more axles whose lines do not all meet in one point: no motion is feasible.
 
-    ``rows``: the constraint of each axle.  ``skids``: indices of wheels on an axle whose wheels are
-    not in line; they scrub whenever the robot turns.
+    ``rows`` contains the coefficients (nx, ny, d) of each axle.  ``skids`` contains the indices of
+    wheels that scrub whenever the robot turns.  A wheel scrubs in turns if the wheels of its axle
+    are not in line.
     """
 
     def __init__(self, wheels: Sequence[WheelGeometry]) -> None:
@@ -219,7 +241,7 @@ class FixedWheels:
             norm = math.hypot(tx, ty)
             mean = (tx / norm, ty / norm, tw / norm)
             self.rows.append(mean)
-            # One wheel out of line makes all wheels of the axle scrub.
+            # If one wheel is out of line, all wheels of the axle scrub.
             if any(
                 math.hypot(row[0] - mean[0], row[1] - mean[1]) > 1e-6
                 or abs(row[2] - mean[2]) > _SAME_LINE
@@ -227,12 +249,12 @@ class FixedWheels:
             ):
                 skids += [i for i, _ in axle]
         self.skids: tuple[int, ...] = tuple(skids)
-        # Velocity (m/s) of base_link's origin per rad/s of the only feasible rotation.
+        # Velocity (m/s) of the origin of base_link per rad/s of the only feasible rotation.
         self._pole: tuple[float, float] | None = None
         self._can_turn = True
         if len(self.rows) >= 2:
             (a0, a1, a2), (b0, b1, b2) = self.rows[0], self.rows[1]
-            # Solves n_a . v = -a2 and n_b . v = -b2.
+            # Computes this velocity v from the two equations n_a . v = -a2 and n_b . v = -b2.
             det = a0 * b1 - a1 * b0
             self._pole = ((-a2 * b1 + a1 * b2) / det, (-a0 * b2 + a2 * b0) / det)
             px, py = self._pole
@@ -240,13 +262,14 @@ class FixedWheels:
 
     @property
     def unconstrained(self) -> bool:
-        """There are no fixed wheels."""
+        """``True`` if the robot has no fixed wheels."""
         return not self.rows
 
     def feasible(self, twist: Twist) -> Twist:
-        """Returns the nearest twist that satisfies the constraint; linear in ``twist``.
+        """Returns the feasible twist nearest to ``twist``.
 
-        With one axle it keeps wz and removes the side slip: v' = v - n (n . v + d wz).
+        The result is a linear function of ``twist``.  With one axle, the result has the same wz and
+        no side slip: v' = v - n (n . v + d wz).
         """
         if not self.rows:
             return twist

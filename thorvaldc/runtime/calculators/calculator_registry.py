@@ -1,4 +1,4 @@
-"""Loading of base calculators by name, and validation of their options."""
+"""Loads base calculators by name and validates their options."""
 
 from __future__ import annotations
 
@@ -29,20 +29,24 @@ _TYPE_NAMES = {bool: "true or false,", int: "a whole number", float: "a number",
 
 
 class CalculatorError(DiagnosticError):
-    """A robot's choice of a calculator is invalid; ``option`` names the invalid option, if any."""
+    """The robot file names an invalid calculator or an invalid option.
+
+    ``option`` is the name of the invalid option.  It is ``None`` if the calculator itself is
+    invalid.
+    """
 
     option: str | None = None
 
 
 def calculator_names() -> list[str]:
-    """Returns the names of all calculators, built-in and plugged-in, in alphabetical order."""
+    """Returns the names of all built-in and installed calculators in alphabetical order."""
     return PLUGINS.names()
 
 
 def calculator_class(name: str) -> type[BaseCalculator]:
-    """Returns the calculator class of this name.
+    """Returns the calculator class with the name ``name``.
 
-    Raises ``CalculatorError`` if the name is unknown or its class cannot be used.
+    Raises ``CalculatorError`` if the name is unknown or the class cannot be loaded.
     """
     cls = PLUGINS.load(name)
     if not isinstance(cls, PluginFailure):
@@ -63,8 +67,8 @@ def calculator_class(name: str) -> type[BaseCalculator]:
 def for_robot(robot: Robot) -> BaseCalculator:
     """Returns the calculator that the robot file names, with its options and noise.
 
-    The wheels have their ordinary radii.  Raises ``CalculatorError`` for an unknown calculator,
-    for one that cannot drive this robot and for an invalid option.
+    The calculator uses the ordinary wheel radii.  Raises ``CalculatorError`` if the calculator is
+    unknown, if it cannot drive this robot, or if an option is invalid.
     """
     for error in calculator_errors(robot):
         raise error
@@ -75,7 +79,7 @@ def for_robot(robot: Robot) -> BaseCalculator:
 
 
 def calculator_errors(robot: Robot) -> list[CalculatorError]:
-    """Returns all errors in the robot's choice of a calculator and its options."""
+    """Returns all errors in the robot file's calculator and calculator options."""
     try:
         cls = calculator_class(robot.calculator.name)
     except CalculatorError as error:
@@ -99,9 +103,9 @@ def calculator_errors(robot: Robot) -> list[CalculatorError]:
 
 
 def _read_options(cls: type[BaseCalculator], robot: Robot) -> tuple[Any, list[CalculatorError]]:
-    """Returns the robot's options as an instance of ``cls.Options``, and all errors in them.
+    """Returns the robot's calculator options, and all errors in these options.
 
-    Invalid options keep their default values.
+    The options are an instance of ``cls.Options``.  An invalid option keeps its default value.
     """
     defaults = {field.name: field.default for field in dataclasses.fields(cls.Options)}
     valid: dict[str, Any] = {}

@@ -1,10 +1,13 @@
 """The calculator for two or more driven wheels on one axle, without steering.
 
-With e along the wheels, n across them, and a the position of a wheel along n:
+The unit vector e points along the wheels, and the unit vector n points across the wheels.  The
+number a is the position of a wheel along n, and d is the position of the axle along e.  A robot
+with the velocity v and the yaw rate wz satisfies
 
-    rolling speed of the wheel:  e . v - a wz        axle at d along e, no side slip:  n . v = -d wz
+    rolling speed of the wheel:  e . v - a wz        no side slip of the axle:  n . v = -d wz
 
-The odometry fits the line "speed = along - a wz" to the measured speeds, with weights.
+The odometry fits the line "speed = along - a wz" to the measured wheel speeds by weighted least
+squares.
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ from thorvaldc.runtime.se2 import Twist
 
 
 class Differential(BaseCalculator):
-    """Inverse kinematics and odometry in closed form; see the module."""
+    """Inverse kinematics and odometry of a differential drive in closed form.
+
+    The module documentation contains the equations.
+    """
 
     name = "differential"
     summary = "driven wheels on one axle, steered by the difference of their speeds"
@@ -32,7 +38,7 @@ class Differential(BaseCalculator):
     ) -> None:
         super().__init__(geometry, options, noise)
         self._fixed = FixedWheels(geometry.wheels)
-        # The axle's row is (n, d): n . v + d wz = 0.
+        # The constraint of the axle is n . v + d wz = 0.  Its coefficients are (n, d).
         nx, ny, self._d = self._fixed.rows[0]
         self._nx, self._ny = nx, ny
         # (index, sign: -1 if the wheel is mounted the other way round, row L, radius, speed limit)
@@ -113,7 +119,7 @@ class Differential(BaseCalculator):
         self.estimator.check(states)
         noise = self.noise
         speeds = states.speeds
-        # An unweighted line predicts the speeds that the weights depend on.
+        # The weights depend on the wheel speeds, which an unweighted fit of the line predicts.
         along, turn = self._fit_line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[
             :2
         ]
@@ -127,7 +133,7 @@ class Differential(BaseCalculator):
         p22 = 1.0 / sum(
             1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_positions
         )
-        # From (e, n) at the axle to base_link: v = e along - n d wz.
+        # Converts the speeds (e, n) at the axle to base_link: v = e along - n d wz.
         d, nx, ny = self._d, self._nx, self._ny
         ex, ey = ny, -nx
         vx, vy = ex * along - nx * d * turn, ey * along - ny * d * turn
@@ -151,9 +157,9 @@ class Differential(BaseCalculator):
     def _fit_line(
         points: list[tuple[float, float, float]],
     ) -> tuple[float, float, float, float, float]:
-        """Fits speed = along - a turn to points (a, speed, weight).
+        """Fits the line speed = along - a turn to points (a, speed, weight).
 
-        Returns along, turn, and the upper half of their covariance.
+        Returns ``along``, ``turn`` and the upper half of their covariance matrix.
         """
         s0 = s1 = s2 = t0 = t1 = 0.0
         for a, v, w in points:

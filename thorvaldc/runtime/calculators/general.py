@@ -4,15 +4,18 @@ Inverse kinematics: the steering axis of a wheel at (x, y) moves with
 
     u = (vx - wz y, vy + wz x),   speed v = |u|,   direction phi = atan2(u_y, u_x)
 
-Each steered wheel points along or against phi (``steering_branch`` chooses) and rolls at +-v.
-One factor min(v_max / v_i) <= 1 scales the whole twist, so that the centre of rotation stays.
+Each steered wheel points along or against the direction phi and rolls at +v or -v.  The module
+``steering_branch`` chooses between both directions.  If a wheel speed v_i exceeds its limit v_max,
+the whole twist is scaled by the factor min(v_max / v_i).  A common factor keeps the centre of
+rotation.
 
-While wheels still turn to their angles, speeds for the commanded twist would make them fight each
-other.  The speeds then follow the twist that scrubs least at the present angles theta,
+While wheels turn to new angles, the wheel speeds of the commanded twist would make the wheels work
+against each other.  The wheel speeds then realise a different twist xi*, which causes the least
+scrub at the present steering angles theta:
 
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
-with the side-slip rows T of ``WheelGeometry.rows``.
+``WheelGeometry.rows`` defines the side-slip row T_i of a wheel.
 """
 
 from __future__ import annotations
@@ -33,25 +36,35 @@ from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, Twis
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW_WEIGHT = 0.01
-"""lambda for wheels far from their angles: following the command against not scrubbing."""
+"""The factor lambda for large misalignment.  It weighs tracking of the command against scrub."""
 _ROLLING = 0.05
 """Speed (m/s) above which a wheel scrubs noticeably if it points in a wrong direction."""
 _MAX_TURN_ROLLING = math.pi / 4.0
-"""Largest turn (rad) of a rolling wheel in one step; for more, the robot stops first."""
+"""Largest change of the steering angle (rad) that a rolling wheel makes without a stop.
+
+For a larger change, the robot stops before the wheel turns.
+"""
 _MIN_SHARE = 0.1
-"""Share of the way to a twist below which a wheel cannot go on: it is at a steering limit."""
+"""Least share of the change from the last twist to the new twist.
+
+If wheels can follow only a smaller share, a wheel is at a steering limit and must turn around.
+"""
 _STANDING = 1e-6
-"""Square of the speed (m^2/s^2) below which a robot stands."""
+"""Square of the speed (m^2/s^2) below which a robot is at rest."""
 _ALIGNED = math.radians(1.0)
-"""Misalignment (rad) up to which wheels count as aligned, so that servo errors cost no speed."""
+"""Largest steering error (rad) of an aligned wheel.
+
+Within this error the wheel speeds are not reduced, so that errors of the servo cost no speed.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class SteeringOptions:
-    """Options of calculators that steer.
+    """Options of calculators that steer wheels.
 
-    ``hysteresis`` (s): a wheel changes between rolling forwards and backwards only if that saves
-    more time.  ``arrive_together``: all wheels take the same time to turn to new angles.
+    - ``hysteresis``: time in s.  A wheel changes between rolling forwards and backwards only if the
+      change saves more time.
+    - ``arrive_together``: if ``True``, all wheels take the same time to turn to new angles.
     """
 
     hysteresis: float = 0.02
@@ -64,10 +77,11 @@ class SteeringOptions:
 
 @dataclass(frozen=True, slots=True)
 class GeneralOptions(SteeringOptions):
-    """Options of ``general``, in addition to those of steering.
+    """Options of the calculator ``general``, in addition to the steering options.
 
-    ``faulty_wheels``: largest number of wheels that odometry leaves out, 0 to 2.
-    ``polish``: further steps of its fit towards maximum likelihood.
+    - ``faulty_wheels``: largest number of faulty wheels that the odometry may leave out, 0 to 2.
+    - ``polish``: number of additional Gauss-Newton steps of the odometry.  They bring the estimate
+      closer to the maximum-likelihood estimate.
     """
 
     faulty_wheels: int = 2
@@ -83,10 +97,15 @@ class GeneralOptions(SteeringOptions):
 
 
 class General(BaseCalculator):
-    """Each wheel follows the velocity of the twist at its position; see the module.
+    """Calculator for any arrangement of wheels.  The module documentation contains the equations.
 
-    Order of a command: reduce the twist to what fixed wheels allow, choose the steering angles,
-    slow down for late steering joints, move the joints, compute the wheel speeds, limit them.
+    The method ``command`` works in these steps:
+
+    1.  Reduce the twist to the part that the fixed wheels allow.
+    2.  Choose the steering angles.
+    3.  Reduce the change of the twist if steering joints cannot follow in time.
+    4.  Move the steering joints.
+    5.  Compute and limit the wheel speeds.
     """
 
     name = "general"
@@ -119,14 +138,15 @@ class General(BaseCalculator):
             )
             for group in geometry.steering_groups
         )
-        # Constants of each wheel for the loops of a tick, unpacked to avoid attribute lookups.
+        # Constants of each wheel for the loops of a tick.  Tuples are faster than attribute
+        # lookups.
         self._joints = tuple(
             (s, s.wheels[0], s.wheel.x, s.wheel.y, s.wheel.radius) for s in self._steering
         )
         steered = [(i, s, wheels[i]) for s in self._steering for i in s.wheels]
         self._steered = tuple((i, s) for i, s, _ in steered)
-        # (index, joint, rad/s per m/s of rolling of the joint's first wheel, lateral offset over
-        # radius, speed limit in rad/s)
+        # Fields: wheel index, steering joint, wheel speed in rad/s per m/s of the rolling speed of
+        # the joint's first wheel, lateral offset divided by the radius, speed limit in rad/s.
         self._driven_steered = tuple(
             (
                 i,
@@ -233,7 +253,11 @@ class General(BaseCalculator):
         )
 
     def _square(self, twist: Twist) -> float:
-        """Returns the square (m^2/s^2) of a twist: of the root mean square speed of the wheels."""
+        """Returns vx^2 + vy^2 + (length wz)^2 of a twist, in m^2/s^2.
+
+        This is the mean square speed of the wheels if their centroid is at the origin of
+        ``base_link``.
+        """
         vx, vy, wz = twist
         return vx * vx + vy * vy + self._length2 * wz * wz
 
@@ -242,7 +266,10 @@ class General(BaseCalculator):
     def _choose_angles(
         self, twist: Twist, angles: Sequence[float], speeds: Sequence[float]
     ) -> tuple[int, ...]:
-        """Chooses the target angle of every joint; returns the wheels without a reachable one."""
+        """Chooses the target angle of every steering joint.
+
+        Returns the indices of the wheels that cannot reach any angle that fits the twist.
+        """
         vx, vy, wz = twist
         unreachable: tuple[int, ...] = ()
         for joint, i, x, y, radius in self._joints:
@@ -252,10 +279,15 @@ class General(BaseCalculator):
         return unreachable
 
     def _steering_delay(self, dt: float | None) -> tuple[Sequence[float], float, bool]:
-        """Returns the required rates, the ticks of the latest rolling wheel, and ``aligned``.
+        """Computes how much time the steering joints need to reach their target angles.
 
-        Required rates (rad/s, per wheel) would reach the target angles within this tick.  The
-        ticks are infinite if a rolling wheel has to turn further than it may.
+        Returns three values:
+
+        - For each wheel, the steering rate (rad/s) that would reach the target angle within this
+          tick.
+        - The number of ticks that the slowest rolling wheel needs.  The number is infinite if a
+          rolling wheel has to turn by more than ``_MAX_TURN_ROLLING``.
+        - ``True`` if no wheel has to turn by more than ``_MAX_TURN_ROLLING``.
         """
         if dt is None:
             return self._zeros, 0.0, True
@@ -286,11 +318,14 @@ class General(BaseCalculator):
         speeds: Sequence[float],
         dt: float | None,
     ) -> tuple[Twist, tuple[int, ...], bool]:
-        """Slows the change of the twist so that all rolling wheels keep up.
+        """Reduces the change of the twist so that all rolling wheels can follow within one tick.
 
-        Returns the twist, the unreachable wheels, and whether a wheel at a steering limit must
-        turn around.  The twist lies between the last target and ``target``, as far as the wheels
-        follow within a tick; ``ticks`` is what they need for ``target``.
+        ``ticks`` is the number of ticks that the wheels need for ``target``.  The method returns
+        three values:
+
+        - A twist between the last target and ``target``.
+        - The indices of the wheels that cannot reach any angle that fits this twist.
+        - ``True`` if a wheel at a steering limit must turn around.
         """
         start, share = self._last_target, 1.0
         ratio = self._square(target) / max(self._square(start), 1e-12)
@@ -302,7 +337,8 @@ class General(BaseCalculator):
             return start, unreachable, False
         slower = target
         while ticks > 1.0:
-            # Halve the way if a wheel would turn too far; else interpolate the ticks to 1.
+            # If a wheel would turn too far, halve the change of the twist.  Otherwise interpolate
+            # to the change for which the wheels need exactly one tick.
             share *= 0.5 if ticks == math.inf else (1.0 - start_ticks) / (ticks - start_ticks)
             if ticks == math.inf and share < _MIN_SHARE:
                 return start, self._choose_angles(start, angles, speeds), True
@@ -318,7 +354,10 @@ class General(BaseCalculator):
         return slower, unreachable, False
 
     def _move_steering(self, dt: float | None) -> None:
-        """Moves the joints towards their targets for ``dt`` s (``None``: to their targets)."""
+        """Moves the steering joints towards their target angles for ``dt`` s.
+
+        If ``dt`` is ``None``, the joints move to their target angles immediately.
+        """
         if dt is None:
             for joint in self._steering:
                 joint.jump()
@@ -328,7 +367,7 @@ class General(BaseCalculator):
                 time = abs(joint.target - joint.angle) * joint.seconds_per_rad
                 if time > slowest:
                     slowest = time
-            # A wheel that arrives within two ticks does not wait for the others.
+            # A wheel that arrives within two ticks does not wait for the other wheels.
             together = slowest > 2.0 * dt and self.options.arrive_together
             for joint in self._steering:
                 joint.advance(dt, joint.time_to_target() / slowest if together else 1.0)
@@ -341,7 +380,10 @@ class General(BaseCalculator):
         self._angles = (*angles,)
 
     def _misalignment(self, angles: Sequence[float]) -> float:
-        """Returns the largest angle (rad) between a wheel and its target; inf if unreachable."""
+        """Returns the largest difference (rad) between a steering angle and its target angle.
+
+        Returns infinity if a wheel cannot reach any angle that fits the twist.
+        """
         largest = 0.0
         for joint, i, _, _, _ in self._joints:
             if joint.holding:
@@ -356,14 +398,20 @@ class General(BaseCalculator):
     # -- speeds -------------------------------------------------------------------
 
     def _target_speeds(self, target: Twist) -> tuple[list[float], float]:
-        """Returns the speeds (rad/s) of wheels at their target angles, and the common scale."""
+        """Returns the wheel speeds (rad/s) at the target angles, and their common scale.
+
+        The scale is the factor by which the speed limits reduce all wheel speeds.  The scale is 1
+        if no wheel reaches its limit.
+        """
         speeds = list(self._zeros)
         scale = 1.0
         wz = target.wz
         for i, joint, gain, lateral, limit in self._driven_steered:
             v = joint.rolling * gain
             if lateral and not joint.unreachable:
-                # A contact beside the axis rolls around it, also at the centre of rotation.
+                # If the contact lies beside the steering axis, the contact moves on a circle around
+                # the axis.  The wheel therefore rolls even if its axis is at the centre of
+                # rotation.
                 v -= lateral * (wz + joint.wheel.sign * joint.rate)
             speeds[i] = v
             if v > limit or v < -limit:
@@ -375,7 +423,10 @@ class General(BaseCalculator):
         return self._motors.average_shared(speeds) if self._has_shared_motors else speeds, scale
 
     def _set_fixed_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
-        """Sets the speeds (rad/s) of the fixed wheels, in place; returns the smaller scale."""
+        """Sets the speeds (rad/s) of the fixed wheels in ``speeds``.
+
+        Returns ``scale``, or a smaller factor if a fixed wheel would exceed its speed limit.
+        """
         vx, vy, wz = self._skid.compensate(twist) if self._skid else twist
         for i, l1, l2, l3, radius, limit in self._driven_fixed:
             speeds[i] = v = (l1 * vx + l2 * vy + l3 * wz) / radius
@@ -386,14 +437,17 @@ class General(BaseCalculator):
     def _least_scrub(
         self, target: Twist, angles: Sequence[float], misalignment: float
     ) -> tuple[Twist, list[float]]:
-        """Returns the twist that scrubs least at these angles, and its wheel speeds (rad/s).
+        """Returns the twist that causes the least scrub at these steering angles, and its wheel
+        speeds.
 
-        With G = diag(1, 1, length^2) and d = xi* - target, the minimum is at
+        The wheel speeds are in rad/s.  The solver computes the difference d = xi* - target, which
+        loses no digits near the target.  With the metric G = diag(1, 1, length^2), d solves the
+        linear system
 
             (sum T'T + lambda G) d = -sum T' (T target)
 
-        Solving for the difference d loses no digits near the target.  lambda grows to infinity as
-        the misalignment decreases to ``_ALIGNED``, so that the twist is continuous there.
+        The factor lambda grows to infinity as the misalignment decreases to ``_ALIGNED``.  The
+        twist is therefore continuous at ``_ALIGNED``.
         """
         follow = _FOLLOW_WEIGHT / (1.0 - (_ALIGNED / misalignment) ** 2)
         vx, vy, wz = target
@@ -420,7 +474,7 @@ class General(BaseCalculator):
             b1 += s * slip
             b2 -= c * slip
             b3 -= t3 * slip
-        # The target is feasible: it has no side slip on fixed wheels.
+        # The target is feasible, so it causes no side slip on the fixed wheels.
         for t1, t2, t3 in self._fixed.rows:
             a11 += t1 * t1
             a12 += t1 * t2

@@ -1,4 +1,4 @@
-"""Linear algebra in plain Python, for computations of every tick."""
+"""Linear algebra in plain Python for computations that run in every control cycle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def solve3(
     b2: float,
     b3: float,
 ) -> tuple[float, float, float]:
-    """Solves a symmetric positive definite 3 x 3 system A x = b by cofactors."""
+    """Solves A x = b by cofactors, for a symmetric positive definite 3 x 3 matrix A."""
     c11 = a22 * a33 - a23 * a23
     c12 = a13 * a23 - a12 * a33
     c13 = a12 * a23 - a13 * a22

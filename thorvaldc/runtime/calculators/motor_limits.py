@@ -1,6 +1,7 @@
-"""Speed and acceleration limits of the drive motors, applied to all wheels together.
+"""Applies the speed and acceleration limits of the drive motors to all wheels together.
 
-One common factor for all wheels keeps the direction of the twist, and so the centre of rotation.
+All wheel speeds are scaled by the same factor.  The direction of the twist and the centre of
+rotation therefore do not change.
 """
 
 from __future__ import annotations
@@ -13,7 +14,11 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 
 class DriveMotors:
-    """The drive motors with the last commanded speeds (rad/s, per wheel) and their ``twist``."""
+    """Limits the commands of the drive motors and stores the last command.
+
+    The last command consists of the speed of each wheel (rad/s) and of the twist that these speeds
+    produce.
+    """
 
     def __init__(self, geometry: BaseGeometry) -> None:
         self._limits = tuple(
@@ -26,16 +31,20 @@ class DriveMotors:
         self.reset()
 
     def reset(self, states: JointStates | None = None, twist: Twist = ZERO_TWIST) -> None:
-        """Starts from the speeds of ``states``, which belong to ``twist``; by default from rest."""
+        """Sets the last commanded speeds to the measured speeds in ``states``.
+
+        ``twist`` is the twist that these speeds produce.  Without ``states``, the motors start from
+        rest.
+        """
         self._speeds: tuple[float, ...] = self._zeros if states is None else (*states.speeds,)
         self.twist = twist
 
     def resume(self, previous: DriveMotors) -> None:
-        """Takes over the last command of ``previous``."""
+        """Copies the last command of ``previous``."""
         self._speeds, self.twist = previous._speeds, previous.twist
 
     def average_shared(self, speeds: list[float]) -> list[float]:
-        """Sets the speeds of wheels on one motor to their mean, in place."""
+        """Sets the speeds of wheels that share a motor to their mean, in place."""
         for group in self._shared:
             mean = sum(speeds[i] for i in group) / len(group)
             for i in group:
@@ -43,7 +52,7 @@ class DriveMotors:
         return speeds
 
     def limit_speeds(self, twist: Twist, speeds: list[float]) -> tuple[Twist, list[float]]:
-        """Scales all speeds and the twist so that no wheel exceeds its speed limit."""
+        """Scales all wheel speeds and the twist so that no wheel exceeds its speed limit."""
         scale = 1.0
         for i, limit, _ in self._limits:
             v = speeds[i]
@@ -56,10 +65,13 @@ class DriveMotors:
     def limit_accelerations(
         self, twist: Twist, speeds: Sequence[float], dt: float | None
     ) -> tuple[Twist, tuple[float, ...]]:
-        """Returns the command for the next ``dt`` s and stores it (``None``: no limit).
+        """Limits the change of the wheel speeds and the twist during the next ``dt`` s.
 
-        With the last command v0 and the largest share k <= 1 such that no wheel exceeds its
-        acceleration, all speeds become v0 + k (v - v0), and so does the twist.
+        The limited speeds are v0 + k (v - v0).  In this formula, v0 are the last commanded speeds,
+        and v are the requested speeds.  The share k <= 1 is the largest value for which no wheel
+        exceeds its acceleration limit.  The twist changes by the same share k.  If ``dt`` is
+        ``None``, the change is not limited.  The method stores the limited twist and speeds as the
+        last command and returns them.
         """
         if dt is not None:
             last_speeds = self._speeds

@@ -1,11 +1,12 @@
 """The calculator for tricycles: one driven and steered wheel, and a fixed axle of passive wheels.
 
-The axle with the normal n = (nx, ny) constrains the twist to n . v + d wz = 0.  The velocity u of
-the driven wheel at p = (px, py) is v + wz (-py, px), so n . u = n . v + wz (ny px - nx py), and
+The axle has the normal n = (nx, ny) and constrains the twist to n . v + d wz = 0.  The driven wheel
+at p = (px, py) moves with the velocity u = v + wz (-py, px).  Hence n . u = n . v + wz (ny px - nx
+py), and
 
     wz = n . u / (ny px - nx py - d),   v = u - wz (-py, px)
 
-which the odometry evaluates at the measured rolling speed and direction.
+The odometry evaluates these equations at the measured rolling speed and steering angle.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ from thorvaldc.runtime.se2 import Twist
 
 
 class OneWheel(BaseCalculator):
-    """The velocity of the driven wheel and the line of the axle determine the twist exactly.
+    """Calculator for tricycles.  The module documentation contains the equations.
 
-    At any steering angle there is a motion without scrub.  So the robot does not wait while the
-    wheel turns; the wheel rolls at the component of the commanded velocity in its direction.
+    The robot can move without scrub at any steering angle of the driven wheel.  The robot therefore
+    does not stop while the wheel turns to its target angle.  Meanwhile, the wheel rolls at the
+    component of the commanded velocity along its present direction.
     """
 
     name = "one_wheel"
@@ -113,7 +115,7 @@ class OneWheel(BaseCalculator):
             v = -wz * wheel.lateral if not steering.unreachable else 0.0
         else:
             v = rolling[0] * vx + rolling[1] * vy + rolling[2] * wz
-        # The limit of the speed at the target angle scales the twist.
+        # The speed limit of the wheel at its target angle determines the scale of the twist.
         rolling, _ = wheel.rows(steering.target)
         limit = wheel.max_speed * wheel.radius
         target_speed = abs(rolling[0] * vx + rolling[1] * vy + rolling[2] * wz)
@@ -139,8 +141,10 @@ class OneWheel(BaseCalculator):
         slips = -wheel.trail * turning
         angle = states.angles[i]
         twist = self._motion(angle, rolls, slips)
-        # The twist is linear in (rolling speed, side slip, slip of the axle), and their errors are
-        # independent.  With the columns J_k of that map, the covariance is sum sigma_k^2 J_k J_k'.
+        # The twist is a linear function of the rolling speed, the side slip and the slip of the
+        # axle.  The errors of these three speeds are independent.  J_k is the twist per unit of
+        # speed k, and sigma_k is its standard deviation.  The covariance of the twist is then sum
+        # sigma_k^2 J_k J_k'.
         a2 = rolls * rolls + slips * slips
         angle2, slip2 = noise.angle**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy
@@ -165,9 +169,11 @@ class OneWheel(BaseCalculator):
         return TwistEstimate(twist, covariance, 3)
 
     def _motion(self, angle: float, rolls: float, slips: float, drift: float = 0.0) -> Twist:
-        """Returns the twist for these speeds (m/s) of the contact and the axle.
+        """Returns the twist for given speeds (m/s) of the driven wheel and the axle.
 
-        ``rolls`` and ``slips``: along and across the driven wheel.  ``drift``: of the axle across.
+        - ``rolls``: speed of the driven wheel's contact along the wheel.
+        - ``slips``: speed of the driven wheel's contact to the left of the wheel.
+        - ``drift``: side slip of the fixed axle.
         """
         wheel = self._wheel
         direction = wheel.heading + wheel.sign * angle

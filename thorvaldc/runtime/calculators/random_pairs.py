@@ -19,22 +19,28 @@ COVARIANCE: Cov3 = ((0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.03))
 _PARALLEL = 1e-9
 """Sine of the angle between two lines below which they are parallel."""
 _AT_CENTRE = 0.05
-"""Distance (m) from the centre of rotation below which a wheel's speed is not used."""
+"""Distance (m) from the centre of rotation below which a wheel speed is not used."""
 
 
 _AxleLine = tuple[float, float, float, float, float | None]
-"""Contact (x, y) and rolling direction (c, s) of a wheel, and its speed (``None``: no encoder)."""
+"""Position of the contact (x, y), rolling direction (c, s), and rolling speed of a wheel.
+
+The speed is ``None`` for a wheel without encoder.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomPairsOptions(GeneralOptions):
-    """Options of ``random_pairs``, in addition to those of ``general``.
+    """Options of the calculator ``random_pairs``, in addition to the options of ``general``.
 
-    ``seed``: of the random pairs.  ``pairs_per_wheel``: number of pairs per wheel and tick.
-    ``special_cases``: pairs whose directions differ by less than ``parallel`` (rad) count as
-    parallel; if most pairs are parallel, the robot does not turn; the speed of a wheel at the
-    centre of rotation is not used.  Without ``special_cases``, only exactly parallel lines
-    have no intersection.
+    - ``seed``: seed of the random number generator that draws the pairs.
+    - ``pairs_per_wheel``: number of pairs per wheel and tick.
+    - ``special_cases``: if ``True``, the odometry handles parallel wheels and wheels at the centre
+      of rotation.  If most pairs are parallel, the robot does not turn.  The speed of a wheel at
+      the centre of rotation is not used.  If ``False``, only exactly parallel lines have no
+      intersection.
+    - ``parallel``: with ``special_cases``, two wheels count as parallel if their directions differ
+      by less than this angle (rad).
     """
 
     seed: int = 1
@@ -52,12 +58,12 @@ class RandomPairsOptions(GeneralOptions):
 
 
 class RandomPairs(General):
-    """Odometry from the mean intersection of the axle lines of random pairs of wheels.
+    """Odometry that intersects the axle lines of random pairs of wheels and averages the points.
 
-    Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
-    section 3.3.1.  Its commands are those of ``general``, its covariance is constant.  It serves as
-    a baseline only: with noise, almost parallel lines intersect anywhere, which makes the mean
-    useless.
+    Source: Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
+    section 3.3.1.  The joint commands are the same as those of ``general``.  The covariance is
+    constant.  This odometry is only a baseline for comparisons.  With noise, two almost parallel
+    lines intersect at any point, so the mean intersection is useless.
     """
 
     name = "random_pairs"
@@ -72,7 +78,7 @@ class RandomPairs(General):
     ) -> None:
         self._pairs = options or RandomPairsOptions()
         self._random = random.Random()
-        # (index, wheel) of the wheels whose direction is known
+        # Index and geometry of the wheels whose direction is known.
         self._guiding = tuple((i, w) for i, w in enumerate(geometry.wheels) if not w.swivel)
         super().__init__(geometry, self._pairs, noise)
 
@@ -109,7 +115,10 @@ class RandomPairs(General):
         return TwistEstimate(twist, COVARIANCE, 3)
 
     def _centre_of_rotation(self, lines: list[_AxleLine]) -> tuple[float, float] | None:
-        """Returns the mean intersection (m) of random pairs; ``None``: the robot does not turn."""
+        """Returns the mean intersection (m) of the axle lines of random pairs of wheels.
+
+        Returns ``None`` if the robot does not turn.
+        """
         options = self._pairs
         draw, n = self._random.randrange, len(lines)
         pairs = options.pairs_per_wheel * n
@@ -133,7 +142,7 @@ class RandomPairs(General):
         return x / count, y / count
 
     def _turning_about(self, lines: list[_AxleLine], xc: float, yc: float) -> Twist:
-        """Returns the rotation about the centre with the mean angular velocity of the wheels."""
+        """Returns the twist about the centre of rotation with the mean yaw rate of the wheels."""
         min_distance = _AT_CENTRE if self._pairs.special_cases else 1e-9
         count, total = 0, 0.0
         for x, y, c, s, speed in lines:

@@ -1,4 +1,4 @@
-"""Wheel speeds of a robot that turns by skidding (fixed wheels on parallel axle lines)."""
+"""Wheel speeds of a robot that turns by skidding because its fixed wheels are not in line."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from thorvaldc.runtime.se2 import Twist
 
 
 class SkidSteering:
-    """Compensation of the turning speed that a robot loses by skidding.
+    """Compensation of the yaw rate that a robot loses by skidding.
 
-    Under Coulomb friction with equal loads, the robot turns as the least-squares fit of the
-    surface velocities of its wheels.  With a_i the positions across the wheels and l_i those along,
-    relative to their means, wheels driven at v_i turn it by
+    With Coulomb friction and equal loads, the yaw rate is the least-squares fit of a twist to the
+    surface velocities of the wheels.  Wheel i has the position a_i across the wheels and l_i along
+    the wheels, both relative to the mean position.  If wheel i rolls at the speed v_i, the robot
+    turns at
 
         wz = -sum a_i v_i / (sum a_i^2 + sum l_i^2)
 
-    Pure rolling, v_i = -a_i wz', would give wz = g wz' with g = sum a^2 / (sum a^2 + sum l^2): for
-    wheels at (+-a, +-b), g = b^2 / (a^2 + b^2).  So the wheels are driven for wz / g.
+    Without skidding, a turn at wz' would need the wheel speeds v_i = -a_i wz'. With these wheel
+    speeds the robot turns only at g wz', where g = sum a_i^2 / (sum a_i^2 + sum l_i^2).  For four
+    wheels at (+-a, +-b), g = b^2 / (a^2 + b^2).  The compensation therefore computes the wheel
+    speeds for the yaw rate wz / g.
     """
 
     def __init__(self, inverse_gain: float, middle: float, normal: tuple[float, float]) -> None:
@@ -31,7 +34,7 @@ class SkidSteering:
             return None
         wheels = [w for w in geometry.wheels if w.fixed]
         driven = [w for w in wheels if w.driven]
-        # The normal is (t1, t2); the wheels roll along (t2, -t1).
+        # The normal of the wheels is (t1, t2), so their rolling direction is (t2, -t1).
         t1, t2, _ = fixed.rows[0]
         across = [t1 * w.x + t2 * w.y for w in driven]
         middle = sum(across) / len(across)
@@ -44,9 +47,10 @@ class SkidSteering:
         return SkidSteering((turning + resisting) / turning, middle, (t1, t2))
 
     def compensate(self, twist: Twist) -> Twist:
-        """Returns the twist whose rolling speeds make the skidding robot move by ``twist``.
+        """Returns the twist whose wheel speeds make the skidding robot move with ``twist``.
 
-        The additional turn is about the middle of the driven wheels, which keeps their mean speed.
+        The added rotation is about the middle of the driven wheels.  It does not change their mean
+        speed.
         """
         t1, t2 = self._normal
         added_turn = (self._inverse_gain - 1.0) * twist.wz

@@ -1,22 +1,24 @@
 """Choice of the steering angle of one wheel, and its motion to that angle.
 
-A wheel whose axis moves in the direction phi can stand at any angle c = phi + k pi: it rolls
-forwards for even k (the *forward branch*) and backwards for odd k.  A cable limits the joint, so
-angles are not wrapped, and c, c + 2 pi are two different candidates.  Among all candidates within
-the limits, ``SteeringJoint`` takes the one of least cost, in seconds:
+The steering axis of a wheel moves in the direction phi.  The wheel can then stand at any angle c =
+phi + k pi.  For even k, the wheel rolls forwards (*forward branch*).  For odd k, the wheel rolls
+backwards.  Angles are not wrapped, because the motor cable limits the steering angle.  The angles c
+and c + 2 pi are therefore two different candidates.  Among all candidates within the steering
+limits, ``SteeringJoint`` chooses the candidate with the smallest cost in seconds:
 
     cost(c) = max(|c - angle| / rate, reversal of the wheel speed) + V(c) / rate + hysteresis
 
-The hysteresis counts on a change of branch.  V is the expected travel to the *next* candidate,
-if the next direction of motion is uniformly distributed: with both sides free, the joint turns to
-the nearer of two opposite directions, by at most pi/2, on average pi/4.  With a limit at a distance
-d < pi/2 on one side, it turns by at most d to that side and by at most pi - d to the other, so
+The hysteresis is added only to candidates on the other branch.  V is the expected travel to the
+*next* candidate, if the next direction of motion is uniformly distributed.  Far from its limits,
+the joint turns to the nearer of two opposite directions: by at most pi/2, and by pi/4 on average.
+With a limit at a distance d < pi/2 on one side, the joint turns by at most d to that side and by at
+most pi - d to the other side.  The expected travel is then
 
     V = (1/pi) (integral of t from 0 to d + integral of t from 0 to pi - d)
       = (d^2 + (pi - d)^2) / (2 pi)
 
-V keeps joints away from their limits: the mean travel is within 0.3 % of the optimum by dynamic
-programming (limits +-180 deg, independent random directions).
+V keeps steering joints away from their limits.  The mean travel is within 0.3 % of the optimum,
+which was computed by dynamic programming for limits of +-180 deg and independent random directions.
 """
 
 from __future__ import annotations
@@ -31,24 +33,32 @@ TWO_PI = 2.0 * math.pi
 _QUICK = PI / 4.0
 
 HOLD_BELOW = 1e-3
-"""Speed (m/s) of the steering axis below which the joint holds its angle."""
+"""Speed (m/s) of the steering axis below which the steering joint holds its angle."""
 RESUME_ABOVE = 2e-3
-"""Speed (m/s) above which a joint that holds its angle follows the motion again."""
+"""Speed (m/s) above which a steering joint that holds its angle follows the motion again."""
 LIMIT_TOLERANCE = 1e-4
 """Distance (rad) past a limit up to which a candidate is clamped to the limit."""
 _HOLD2 = HOLD_BELOW**2
 _TIE = 1e-9
-"""Costs (s) that differ by less are equal."""
+"""Two costs (s) count as equal if they differ by less than this."""
 
 
 class SteeringJoint:
-    """The steering joint of one wheel, or of several wheels that share it.
+    """The steering joint of one wheel, or of several wheels that share the joint.
 
-    Angles are joint positions in rad, not wrapped.  ``target``: the chosen angle.  ``angle`` and
-    ``rate``: as commanded.  ``direction``: the branch, 1.0 forward, -1.0 backwards.  ``rolling``
-    (m/s): rolling speed of the axis at the target angle.  ``holding``: the joint keeps its angle,
-    because the axis does not move or no candidate is reachable (``unreachable``).
-    ``wheels``: indices of the wheels on the joint; ``wheel`` is the first of them.
+    All angles are joint positions in rad and are not wrapped.
+
+    - ``target``: chosen steering angle.
+    - ``angle``, ``rate``: commanded steering angle and its rate in rad/s.
+    - ``direction``: 1.0 on the forward branch, -1.0 if the wheel rolls backwards.
+    - ``rolling``: rolling speed (m/s) of the steering axis at the target angle.
+    - ``holding``: ``True`` if the joint keeps its angle, either because the axis does not move or
+      because no candidate is within the limits.
+    - ``unreachable``: ``True`` if no candidate is within the limits.
+    - ``wheels``: indices of the wheels on the joint.
+    - ``wheel``: geometry of the first of these wheels.
+    - ``acceleration``: acceleration limit (m/s^2) of the rolling speed.
+    - ``seconds_per_rad``: time that the joint needs per rad at its full rate.
     """
 
     __slots__ = (
@@ -90,7 +100,7 @@ class SteeringJoint:
         self.reset(0.0)
 
     def reset(self, angle: float) -> None:
-        """Forgets the last choice; the joint rests at ``angle``."""
+        """Discards the last choice.  The joint is then at rest at ``angle``."""
         self.angle = min(max(angle, self._lower), self._upper)
         self.target = self.angle
         self.rate = 0.0
@@ -100,20 +110,23 @@ class SteeringJoint:
         self.unreachable = False
 
     def resume(self, previous: SteeringJoint) -> None:
-        """Takes over the state of ``previous``, an object for the same joint."""
+        """Copies the state of ``previous``, an object for the same joint."""
         self.angle, self.target, self.rate = previous.angle, previous.target, previous.rate
         self._set_branch(previous.direction)
         self.rolling, self.holding = previous.rolling, previous.holding
         self.unreachable = previous.unreachable
 
     def _set_branch(self, direction: float) -> None:
-        """Sets the branch: forward (1.0) or backwards (-1.0)."""
+        """Sets the branch of the wheel: 1.0 for forward, -1.0 for backwards."""
         self.direction = direction
-        # Joint angle at which a wheel on this branch moves along the x axis of base_link.
+        # Steering angle at which a wheel on this branch rolls along the x axis of base_link.
         self._base = -self._sign * self.wheel.heading + (PI if direction < 0.0 else 0.0)
 
     def expected_travel(self, angle: float) -> float:
-        """Returns V (rad) of the module's documentation: the mean travel to the next candidate."""
+        """Returns the expected travel V (rad) from ``angle`` to the next candidate.
+
+        The module documentation derives the formula.
+        """
         travel = PI / 4.0
         for d in (angle - self._lower, self._upper - angle):
             if d < PI / 2.0:
@@ -124,13 +137,17 @@ class SteeringJoint:
     def choose(self, ux: float, uy: float, wz: float, angle: float, speed: float) -> None:
         """Chooses ``target`` and ``direction`` for the velocity of the steering axis.
 
-        ``ux``, ``uy`` (m/s), ``wz`` (rad/s): velocity of the robot at the axis, in ``base_link``.
-        ``angle`` (rad) and ``speed`` (m/s, rolling): the present state of the wheel.  At
-        standstill, with the axis at the centre of rotation, and without a reachable candidate,
-        the target does not change.
+        - ``ux``, ``uy``: velocity (m/s) of the steering axis in ``base_link``.
+        - ``wz``: yaw rate (rad/s) of the robot.
+        - ``angle``: present steering angle (rad).
+        - ``speed``: present rolling speed (m/s) of the wheel.
+
+        The target angle does not change in three cases: the robot stands still, the steering axis
+        is at the centre of rotation, or no candidate is within the limits.
         """
         if not (self.holding or self._has_trail):
-            # A candidate within 45 deg on the present branch: no other one can be better.
+            # Fast path: a candidate on the present branch within 45 deg is always the best
+            # candidate.
             v2 = ux * ux + uy * uy
             turn = self._base + self._sign * atan2(uy, ux) - angle
             if not -_QUICK < turn < _QUICK:
@@ -149,7 +166,7 @@ class SteeringJoint:
         self._search(ux, uy, wz, angle, speed)
 
     def _search(self, ux: float, uy: float, wz: float, angle: float, speed: float) -> None:
-        """Chooses among all candidates within the limits."""
+        """Chooses the best of all candidates within the steering limits."""
         v = math.hypot(ux, uy)
         self.unreachable = False
         bend = wz * self.wheel.trail
@@ -157,22 +174,23 @@ class SteeringJoint:
             self.holding = True
             self.rolling = 0.0
             return
-        # No side slip at the contact, which lies `trail` from the axis along the wheel's direction
-        # theta: v sin(phi - theta) + wz trail = 0, so theta = phi + asin(wz trail / v), or the
-        # other solution theta = phi + pi - asin(wz trail / v), rolling backwards.
+        # The contact lies `trail` ahead of the axis along the wheel's direction theta.  The contact
+        # has no side slip if v sin(phi - theta) + wz trail = 0.  One solution is theta = phi +
+        # asin(wz trail / v).  In the other solution, theta = phi + pi - asin(wz trail / v), the
+        # wheel rolls backwards.
         phi = math.atan2(uy, ux) - self.wheel.heading
         lead = math.asin(bend / v) if bend else 0.0
         sign = self.wheel.sign
         lower, upper = self._lower, self._upper
-        # A joint without limits: one turn to each side contains the best candidate.
+        # For a joint without limits, one full turn to each side contains the best candidate.
         first = max(lower - LIMIT_TOLERANCE, angle - TWO_PI)
         last = min(upper + LIMIT_TOLERANCE, angle + TWO_PI)
         rate = self._max_rate if self._max_rate < math.inf else 1.0
-        # Between these angles a quarter turn is free on both sides: V = pi/4.
+        # Between these angles the joint can make a quarter turn to both sides, so V = pi/4.
         free_low, free_high = lower + PI / 2.0, upper - PI / 2.0
         best_cost, best_angle, best_direction, excess = math.inf, 0.0, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
-            # A wheel that rolls the other way has to reverse its speed.
+            # A wheel that rolls in the opposite direction has to reverse its speed first.
             opposite = -direction * speed
             reversal = 2.0 * opposite / self.acceleration if opposite > 0.0 else 0.0
             hysteresis = 0.0 if direction == self.direction else self._hysteresis
@@ -209,22 +227,24 @@ class SteeringJoint:
     def _preferred(
         self, angle: float, direction: float, best_angle: float, best_direction: float
     ) -> bool:
-        """Decides between a candidate and the best one so far, at equal cost.
+        """Checks whether a candidate is better than the best candidate so far at equal cost.
 
-        Order: the present branch, the smaller absolute angle, forward, positive.
+        The first difference decides: the present branch is better, then the smaller absolute angle,
+        then the forward branch, then the positive angle.
         """
         candidate = (direction != self.direction, abs(angle), -direction, -angle)
         best = (best_direction != self.direction, abs(best_angle), -best_direction, -best_angle)
         return candidate < best
 
     def time_to_target(self) -> float:
-        """Returns the time (s) to the target at full rate."""
+        """Returns the time (s) that the joint needs to reach its target at full rate."""
         return abs(self.target - self.angle) * self.seconds_per_rad
 
     def advance(self, dt: float, share: float) -> None:
-        """Moves the commanded ``angle`` towards the target for ``dt`` s, without overshoot.
+        """Moves the commanded ``angle`` towards the target angle for ``dt`` s, without overshoot.
 
-        The rate is at most ``share`` of the joint's limit and changes by at most its rate change.
+        ``share`` is the allowed share of the joint's rate limit.  The change of the rate is limited
+        by the acceleration limit of the joint.
         """
         error = self.target - self.angle
         if error == 0.0 and self.rate == 0.0:
@@ -239,9 +259,10 @@ class SteeringJoint:
             return
         fastest = abs(needed)
         if change < fastest:
-            # The highest rate w from which the joint still stops at the target.  It brakes by
-            # `change` per tick over w^2 / (2 rate_change) + w dt / 2, and up to change dt / 8 more
-            # if w is not a multiple of `change`.
+            # stopping_rate is the highest rate w from which the joint still stops at the target.
+            # While the rate decreases by `change` in each tick, the joint travels w^2 / (2
+            # rate_change) + w dt / 2.  The travel is up to change dt / 8 longer if w is not a
+            # multiple of `change`.
             distance = abs(error) - change * dt / 8.0
             square = change * change / 4.0 + 2.0 * self._max_rate_change * distance
             stopping_rate = sqrt(square) - change / 2.0
@@ -267,6 +288,6 @@ class SteeringJoint:
             self.rate = 0.0
 
     def jump(self) -> None:
-        """Commands the target angle without regard to rates."""
+        """Sets the commanded angle to the target angle without regard to rate limits."""
         self.angle = self.target
         self.rate = 0.0

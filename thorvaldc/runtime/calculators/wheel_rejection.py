@@ -1,17 +1,18 @@
 """Rejection of faulty wheels by a search over hypotheses.
 
-A wheel that slips, stalls or has a wrong steering angle disagrees with the others: its D exceeds
-its gate (see ``twist_fit.chi_squares``).  But one faulty wheel also pulls the fit and makes
-healthy wheels look wrong, and with few wheels the largest D need not be that of the faulty one.
-So the search refits the twist without each wheel in turn (leave-one-out), and without pairs
-where no single wheel explains the misfit.  Each hypothesis "the wheels F are faulty" has a cost
+A wheel that slips, stalls or has a wrong steering angle disagrees with the other wheels.  Its
+chi-square D then exceeds a threshold, the gate (see ``twist_fit.chi_squares``).  One faulty wheel
+also changes the fitted twist, so healthy wheels can exceed their gates, too.  With few wheels, a
+healthy wheel can even have the largest D. The search therefore fits the twist without each wheel in
+turn (leave-one-out).  If no single wheel explains the misfit, the search also leaves out pairs of
+wheels.  Each hypothesis "the wheels F are faulty" has a cost
 
     cost = misfit of the rows in use + sum over the k-th wheel of F of k * price
 
-which is -2 log of its likelihood up to a constant.  ``price`` is the chi-square that one wheel
-exceeds with the permitted rate of false rejections, and the k makes a second fault beside the
-first as much rarer again.  Hypotheses of nearly equal cost are averaged with the weights
-exp(-cost / 2).
+The cost is -2 log of the likelihood of the hypothesis up to a constant.  ``price`` is the
+chi-square that a healthy wheel exceeds with the permitted rate of false rejections.  The factor k
+makes a second fault rarer than the first fault.  Hypotheses of nearly equal cost are averaged with
+the weights exp(-cost / 2).
 """
 
 from __future__ import annotations
@@ -32,19 +33,26 @@ from thorvaldc.runtime.calculators.twist_fit import (
 )
 
 _CREDIBLE = 6.63
-"""Chi-square (1 degree of freedom, 1 %) up to which one row of a faulty wheel is still used."""
+"""Largest chi-square at which the fit still uses one row of a faulty wheel.
+
+1 % quantile of the distribution with 1 degree of freedom.
+"""
 _NEGLIGIBLE = 9.2
-"""Difference of costs from which a hypothesis is ignored: its weight is below 1 %."""
+"""Hypotheses with a cost this much above the smallest cost have a weight below 1 %."""
 _PAIR_SEEDS = 3
-"""Number of the most likely single wheels that the search extends to pairs."""
+"""Number of single wheels, the most likely ones first, that the search extends to pairs."""
 
 
 class Hypothesis(NamedTuple):
-    """The assumption that some wheels are faulty, and the fit without them.
+    """The assumption that certain wheels are faulty, and the fit of the twist without these wheels.
 
-    ``rejected``: indices of the faulty wheels among the measurements.  ``measurements``: those of
-    the rejected wheels are not used, except a row that still agrees.  ``cost``: see the module.
-    ``worst_ratio``: the largest D / gate of the other wheels; above 1 one of them is suspect.
+    - ``rejected``: indices of the measurements of the faulty wheels.
+    - ``measurements``: all measurements.  The fit uses no row of a rejected wheel, or one row if
+      this row agrees with the other wheels.
+    - ``fit``: fitted twist.
+    - ``cost``: cost of the hypothesis.  The module documentation contains the formula.
+    - ``worst_ratio``: largest quotient D / gate of the wheels that are not rejected.  If it is
+      above 1, at least one of these wheels is suspect.
     """
 
     rejected: tuple[int, ...]
@@ -55,11 +63,14 @@ class Hypothesis(NamedTuple):
 
 
 class HypothesisSearch:
-    """Search for at most ``max_rejected`` (0 to 2) faulty wheels.
+    """Search for faulty wheels.
 
-    ``gates``: per measurement, the D beyond which it is suspect.  ``price``: see the module.
-    ``fit_anew`` fits measurements from the unweighted solution, so that faulty wheels leave no
-    trace in the weights of the others; ``refit`` fits them from the twist of a previous fit.
+    - ``gates``: for each measurement, the chi-square D above which the wheel is suspect.
+    - ``price``: cost of a rejected wheel.  The module documentation explains the price.
+    - ``max_rejected``: largest number of faulty wheels, 0 to 2.
+    - ``fit_anew``: function that fits the twist, with weights from the unweighted fit of the same
+      measurements.  The weights of the healthy wheels are then independent of the faulty wheels.
+    - ``refit``: function that fits the twist, with weights from a previous fit.
     """
 
     def __init__(
@@ -77,10 +88,10 @@ class HypothesisSearch:
         self._refit = refit
 
     def likely_hypotheses(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
-        """Returns all hypotheses that are not negligible, most likely first.
+        """Returns all hypotheses with a considerable probability, the most likely hypothesis first.
 
-        ``fit`` is the fit of all measurements; that all are healthy is one of the hypotheses.
-        Returns an empty list if no hypothesis explains the misfit.
+        ``fit`` is the fit of all measurements.  The hypothesis that all wheels are healthy is
+        included.  Returns an empty list if no hypothesis explains the misfit.
         """
         all_healthy = self._hypothesis((), measurements, fit)
         singles = self._reject_one_more(all_healthy)
@@ -88,7 +99,7 @@ class HypothesisSearch:
         hypotheses = [all_healthy, *singles]
         if singles and self._max_rejected > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
-                # Pairs with a more likely wheel are in the list already.
+                # The list already contains the pairs with a more likely wheel.
                 visited = [s.rejected[0] for s in singles[:rank]]
                 hypotheses += self._reject_one_more(single, visited)
         hypotheses.sort(key=_cost)
@@ -104,9 +115,10 @@ class HypothesisSearch:
     def _reject_one_more(
         self, hypothesis: Hypothesis, visited: Sequence[int] = ()
     ) -> list[Hypothesis]:
-        """Returns the hypotheses with one more rejected wheel, except the ``visited`` ones.
+        """Returns all hypotheses that reject one wheel more than ``hypothesis``.
 
-        Only wheels without which the others still determine the twist can be rejected.
+        ``visited`` contains the indices of the wheels that are not rejected again.  A wheel can be
+        rejected only if the other wheels determine the twist without it.
         """
         extended: list[Hypothesis] = []
         if len(hypothesis.rejected) >= self._max_rejected:
@@ -127,9 +139,10 @@ class HypothesisSearch:
     def _hypothesis(
         self, rejected: tuple[int, ...], measurements: list[Measurement], fit: Fit
     ) -> Hypothesis:
-        """Computes the cost, and takes back one row of each rejected wheel if it agrees.
+        """Computes the cost of a hypothesis and uses one row of a rejected wheel if the row agrees.
 
-        A slipping wheel still measures its direction, a wrong angle still has the right speed.
+        A slipping wheel still measures its direction correctly.  A wheel with a wrong steering
+        angle still measures its speed correctly.
         """
         worst_ratio = 0.0
         for k, d in enumerate(chi_squares(fit)):
@@ -153,10 +166,10 @@ class HypothesisSearch:
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
-    """Returns mean and covariance over the hypotheses, and the probability of the first one.
+    """Returns the mean and covariance over all hypotheses, and the probability of the first one.
 
-    With probabilities p_i, means xi_i and covariances P_i:
-    xi = sum p_i xi_i and P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
+    With probabilities p_i, means xi_i and covariances P_i, the mixture has the mean xi = sum p_i
+    xi_i.  Its covariance is P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
     """
     best = hypotheses[0]
     if len(hypotheses) == 1:
@@ -186,5 +199,8 @@ def _cost(hypothesis: Hypothesis) -> float:
 
 
 def _with_use(measurement: Measurement, use: int) -> Measurement:
-    """Returns the measurement of which the fit uses only these rows (USE_ROLL, USE_SIDE, 0)."""
+    """Returns a copy of the measurement of which the fit uses only the given rows.
+
+    ``use`` is ``USE_ROLL``, ``USE_SIDE`` or 0 for no row.
+    """
     return (measurement[0] & ~(USE_ROLL | USE_SIDE) | use, *measurement[1:])
