@@ -1,4 +1,4 @@
-"""Diagnostics: codes, source spans, the report that collects them, and its renderers."""
+"""Diagnostic codes, source spans, reports, and renderers of reports."""
 
 from thorvaldc.diagnostics.codes import CODES, Code
 from thorvaldc.diagnostics.report import Diagnostic, Label, Report, Severity, Span

@@ -1,9 +1,19 @@
 """Table of all diagnostic codes.
 
-The first digit is the subject: 1 YAML, 2 schema and units, 3 references, 4 geometry and
-physics, 5 CAN bus, 6 backends, 7 library and extras, 8 runtime, simulation and
-commissioning, 9 files and import.  A number is never reused.
-``docs/diagnostics/<number>.md`` explains each code.
+The first digit of a diagnostic code is the subject of the diagnostic:
+
+- 1: YAML
+- 2: schema and units
+- 3: references
+- 4: geometry and physics
+- 5: CAN bus
+- 6: backends
+- 7: library and extras
+- 8: runtime, simulation and commissioning
+- 9: files and import
+
+If a diagnostic code is removed, its number is never used again.
+The page ``docs/diagnostics/<number>.md`` explains each code.
 """
 
 from __future__ import annotations
@@ -13,10 +23,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """A diagnostic code: stable number (``TV501``), name (``can-id-duplicate``) and summary.
+    """A diagnostic code.
 
-    ``outside``: the cause is outside the input files (bus, other programs); the exit
-    status is then 3.
+    ``number``: number of the code, such as ``TV501``.  The number never changes.
+    ``name``: name of the code, such as ``can-id-duplicate``.
+    ``severity``: severity of all diagnostics with this code.
+    ``summary``: description of the problem in one line.
+    ``outside``: whether the cause is outside the input files, for example on the CAN bus or in
+    another program.  The exit status of the command is then 3.
     """
 
     number: str

@@ -7,9 +7,11 @@ from thorvaldc.diagnostics.report import Diagnostic, Span
 
 
 class DiagnosticError(Exception):
-    """An operation is not possible; ``diagnostic`` holds the reason and a hint.
+    """Raised if an operation is not possible.
 
-    Raised by code that has no ``Report``.  A caller that has one adds ``diagnostic`` to it.
+    ``diagnostic``: diagnostic with the reason and a hint.
+    A function without a ``Report`` raises this exception.  A caller with a ``Report`` adds the
+    diagnostic to its report.
     """
 
     def __init__(

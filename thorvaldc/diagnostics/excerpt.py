@@ -1,7 +1,8 @@
-"""Lines of source text as a terminal shows them, with the columns of a source span.
+"""Converts source lines and source spans to terminal columns.
 
-A character can take 0 columns (combining marks), 1, 2 (East Asian wide characters) or more
-(a tab).  Markers under a line are therefore placed by terminal columns, not by characters.
+A terminal shows a combining mark in 0 columns and an East Asian wide character in 2 columns.
+A tab takes up to 4 columns, and most other characters take 1 column.  The marker under a source
+line is therefore positioned by terminal columns instead of by characters.
 """
 
 from __future__ import annotations
@@ -20,26 +21,36 @@ from thorvaldc.diagnostics.report import Span
 TAB = 4
 _ELLIPSIS = "…"
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
-# Control characters, and marks that reorder text: both could hide what a line contains.
+# Control characters and marks that change the direction of text.  These characters could hide
+# a part of a source line in a terminal.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _HIGH_CONTROLS = re.compile("[\x7f-\x9f\u2028\u2029]")
 
 
 def printable(text: str) -> str:
-    """Escapes line breaks and control characters, so that the text cannot control a terminal."""
+    """Returns a text with all line breaks and control characters escaped.
+
+    A text without control characters cannot change the state of a terminal.
+    """
     return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def json_text(document: Any) -> str:
-    """Returns indented JSON that is safe to print on a terminal."""
+    """Returns a value as indented JSON without control characters."""
     text = json.dumps(document, indent=2, ensure_ascii=False)
-    # `json` escapes the C0 controls only; the others can occur in strings only.
+    # The module `json` escapes the C0 control characters.  Other control characters can occur
+    # only inside the strings of the JSON text, where an escape sequence is valid.
     return _HIGH_CONTROLS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """A source line, cut to the width; ``start`` and ``length`` of the span in terminal columns."""
+    """The visible part of a source line, with the position of a source span.
+
+    ``text``: visible part of the line.
+    ``start``: terminal column at which the source span starts, from 0.
+    ``length``: length of the source span in terminal columns.
+    """
 
     text: str
     start: int
@@ -47,10 +58,10 @@ class Excerpt:
 
 
 class Excerpts:
-    """Source lines with the columns of a span.
+    """Returns the source lines of spans.  Reads each source file only once.
 
-    ``sources`` maps the file names of spans to paths.  Each file is read once.  Lines are at
-    most ``width`` terminal columns wide.
+    ``sources``: path of each file name in the spans.
+    ``width``: maximum width of an output line in terminal columns.
     """
 
     def __init__(self, sources: Mapping[str, Path], width: int = 100) -> None:
@@ -60,11 +71,14 @@ class Excerpts:
         self._laid_out: dict[tuple[str, int], _Line | None] = {}
 
     def gutter(self, spans: Sequence[Span]) -> int:
-        """Returns the width of the line numbers."""
+        """Returns the number of columns for the line numbers of these spans."""
         return max([len(str(span.line)) for span in spans], default=1)
 
     def show(self, span: Span, gutter: int) -> Excerpt | None:
-        """Returns the first line of the span, or ``None`` if its text is not available."""
+        """Returns the first source line of a span, or ``None`` if the line cannot be read.
+
+        ``gutter``: number of columns for the line numbers.
+        """
         line = self._line(span)
         if line is None:
             return None
@@ -100,14 +114,17 @@ class Excerpts:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """The text shown for each character (``cells``) and the column where it starts.
+    """The layout of a source line in a terminal.
 
-    ``starts`` has one more element: the column after the last character.
+    ``cells``: text that the terminal shows for each character.
+    ``starts``: terminal column of each character.  A further element contains the column after
+    the last character.
+    ``stripped``: number of characters without blanks at the end of the line.
     """
 
     cells: list[str]
     starts: list[int]
-    stripped: int  # number of characters without trailing blanks
+    stripped: int
 
     @property
     def length(self) -> int:
@@ -131,7 +148,7 @@ def _lay_out(text: str) -> _Line:
 
 
 def _cell(character: str) -> tuple[str, int]:
-    """Returns the text shown for a character, and its width in columns."""
+    """Returns the text that a terminal shows for a character, and its width in columns."""
     if " " <= character <= "~":
         return character, 1
     if character == "\t":
@@ -144,7 +161,10 @@ def _cell(character: str) -> tuple[str, int]:
 
 
 def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
-    """Cuts the line to ``width`` columns around the columns ``begin`` to ``end``.
+    """Cuts a source line to the maximum width, so that a source span stays visible.
+
+    ``begin``, ``end``: first terminal column of the span, and the column after the span.
+    ``width``: maximum width of the visible part in terminal columns.
 
         |<------------------ total ------------------>|
         aaaaaaaaaaaaaaaaaaaaXXXXXXaaaaaaaaaaaaaaaaaaaaa
@@ -158,7 +178,7 @@ def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
     length = min(end - begin, width - 2)
     left = max(0, min(begin - (width - length) // 2, total - width + 1))
     right = left + width
-    # Keep whole characters only, and one column for `…` at each cut.
+    # A cut keeps whole characters.  At each cut, one column is reserved for the character `…`.
     first = bisect.bisect_left(line.starts, left + (left > 0))
     last = bisect.bisect_right(line.starts, right - (right < total)) - 1
     text = "".join(line.cells[first:last]).rstrip()

@@ -11,7 +11,10 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 class UnknownCode(LookupError):
-    """No code has this number or name; ``hint`` names the most similar code."""
+    """Raised if no diagnostic code has the requested number or name.
+
+    ``hint``: suggestion of a similar code, or ``None``.
+    """
 
     def __init__(self, number_or_name: str, hint: str | None) -> None:
         super().__init__(f"there is no code `{number_or_name}`")
@@ -19,7 +22,11 @@ class UnknownCode(LookupError):
 
 
 def find_code(number_or_name: str) -> Code:
-    """Returns the code for ``TV501``, ``501`` or ``can-id-duplicate``.  Raises UnknownCode."""
+    """Returns a diagnostic code by its number or name.
+
+    ``number_or_name``: ``TV501``, ``501`` or ``can-id-duplicate``, for example.
+    Raises ``UnknownCode`` if there is no such code.
+    """
     text = number_or_name.strip()
     if text.lower() in CODES:
         return CODES[text.lower()]
@@ -34,7 +41,10 @@ def find_code(number_or_name: str) -> Code:
 
 
 def page(code: Code) -> str:
-    """Returns the code's page in Markdown, or its summary if the page is not installed."""
+    """Returns the documentation page of a diagnostic code in Markdown.
+
+    If the page is not installed, returns the summary of the code.
+    """
     path = _folder() / f"{code.number}.md"
     try:
         return path.read_text(encoding="utf-8")
@@ -43,12 +53,19 @@ def page(code: Code) -> str:
 
 
 def explain(number_or_name: str) -> str:
-    """Returns the page of a code in Markdown.  Raises UnknownCode."""
+    """Returns the documentation page of a diagnostic code in Markdown.
+
+    Raises ``UnknownCode`` if no code has this number or name.
+    """
     return page(find_code(number_or_name))
 
 
 def _folder() -> Path:
-    """Returns the folder of the pages; a checkout uses its own, which may be newer."""
+    """Returns the folder with the documentation pages of the diagnostic codes.
+
+    In a checkout of the repository, the pages are in the folder ``docs/diagnostics``.  An
+    installed package contains a copy of the pages.
+    """
     root = _PACKAGE.parent
     if (root / "pyproject.toml").is_file():
         return root / "docs" / "diagnostics"

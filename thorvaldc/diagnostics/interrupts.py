@@ -1,4 +1,4 @@
-"""Delays signals while a block of code must not be interrupted."""
+"""Delays the signals SIGINT and SIGTERM during a block of code."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delays SIGINT (Ctrl-C), and SIGTERM if it has a handler, until the end of the block.
+    """Delays the signals SIGINT and SIGTERM until the end of a ``with`` block.
 
-    Afterwards the handler of the first signal that arrived runs.  In other threads than the
-    main thread this does nothing: Python runs signal handlers in the main thread only.
+    A signal is delayed only if it has a Python handler.  At the end of the block, the handler of
+    the first received signal runs.  Outside the main thread the context manager has no effect,
+    because Python runs signal handlers only in the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

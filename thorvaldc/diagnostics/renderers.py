@@ -1,7 +1,7 @@
 """Renders a report as text, JSON, GitHub workflow commands or SARIF.
 
-``sources`` maps the file names of spans to paths.  For a file that is missing there, the
-text form shows no source line.
+The parameter ``sources`` contains the path of each file name in the source spans.  If
+``sources`` does not contain a file, the text output shows no source lines of the file.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ def render(
     *,
     builds: Sequence[Mapping[str, Any]] | None = None,
 ) -> str:
-    """Returns the report in one of FORMATS, without colours.
+    """Returns a report as a text without colours.
 
-    The JSON form contains ``builds``, a description of each build result.
+    ``format``: output format, one of ``FORMATS``.
+    ``sources``: path of each file name in the source spans.
+    ``builds``: description of each build result.  Only the JSON output contains the descriptions.
     """
     if format == "json":
         return render_json(report, builds=builds)
@@ -52,7 +54,14 @@ def render(
 def render_text(
     report: Report, sources: Mapping[str, Path], *, color: bool = False, width: int = 100
 ) -> str:
-    """Returns ``file:line:col: error[TV501] name: message``, the source lines and the hint."""
+    """Returns a report as text for a terminal.
+
+    Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The
+    source lines and the hint follow.
+
+    ``color``: whether the text contains ANSI escape sequences for colours.
+    ``width``: maximum width of a source line in terminal columns.
+    """
     excerpts = Excerpts(sources, width)
     paint = _painter(color)
     return "\n".join(_text(d, excerpts, paint) for d in report.sorted())
@@ -73,7 +82,11 @@ class _Mark:
 
 
 def _marks(diagnostic: Diagnostic, style: str) -> list[_Mark]:
-    """Returns the spans to show: first those in the diagnostic's file by line, then the others."""
+    """Returns the marks of a diagnostic in the order of output.
+
+    Marks in the file of the diagnostic come first, in the order of their lines.  Marks in other
+    files follow.
+    """
     span = diagnostic.span
     marks = [_Mark(span, "^", "", style)] if span is not None else []
     marks += [
@@ -127,7 +140,12 @@ def _text(diagnostic: Diagnostic, excerpts: Excerpts, paint: Any) -> str:
 
 
 def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = None) -> str:
-    """Returns one object: ``errors`` and ``warnings`` (counts) and ``diagnostics`` by location."""
+    """Returns a report as a JSON object.
+
+    ``errors`` and ``warnings`` are the numbers of errors and warnings.  ``diagnostics`` is the
+    list of the diagnostics in the order of file, line and column.  If ``builds`` is not ``None``,
+    the object also contains the descriptions of the build results.
+    """
     document: dict[str, Any] = {
         "errors": len(report.errors),
         "warnings": len(report.warnings),
@@ -170,7 +188,10 @@ _GITHUB_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity
 
 
 def render_github(report: Report) -> str:
-    """Returns workflow commands, which GitHub shows as annotations of the changed lines."""
+    """Returns a report as GitHub workflow commands.
+
+    GitHub shows each command as an annotation in the list of changed files.
+    """
     return "\n".join(_github(d) for d in report.sorted())
 
 
@@ -191,7 +212,7 @@ def _github(diagnostic: Diagnostic) -> str:
 
 
 def _lines(diagnostic: Diagnostic) -> list[str]:
-    """Returns message, labels and hint as lines of plain text."""
+    """Returns the message, the labels and the hint of a diagnostic as lines of plain text."""
     lines = [diagnostic.message]
     lines += [f"{label.span}: {label.text}" for label in diagnostic.labels]
     if diagnostic.hint:

@@ -1,4 +1,4 @@
-"""Source spans, diagnostics and the report that collects them."""
+"""Source spans, diagnostics, and the report that collects the diagnostics of a run."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ class Severity(enum.Enum):
     NOTE = "note"
 
 
-# A named tuple: it is created in half the time of a frozen dataclass, and every YAML value has one.
+# `Span` is a named tuple because every YAML value has a span.  Python creates a named tuple in
+# half the time of a frozen dataclass.
 class Span(NamedTuple):
     """A range of text in a file.  Lines and columns count from 1; the end is exclusive.
 
-    ``file`` is the path as the user gave it, or relative to that path: messages and
-    outputs do not depend on the folder of a checkout.
+    ``file`` is the path from the command line, or a path relative to it.  Messages and outputs
+    therefore do not depend on the folder of a checkout.
     """
 
     file: str
@@ -45,7 +46,14 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """A message about an input: code, text (with value, limit and unit), span and hint."""
+    """A message about an input.
+
+    ``code``: diagnostic code.
+    ``message``: one sentence with the value, the limit and the unit.
+    ``span``: source span of the invalid value, or ``None`` if the input is not a file.
+    ``hint``: advice for the user.
+    ``labels``: further source spans with texts.
+    """
 
     code: Code
     message: str
@@ -59,10 +67,11 @@ class Diagnostic:
 
 
 class Report:
-    """All diagnostics of a run in the order of detection; ``sorted()`` orders them by span."""
+    """Collects the diagnostics of a run in the order of detection."""
 
     def __init__(self) -> None:
-        # As reported, to detect repetitions -> with the label of `used_by`.
+        # Maps each original diagnostic to the diagnostic with the label of `used_by`.  The
+        # original diagnostics serve to detect repetitions.
         self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
 
@@ -75,15 +84,20 @@ class Report:
         hint: str | None = None,
         labels: Iterable[Label] = (),
     ) -> None:
-        """Adds a diagnostic with the code of that name (``"can-id-duplicate"``).
+        """Adds a diagnostic to the report.
 
-        An exact repetition is dropped: a mistake in a library module that is used nine
-        times is reported once.
+        ``code``: name of the diagnostic code, such as ``"can-id-duplicate"``.
+        ``message``: one sentence with the value, the limit and the unit.
+        ``span``: source span of the invalid value.
+        ``hint``: advice for the user.
+        ``labels``: further source spans with texts.
+        If the report already contains an equal diagnostic, nothing is added.  For example, a
+        mistake in a module document is reported once, although a robot has nine such modules.
         """
         self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels)))
 
     def put(self, diagnostic: Diagnostic) -> None:
-        """Adds a diagnostic; an exact repetition is dropped."""
+        """Adds a diagnostic, unless the report already contains an equal diagnostic."""
         labelled, user, span = diagnostic, self._user, diagnostic.span
         if user is not None and span is not None and span.file != user.span.file:
             if span.file.startswith("<"):  # the project's library: the user cannot change it
@@ -94,17 +108,18 @@ class Report:
         self._diagnostics.setdefault(diagnostic, labelled)
 
     def extend(self, diagnostics: Iterable[Diagnostic]) -> None:
-        """Adds diagnostics in their order."""
+        """Adds several diagnostics to the report, in the given order."""
         for diagnostic in diagnostics:
             self.put(diagnostic)
 
     @contextlib.contextmanager
     def used_by(self, user: Label) -> Iterator[None]:
-        """Adds the label ``user`` to diagnostics in other files than that of ``user``.
+        """Labels the diagnostics of a ``with`` block with the module instance that causes them.
 
-        A diagnostic in a module then names the module instance whose parameters cause it.
-        A diagnostic in the project's library gets the span of ``user``, which the user can
-        change, and a label at its original span.
+        ``user``: label at the module instance in the robot file.
+        A diagnostic in another file gets the label ``user``.  A diagnostic in the library of
+        the project gets the source span of ``user``, because the user cannot change the
+        library.  Its original source span becomes a label.
         """
         outer, self._user = self._user, user
         try:
@@ -131,12 +146,18 @@ class Report:
         return any(d.severity is Severity.ERROR for d in self._diagnostics)
 
     def sorted(self) -> list[Diagnostic]:
-        """Returns the diagnostics by file, line and column; those without a span come last."""
+        """Returns the diagnostics in the order of file, line and column.
+
+        Diagnostics without a source span come last.
+        """
         last = Span("\U0010ffff")
         return sorted(self, key=lambda d: (d.span or last, d.code.number))
 
     def has_error_in(self, span: Span) -> bool:
-        """Returns whether an error starts inside the span.  An unknown key does not count."""
+        """Returns whether the report contains an error that starts inside a source span.
+
+        Errors about unknown keys (``unknown-key``) are ignored.
+        """
         start, end = (span.line, span.column), (span.end_line, span.end_column)
         return any(
             d.span is not None
@@ -146,7 +167,7 @@ class Report:
         )
 
     def excluding_spans_of(self, earlier: Report) -> Report:
-        """Returns the diagnostics at spans where ``earlier`` has no error."""
+        """Returns a report without the diagnostics at spans where ``earlier`` has an error."""
         known = {d.span for d in earlier.errors if d.span is not None}
         remaining = Report()
         remaining.extend(d for d in self if d.span not in known)

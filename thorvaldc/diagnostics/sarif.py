@@ -16,7 +16,11 @@ SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
 
 def render_sarif(report: Report) -> str:
-    """Returns one SARIF run.  Its rules are the codes that occur, with their pages as help."""
+    """Returns a report as a SARIF document with one run.
+
+    Each diagnostic code in the report is a rule of the run.  The documentation page of a code
+    is the help text of the rule.
+    """
     diagnostics = report.sorted()
     codes = sorted({d.code.number: d.code for d in diagnostics}.values(), key=lambda c: c.number)
     index = {code.number: i for i, code in enumerate(codes)}

@@ -1,4 +1,4 @@
-"""Finds the known word that is most similar to an unknown word, for hints."""
+"""Finds the known word that is most similar to a misspelled word, for hints in messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
 
-    Upper and lower case are equal, and so are ``-``, ``_`` and a space.
+    The comparison ignores upper and lower case.  It treats ``-``, ``_`` and a space as equal.
     """
     candidates = list(dict.fromkeys(known))
     by_normal = {_normal(candidate): candidate for candidate in reversed(candidates)}
@@ -24,7 +24,10 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str | None = None) -> str | None:
-    """Returns ``did you mean `x`?`` if a known word is similar, else ``otherwise``."""
+    """Returns the hint ``did you mean `x`?`` for a misspelled word.
+
+    If no known word is similar, returns ``otherwise``.
+    """
     known_word = nearest(word, known)
     return f"did you mean `{known_word}`?" if known_word is not None else otherwise
 

@@ -1,4 +1,4 @@
-"""JSON Schemas of the documents: the single definition of their structure."""
+"""JSON Schemas that define the structure of each kind of document."""
 
 from thorvaldc.schema.documents import KINDS, Kind, bundle, inlined, schema_text
 

@@ -1,4 +1,7 @@
-"""Loads the schema files: bundled for editors, without references for the validator."""
+"""Loads the JSON Schema of each kind of document.
+
+Editors use a schema with local references.  The validator uses a schema without references.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ def _load(name: str) -> dict[str, Any]:
 
 
 def bundle(kind: str) -> dict[str, Any]:
-    """Returns the schema of a kind of document, including the shared definitions that it uses."""
+    """Returns the schema of a kind of document with all shared definitions that it refers to."""
     definitions: dict[str, Any] = {}
 
     def with_local_references(value: Any) -> Any:
@@ -34,7 +37,7 @@ def bundle(kind: str) -> dict[str, Any]:
             return {key: with_local_references(item) for key, item in value.items()}
         name = reference.removeprefix(_COMMON)
         if name not in definitions:
-            definitions[name] = {}  # ends the recursion if the definition refers to itself
+            definitions[name] = {}  # stops the recursion if a definition refers to itself
             definitions[name] = with_local_references(_load("common")["$defs"][name])
         return {
             **{k: with_local_references(v) for k, v in value.items()},
@@ -52,10 +55,11 @@ def schema_text(kind: str) -> str:
 
 @functools.cache
 def inlined(kind: str) -> dict[str, Any]:
-    """Returns the schema with definitions in place of references: validation is faster.
+    """Returns the schema of a kind of document without references.
 
-    A parameter value can be a module with parameters, so the schema is recursive; below the
-    second level, any value is valid.
+    The function replaces each reference by its definition, because validation is then faster.
+    Some definitions are recursive: a parameter value can be a module, which has parameters.
+    Below the second level of a recursive definition, the returned schema allows any value.
     """
     common = _load("common")["$defs"]
 

@@ -1,9 +1,10 @@
-"""A fast validator that accepts valid documents without jsonschema.
+"""A fast JSON Schema validator that only decides whether a document is valid.
 
-Importing jsonschema takes longer than compiling a robot, and nearly all documents are valid.
-Only a document that is rejected here is validated again, by jsonschema, for its errors.
-This module supports the keywords that the schemas use.  With any other keyword it rejects the
-document, which only costs time.  Tests check that it agrees with jsonschema.
+Importing the package jsonschema takes longer than compiling a robot, and nearly all documents
+are valid.  The compiler therefore uses jsonschema only to list the errors of a document that the
+fast validator rejects.  The fast validator supports only the keywords of the schemas in this
+package.  If a schema contains any other keyword, the fast validator rejects the document, and
+jsonschema then makes the decision.  Tests check that both validators agree.
 """
 
 from __future__ import annotations
@@ -18,7 +19,11 @@ class _UnknownKeyword(Exception):
 
 
 def passes(schema: dict[str, Any], value: Any) -> bool:
-    """Returns ``True`` only if the plain value is valid; ``schema`` must not have references."""
+    """Returns whether a value is valid.  Returns ``False`` if the schema has an unknown keyword.
+
+    ``schema``: a JSON Schema without references.
+    ``value``: the document as plain Python dicts, lists and scalars.
+    """
     try:
         return _valid(schema, value)
     except _UnknownKeyword:
@@ -28,7 +33,8 @@ def passes(schema: dict[str, Any], value: Any) -> bool:
 def matches(pattern: str, text: str) -> bool:
     """Returns whether a text matches a JSON Schema pattern.
 
-    Unlike in Python, `$` matches only at the end, not before a final line feed.
+    In Python, `$` also matches before a line feed at the end of a text.  In a JSON Schema
+    pattern, `$` matches only at the end of the text.
     """
     if pattern.endswith("$"):
         pattern = pattern[:-1] + r"\Z"
@@ -75,21 +81,29 @@ def _if(condition: Any, value: Any, schema: Any) -> bool:
 
 
 def _equal(a: Any, b: Any) -> bool:
-    """Compares scalars as JSON: ``1`` is not ``true``."""
+    """Returns whether two scalars are equal in JSON, where ``1`` does not equal ``true``."""
     return isinstance(a, bool) == isinstance(b, bool) and bool(a == b)
 
 
 _Check = Callable[[Any, Any, Any], bool]
-"""Arguments: argument ``w`` of the keyword, value ``v``, schema ``s`` that contains it."""
+"""Checks one keyword of a schema.
+
+The first parameter is the argument of the keyword.  The second parameter is the value to check.
+The third parameter is the schema that contains the keyword.
+"""
 
 
 def _for_type(kind: type | tuple[type, ...], check: _Check) -> _Check:
-    """Restricts the check of a keyword to values of the types to which it applies."""
+    """Returns a check that accepts every value whose type is not ``kind``.
+
+    For example, the JSON Schema keyword ``minLength`` applies only to texts.
+    """
     return lambda w, v, s: not isinstance(v, kind) or isinstance(v, bool) or check(w, v, s)
 
 
 _NUMBER = (int, float)
-# Annotations, and keywords that `if` evaluates.
+# Keywords that the validator ignores.  Most of them are annotations.  The function `_if`
+# evaluates `then` and `else`.
 _IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
 _IGNORED |= {"x-quantity", "x-words", "x-expression", "x-verbatim"}
 _CHECKS: dict[str, _Check] = {

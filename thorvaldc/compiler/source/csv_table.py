@@ -1,4 +1,7 @@
-"""Reads CSV tables of numbers over time: the first line names the columns, one is ``time``."""
+"""Reads CSV files with one number per column and time.
+
+The first line of a file contains the names of the columns.  One column has the name ``time``.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,17 @@ from thorvaldc.diagnostics import Report, Span
 
 TIME = "time"
 _MAX_INVALID_LINES = 10
-"""Number of invalid lines after which reading ends."""
+"""The reader stops after this number of invalid lines in a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class RowRules:
-    """Diagnostic codes for invalid lines, and the rules that differ between kinds of tables.
+    """Rules for the data lines of a CSV file.
 
-    With ``complete`` an empty cell is an error, and so is an incomplete last line.
+    ``value_code``: name of the diagnostic for an invalid cell or a wrong number of cells.
+    ``time_code``: name of the diagnostic for a time that does not increase.
+    ``time_hint``: hint of the diagnostic for a time that does not increase.
+    ``complete``: whether empty cells and an incomplete last line are errors.
     """
 
     value_code: str
@@ -33,7 +39,12 @@ _RECORD_ROWS = RowRules("record-value", "record-value")
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The columns of a CSV file by name, and its first line."""
+    """A CSV file in memory.
+
+    ``display``: name of the file in messages.
+    ``header``: first line of the file.
+    ``columns``: numbers of each column, by the name of the column.
+    """
 
     display: str
     header: str
@@ -43,14 +54,15 @@ class Table:
         return len(self.columns[TIME])
 
     def span_of(self, column: str) -> Span:
-        """Returns the span of the column's name in the first line."""
+        """Returns the source span of a column name in the first line of the file."""
         return cell_span(self.display, 1, self.header, list(self.columns).index(column))
 
 
 def read_table(path: Path, display: str, report: Report) -> Table | None:
-    """Reads a table; ``None`` on an error.  An empty cell is nan, except for the time.
+    """Reads the CSV record of a run.  Returns ``None`` if the file contains an error.
 
-    Reports errors with line and column.  An incomplete last line is ignored with a warning.
+    An empty cell gives nan.  An empty cell in the column ``time`` is an error.
+    An incomplete last line gives a warning, and the reader ignores the line.
     """
     text = read_utf8(path, display, report)
     if text is None:
@@ -79,9 +91,13 @@ def _header_error(names: Sequence[str]) -> str | None:
 def read_columns(
     lines: Sequence[str], names: Sequence[str], display: str, report: Report, rules: RowRules
 ) -> dict[str, list[float]] | None:
-    """Returns the columns ``names`` of the lines after the first; ``None`` on an error.
+    """Returns the numbers of each column, or ``None`` if a line is invalid.
 
-    Reports invalid lines with line and column; stops after ``_MAX_INVALID_LINES`` of them.
+    ``lines``: all lines of the file, including the first line with the column names.
+    ``names``: names of the columns, in the order of the file.
+    ``rules``: diagnostic codes for invalid lines.
+    Each invalid line gives a diagnostic with line and column.  Reading stops after
+    ``_MAX_INVALID_LINES`` invalid lines.
     """
     rows: list[list[float]] = []
     invalid_lines, last_time, time_index = 0, -math.inf, names.index(TIME)
@@ -121,7 +137,10 @@ def read_columns(
 def _value_error(
     cells: Sequence[str], names: Sequence[str], time_index: int, rules: RowRules
 ) -> tuple[int | None, str] | None:
-    """Returns the index of the invalid cell (``None``: the whole line) and a message."""
+    """Returns the error of a line as (cell index, message), or ``None`` if the line is valid.
+
+    The cell index is ``None`` if the line has the wrong number of cells.
+    """
     if len(cells) != len(names):
         return None, f"the line has {len(cells)} values; there are {len(names)} columns"
     for i, cell in enumerate(cells):
@@ -132,7 +151,10 @@ def _value_error(
 
 
 def read_utf8(path: Path, display: str, report: Report) -> str | None:
-    """Returns the text of a file; ``None`` on an error, which goes to ``report``."""
+    """Returns the text of a UTF-8 file.
+
+    If the file cannot be read, adds a diagnostic to ``report`` and returns ``None``.
+    """
     data = read_bytes(path, display, report)
     if data is None:
         return None
@@ -146,14 +168,14 @@ def read_utf8(path: Path, display: str, report: Report) -> str | None:
 def parse_number(cell: str) -> float:
     """Returns the number in a cell, or nan if the cell does not contain a number."""
     try:
-        # `float` also accepts 1_000.
+        # Python's `float` accepts the text `1_000`, which is not a number in a CSV file.
         return math.nan if "_" in cell else float(cell)
     except ValueError:
         return math.nan
 
 
 def cell_span(display: str, line_number: int, line: str, index: int) -> Span:
-    """Returns the span of the cell with this index in a line."""
+    """Returns the source span of the cell at position ``index`` (from 0) of a line."""
     cells = line.split(",")
     start = sum(len(cell) + 1 for cell in cells[:index]) + 1
     end = start + len(cells[index]) if index < len(cells) else start

@@ -1,8 +1,10 @@
-"""Operations of expressions: names, operators and functions.
+"""Names, operators and functions of the expression language.
 
-Each public function returns a closure that computes a part of an expression from a scope
-(the mapping of names to values).  The parser combines them once; evaluation only calls them.
-``offset`` is always the position of the operator or name in the expression, for errors.
+Each public function returns a closure that computes the value of one part of an expression.
+The parser calls these functions once and builds a tree of closures.  To evaluate an expression
+means to call the outermost closure with a scope.  A scope maps each known name to its value.
+The parameter ``offset`` is the position of an operator or name in the text of the expression.
+Error messages contain the offset.
 """
 
 from __future__ import annotations
@@ -32,7 +34,10 @@ _CONSTANTS: dict[str, Any] = {
 
 
 def show(value: Any, bare: bool = False) -> str:
-    """Formats a value for a message; ``bare``: as part of a text, without its kind."""
+    """Formats the value of an expression for a message.
+
+    ``bare``: returns only the value, such as ``a`` instead of ``the text `a```.
+    """
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -57,7 +62,10 @@ def _require_number(value: Any, offset: int, name: str) -> Number:
 
 
 def _require_truth(value: Any, offset: int, name: str) -> bool:
-    """Returns a truth value.  A selected module is true, the module `none` is false."""
+    """Returns the truth value of an operand.  Raises ``ExpressionError`` if it has no truth value.
+
+    A parameter that selects a module is true.  A parameter with the value ``none`` is false.
+    """
     if isinstance(value, bool):
         return value
     if value is None or isinstance(value, Mapping):
@@ -70,7 +78,10 @@ def _require_truth(value: Any, offset: int, name: str) -> bool:
 
 
 def _require_finite(value: Any, offset: int) -> Any:
-    """Returns a result if it is finite, and an integer only if it fits into 64 bits."""
+    """Returns the result of an operation unchanged.
+
+    Raises ``ExpressionError`` if a float is not finite or an integer exceeds 64 bits.
+    """
     if isinstance(value, float):
         in_range = math.isfinite(value)
     else:
@@ -176,7 +187,12 @@ def choose(condition: Evaluate, value: Evaluate, otherwise: Evaluate, offset: in
 
 
 def logical(word: str, decisive: bool, operands: list[Evaluate], offset: int) -> Evaluate:
-    """``and`` (``decisive`` false) or ``or`` (true): the first decisive operand is the result."""
+    """Returns a closure for the operator ``and`` or ``or``.
+
+    ``word``: name of the operator in error messages.
+    ``decisive``: operand value that decides the result.  It is false for ``and``, true for ``or``.
+    The closure does not evaluate operands after the first decisive operand.
+    """
 
     def run(scope: Scope) -> bool:
         for operand in operands:
@@ -188,7 +204,7 @@ def logical(word: str, decisive: bool, operands: list[Evaluate], offset: int) ->
 
 
 def negate(operand: Evaluate, count: int, offset: int) -> Evaluate:
-    """``count`` times ``not``."""
+    """Returns a closure that applies the operator ``not`` to an operand ``count`` times."""
     odd = count % 2 == 1
     return lambda scope: _require_truth(operand(scope), offset, "not") is not odd
 
@@ -202,7 +218,11 @@ _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 
 
 def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
-    """``a < b <= c``: each of ``rest`` is (operator, operand, offset)."""
+    """Returns a closure for a chain of comparisons, such as ``a < b <= c``.
+
+    ``first``: operand before the first operator.
+    ``rest``: a tuple (operator, right operand, offset) for each comparison of the chain.
+    """
 
     def run(scope: Scope) -> bool:
         left = first(scope)
@@ -218,7 +238,7 @@ def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
 
 def _is_true(symbol: str, left: Any, right: Any, offset: int) -> bool:
     if symbol in ("==", "!="):
-        # Unlike in Python, 1 does not equal true.
+        # In Python, 1 == True.  In an expression, a number never equals a truth value.
         equal = isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
         return equal is (symbol == "==")
     left = _require_number(left, offset, symbol)
@@ -235,7 +255,12 @@ def signed(operand: Evaluate, minus: bool, offset: int) -> Evaluate:
 
 
 def chain(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
-    """``a + b - c``: combines ``first`` with each (operator, operand, offset), left to right."""
+    """Returns a closure for arithmetic operators of one level, such as ``a + b - c``.
+
+    ``first``: operand before the first operator.
+    ``rest``: a tuple (operator, right operand, offset) for each operator.
+    The closure applies the operators from left to right.
+    """
 
     def run(scope: Scope) -> Any:
         value = first(scope)
@@ -271,7 +296,8 @@ def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
 
 
 def _raise_to_power(base: Number, exponent: Number) -> Number:
-    # Integers of any size would take unlimited time: large powers use floats.
+    # Powers of Python integers have unlimited size and could take unlimited time.
+    # Therefore a power with a large base or exponent is computed as a float.
     if isinstance(base, int) and (
         not isinstance(exponent, int) or abs(exponent) > 64 or abs(base) > 2**31
     ):
@@ -320,7 +346,8 @@ def call(name: str, arguments: list[Evaluate], offset: int) -> Evaluate:
     return run
 
 
-# Function and number of arguments; 0: one or more.
+# Name of each function -> (Python function, number of arguments).
+# The number of arguments is 0 if the function takes one or more arguments.
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
     "min": (lambda *values: min(values), 0),
     "max": (lambda *values: max(values), 0),

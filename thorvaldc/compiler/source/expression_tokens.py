@@ -1,4 +1,7 @@
-"""Splits an expression into tokens: numbers with units, names, text, operators."""
+"""Splits an expression into tokens.
+
+A token is a number with or without a unit, a name, a text in quotes, a keyword or an operator.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,12 @@ from thorvaldc.compiler.source.units import UNIT_NAME, UNIT_POWER, UnitError, pa
 
 
 class ExpressionError(Exception):
-    """An expression has a syntax error or no value.
+    """Raised for an expression that has a syntax error or no value.
 
-    ``offset`` is the position in the expression, counted in characters from 0; ``code`` is
-    the name of the diagnostic: ``expression-syntax``, ``expression-name`` or
-    ``expression-value``.
+    ``offset``: position of the error in the expression, in characters from 0.
+    ``hint``: hint of the diagnostic.
+    ``code``: name of the diagnostic.  The names are ``expression-syntax``, ``expression-name``
+    and ``expression-value``.
     """
 
     def __init__(
@@ -39,9 +43,11 @@ def syntax_error(message: str, offset: int, hint: str | None = None) -> Expressi
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 _KEYWORDS = ("and", "or", "not", "if", "else")
 _NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
-# A number takes as many units after it as possible: `20 N m / s` is one token.  A further factor
-# before `(`, `.` or `[` is not a unit: in `60 s/min(2, 3)`, `min` is a function.  Keywords are
-# not units.  `%` is the remainder and quotes start a text, although both are units elsewhere.
+# A number token includes all units that follow the number: `20 N m / s` is one token.
+# A name before `(`, `.` or `[` is not read as a further unit.  For example, `min` is a function
+# in `60 s/min(2, 3)`.  The keywords are never read as units.  Elsewhere in a document `%` means
+# percent, and a quote means inch or foot.  In an expression `%` is the remainder operator, and
+# a quote starts a text.
 _UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{UNIT_NAME})(?:{UNIT_POWER})?"
 _TOKENS = re.compile(
     rf"""\s*(?:
@@ -70,7 +76,15 @@ END = "end"
 
 @dataclass(slots=True)
 class Token:
-    """A token; ``divisors`` are the words after a ``/`` that were read as units."""
+    """A token of an expression.
+
+    ``kind``: kind of the token.
+    ``text``: source text of the token.
+    ``offset``: position of the token in the expression, in characters from 0.
+    ``value``: number in SI, or the content of a text without its quotes.
+    ``divisors``: unit names that follow a ``/`` in a number token.  A divisor that is also a
+    known name is ambiguous.
+    """
 
     kind: str  # number, name, text, operator, keyword or end
     text: str
@@ -80,7 +94,10 @@ class Token:
 
 
 def tokenize(text: str) -> list[Token]:
-    """Returns the tokens of an expression, the last of kind END.  Raises ExpressionError."""
+    """Returns the tokens of an expression.  The last token has the kind ``END``.
+
+    Raises ``ExpressionError`` for a syntax error.
+    """
     tokens: list[Token] = []
     text = text.rstrip()
     position = 0
@@ -110,7 +127,7 @@ def _make_token(match: re.Match[str]) -> Token:
 
 
 def _make_number(match: re.Match[str]) -> Token:
-    """Returns the token of a number with its unit, if it has one."""
+    """Returns the token of a number with or without a unit."""
     literal, unit, offset = match["number"], match["unit"], match.start("number")
     value: Any
     if unit is None and literal.isdigit():
@@ -120,7 +137,7 @@ def _make_number(match: re.Match[str]) -> Token:
     divisors: tuple[str, ...] = ()
     if unit is not None:
         digits = literal.removesuffix(unit)
-        # The last factors may be names instead of units: `20 mm / count`.
+        # The last factors after a number may be names instead of units: `20 mm / count`.
         while not _is_unit(unit) and (factor := _LAST_FACTOR.search(unit, 1)):
             unit = unit[: factor.start()]
         literal = digits + unit

@@ -1,10 +1,12 @@
 """Parses and evaluates the expressions of module documents: ``${length / 2 - 20 mm}``.
 
-Python's own parser is not used: literals have units, errors need a position, and a
-document must not execute code.  Limits on length and depth bound the work.  Each
-expression is compiled once to closures (``expression_operations``).
+Python's own parser does not suit these expressions.  Literals have units, errors need a
+position, and a document must not execute code.  Limits on the length and the nesting depth of
+an expression bound the time to parse it.  The parser converts each expression to closures once.
+The module ``expression_operations`` defines the closures.
 
-Grammar, from weak to strong; `?` optional, `*` repeated:
+The grammar lists the operators from the weakest to the strongest.  In the grammar, ``?`` marks
+an optional part and ``*`` a repeated part:
 
     choice     = either ("if" either "else" choice)?
     either     = both ("or" both)*
@@ -44,21 +46,26 @@ MAX_DEPTH = 40
 
 
 def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
-    """Returns the value in SI of an expression (the text between ``${`` and ``}``).
+    """Returns the value of an expression in SI units.
 
-    ``scope`` contains numbers in SI, truth values, text, lists, and mappings, whose entries
-    are read as attributes.  A name is looked up only when its value is needed, so ``scope``
-    may compute values on access.  Raises ExpressionError, and every exception of ``scope``
-    except KeyError, which means an unknown name.
+    ``text``: the expression, which a document contains between ``${`` and ``}``.
+    ``scope``: value of each known name.  A value is a number in SI, a truth value, a text, a
+    list or a mapping.  An expression reads an entry of a mapping as an attribute: ``a.key``.
+
+    Evaluation looks up a name only when the expression needs the value of the name.  Therefore
+    ``scope`` may compute its values on access.  A ``KeyError`` of ``scope`` means an unknown name.
+    Raises ``ExpressionError`` if the expression has an error.  Passes on all other exceptions
+    of ``scope``.
     """
     return _compile(text)(scope)
 
 
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
-    """Returns the value of a scalar with expressions in it.
+    """Evaluates the ``${...}`` expressions in a text.
 
-    If the whole text is one expression, returns its value, else the text with the values
-    inserted.  Offsets in errors count from the start of ``text``.
+    If the whole text is one expression, returns the value of the expression.  Otherwise returns
+    the text with each expression replaced by its value.  The ``offset`` of an
+    ``ExpressionError`` counts from the start of ``text``.
     """
     parts = split_text(text)
     if not any(is_expression for _, _, is_expression in parts):
@@ -80,7 +87,12 @@ def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
 
 @functools.lru_cache(maxsize=4096)
 def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
-    """Splits a text into (part, offset, is the inside of ``${...}``).  Raises ExpressionError."""
+    """Splits a text at its ``${...}`` expressions.
+
+    Returns a tuple (part, offset, is_expression) for each part of the text.  The part of an
+    expression does not include ``${`` and ``}``.  ``offset`` is the position of the part in the
+    text.  Raises ``ExpressionError`` if a closing brace is missing.
+    """
     parts: list[tuple[str, int, bool]] = []
     position = 0
     while (start := text.find("${", position)) >= 0:
@@ -96,13 +108,14 @@ def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
     return tuple(parts)
 
 
-# Text in quotes can contain a brace.
+# Matches an expression up to its closing brace.  A text in quotes can contain a brace.
 _INSIDE = re.compile(r"((?:[^}'\"]|'[^']*'|\"[^\"]*\"|['\"](?=[^'\"]*\}))*)\}")
 
 
 # -- parser -------------------------------------------------------------------------
 
-# Binary operators from weak to strong: symbols, and the function that combines the operands.
+# Levels of binary operators, from the weakest to the strongest.  Each level is a tuple
+# (symbols of the operators, function that combines the operands).
 _LEVELS = (
     (("==", "!=", "<", "<=", ">", ">="), operations.compare),
     (("+", "-"), operations.chain),
@@ -123,7 +136,10 @@ def _compile(text: str) -> Evaluate:
 
 
 class _Parser:
-    """A recursive-descent parser.  Each method parses one rule of the grammar to a closure."""
+    """A recursive-descent parser.
+
+    Each method parses one rule of the grammar and returns a closure that computes the value.
+    """
 
     def __init__(self, tokens: list[Token]) -> None:
         self.tokens = tokens
@@ -135,7 +151,10 @@ class _Parser:
         return self.tokens[self.position]
 
     def take(self, text: str) -> Token | None:
-        """Consumes the next token if it is the operator or keyword ``text``."""
+        """Consumes the next token if it is the operator or keyword ``text``.
+
+        Returns the consumed token, or ``None`` if the next token is different.
+        """
         token = self.token
         if token.kind in ("operator", "keyword") and token.text == text:
             self.position += 1
@@ -188,7 +207,10 @@ class _Parser:
         return operations.negate(value, count, offset) if count else value
 
     def operators(self, level: int) -> Evaluate:
-        """Parses the rules ``comparison``, ``sum`` and ``product``, by index in _LEVELS."""
+        """Parses the grammar rules ``comparison``, ``sum`` and ``product``.
+
+        ``level``: index of the rule in ``_LEVELS``.
+        """
         if level == len(_LEVELS):
             return self.unary()
         symbols, combine = _LEVELS[level]
@@ -262,7 +284,7 @@ class _Parser:
         raise syntax_error(f"expected a value, got `{token.text}`", token.offset)
 
     def elements(self, closing: str) -> list[Evaluate]:
-        """Parses values with commas between them, up to the token ``closing``."""
+        """Parses values that are separated by commas, up to the closing bracket ``closing``."""
         elements: list[Evaluate] = []
         while not self.take(closing):
             if elements:

@@ -1,4 +1,4 @@
-"""Reads the bytes of an input file and reports why it cannot be read."""
+"""Reads the bytes of an input file, and reports a diagnostic if the file is not readable."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from thorvaldc.diagnostics import Report, Span
 def read_bytes(
     path: Path, display: str, report: Report, *, limit: int = -1, folder_hint: str | None = None
 ) -> bytes | None:
-    """Returns the first ``limit`` bytes of a file (default: all); ``None`` on an error.
+    """Returns the bytes of a file.
 
-    ``display`` is the name of the file in messages; ``folder_hint`` is the hint if the path
-    is a folder.
+    If the file cannot be read, adds a diagnostic to ``report`` and returns ``None``.
+
+    ``display``: name of the file in messages.
+    ``limit``: maximum number of bytes to read.  A negative limit reads the whole file.
+    ``folder_hint``: hint of the diagnostic if the path is a folder.
     """
     try:
         with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""The tree of YAML values with their source spans."""
+"""A tree of YAML values with source spans."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ Value = None | bool | int | float | str | tuple["Node", ...] | dict[str, "Node"]
 
 
 class Node(NamedTuple):
-    """A YAML value with its span; ``key_span`` is the span of its key in a mapping.
+    """A YAML value with its source span.
 
-    ``quoted`` distinguishes ``"3"`` (text) from ``3`` (a number).
+    ``value``: a scalar, a tuple of nodes for a list, or a dict of nodes for a mapping.
+    ``span``: source span of the value.
+    ``key_span``: source span of the key, if the value is an entry of a mapping.
+    ``quoted``: whether the value is in quotes.  The value ``"3"`` is a text and ``3`` a number.
     """
 
     value: Value
@@ -21,11 +24,14 @@ class Node(NamedTuple):
     quoted: bool = False
 
     def get(self, key: str) -> Node | None:
-        """Returns the entry of a mapping; ``None`` if it is missing, or this is no mapping."""
+        """Returns the entry of a mapping with this key.
+
+        Returns ``None`` if the mapping has no such key, or if the node is not a mapping.
+        """
         return self.value.get(key) if isinstance(self.value, dict) else None
 
     def plain(self) -> Any:
-        """Returns the value as dicts, lists and scalars without spans."""
+        """Returns the value as plain Python dicts, lists and scalars, without source spans."""
         if isinstance(self.value, dict):
             return {key: node.plain() for key, node in self.value.items()}
         if isinstance(self.value, tuple):
@@ -34,5 +40,5 @@ class Node(NamedTuple):
 
     @property
     def where(self) -> Span:
-        """Span of the key if there is one, else of the value."""
+        """Source span of the key, or of the value if the node has no key."""
         return self.key_span or self.span

@@ -1,8 +1,9 @@
-"""Reads YAML text to a tree of nodes with spans.
+"""Reads a YAML document as a tree of nodes with source spans.
 
-PyYAML composes the tree.  ``scalars`` resolves plain scalars by the core schema of YAML 1.2
-and reports values that YAML readers disagree on (``on``, ``010``).  After an error in a
-value, the most likely value is used: one run then also reports the errors of later stages.
+PyYAML parses the text.  The module ``scalars`` converts unquoted scalars by the core schema of
+YAML 1.2.  It reports values such as ``on`` and ``010``, which YAML readers read differently.
+If a value has an error, the reader returns the most likely value.  Later stages of the compiler
+can then continue, and one run reports their errors too.
 """
 
 from __future__ import annotations
@@ -25,8 +26,11 @@ MAX_DEPTH = 50
 
 
 def read_file(path: Path, display: str, report: Report) -> Node | None:
-    """Reads a document, named ``display`` in messages; ``None`` if it is not readable."""
-    # One byte more than allowed: `read_text` then reports the size without reading all.
+    """Reads a YAML file.  Returns ``None`` if the file is not readable.
+
+    ``display``: name of the file in messages.
+    """
+    # Reading one byte more than the limit is enough for `read_text` to report a large file.
     hint = "name the file in it, such as `robot.yaml`"
     data = read_bytes(path, display, report, limit=MAX_BYTES + 1, folder_hint=hint)
     if data is None:
@@ -35,10 +39,11 @@ def read_file(path: Path, display: str, report: Report) -> Node | None:
 
 
 def read_text(data: bytes, file: str, report: Report) -> Node | None:
-    """Reads a document; ``None`` if ``data`` is not a YAML document.
+    """Parses a YAML document.  Returns ``None`` if ``data`` is not a YAML document.
 
-    ``file`` is the file name for spans.  Errors go to ``report``; after errors in single
-    values, the rest of the document is returned.
+    ``file``: file name in source spans.
+    ``report``: report that receives the errors.
+    If single values have errors, returns the document with the most likely values.
     """
     root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
     if root is None:
@@ -53,10 +58,11 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
 def compose(
     data: bytes, file: str, report: Report, *, hint_if_empty: str | None = None
 ) -> Any | None:
-    """Returns PyYAML's tree of a document; ``None`` on an error, which goes to ``report``.
+    """Parses a YAML document and returns PyYAML's tree of nodes.
 
-    Size and depth are limited.  Scalars are not resolved: a node has a tag only if the text
-    has an explicit tag.
+    If the document has an error, adds a diagnostic to ``report`` and returns ``None``.
+    The size and the nesting depth of a document are limited.  Scalars remain text.  A PyYAML
+    node has a tag only if the document contains an explicit tag.
     """
     text = _decode(data, file, report)
     if text is None:
@@ -82,8 +88,11 @@ _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 # -- characters -------------------------------------------------------------------
 
-# C0 and C1 controls; line breaks of YAML 1.1 only (U+0085, U+2028, U+2029), which editors
-# do not count as lines; surrogates; a byte order mark inside the text; non-characters.
+# Characters that are not allowed in a document:
+# - C0 and C1 control characters.
+# - U+0085, U+2028 and U+2029.  YAML 1.1 reads these characters as line breaks, but editors do
+#   not, so the line numbers in messages would be wrong.
+# - Surrogates, a byte order mark inside the text, U+FFFE and U+FFFF.
 _FORBIDDEN = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]"
 )
@@ -97,7 +106,11 @@ _CHARACTER_NAMES = {
 
 
 def _decode(data: bytes, file: str, report: Report) -> str | None:
-    """Returns the text of a document if its size, encoding and characters are allowed."""
+    """Returns the text of a document.
+
+    If the size, the encoding or a character is not allowed, adds a diagnostic to ``report`` and
+    returns ``None``.
+    """
     if len(data) > MAX_BYTES:
         report.add(
             "yaml-file-too-large",
@@ -137,7 +150,7 @@ _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 
 
 def _span_at(text: str, index: int, file: str) -> Span:
-    """Returns the span of the character with this index."""
+    """Returns the source span of the character at position ``index`` (from 0) of a text."""
     line, start = 1, 0
     for line_break in _LINE_BREAK.finditer(text, 0, index):
         line, start = line + 1, line_break.end()
@@ -149,7 +162,10 @@ def _span_at(text: str, index: int, file: str) -> Span:
 
 
 class _YamlError(Exception):
-    """The document exceeds a limit; ``mark`` is the position in PyYAML's terms."""
+    """Raised for a document that exceeds a limit or contains a recursive alias.
+
+    ``mark``: position of the error as a PyYAML ``Mark``.
+    """
 
     def __init__(self, code: str, message: str, mark: Any, hint: str) -> None:
         super().__init__(message)
@@ -160,10 +176,11 @@ class _YamlError(Exception):
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """A YAML loader that limits the document and sets explicit tags only.
+    """A YAML loader with limits on the nesting depth and the number of values.
 
-    The composer is recursive C code: the depth must be limited while it runs, or the stack
-    overflows.
+    The composer of libyaml is recursive C code, and a deeply nested document overflows its
+    stack.  Therefore the loader checks the depth while the composer runs.
+    The loader sets the tag of a node only if the document contains an explicit tag.
     """
 
     def __init__(self, text: str) -> None:
@@ -206,10 +223,12 @@ def _character_span(mark: Any, file: str) -> Span:
 
 
 class _Reader:
-    """Converts PyYAML nodes to ``Node``.
+    """Converts PyYAML nodes to ``Node`` objects.
 
-    With ``aliases`` in the text, a PyYAML node can occur several times.  It is converted
-    once, but its values count at each occurrence: this stops "billion laughs" documents.
+    ``aliases``: whether the document can contain aliases.  With aliases, a PyYAML node can occur
+    several times in the tree.  The reader converts each PyYAML node once.  The values inside
+    an aliased node count towards ``MAX_VALUES`` at each occurrence of the node.  This limit
+    stops a small document that expands to billions of values ("billion laughs" attack).
     """
 
     def __init__(self, file: str, report: Report, aliases: bool) -> None:
@@ -262,9 +281,14 @@ class _Reader:
         return Span(self.file, start.line + 1, start.column + 1, end.line + 1, end.column + 1)
 
     def _collection_span(self, raw: Any, last: Span | None) -> Span:
-        """Returns a span that ends with the last value; the end mark of YAML is the next token."""
+        """Returns the source span of a list or mapping.
+
+        ``last``: source span of the last value in the list or mapping.
+        PyYAML ends a block list or mapping at the next token, which can be several lines later.
+        The returned span ends at the end of the last value.
+        """
         span = self._span(raw)
-        # The last value can be an alias, whose span is elsewhere.
+        # If the last value is an alias, its span can lie before the list or mapping.
         if raw.flow_style or last is None or last[1:3] < span[1:3]:
             return span
         return Span(self.file, span.line, span.column, last.end_line, last.end_column)
@@ -298,7 +322,10 @@ class _Reader:
         return Node(values, span, key_span)
 
     def _key(self, raw: Any, key_span: Span) -> str | None:
-        """Returns the text of a key; ``None`` if it is not usable."""
+        """Returns the text of a mapping key, or ``None`` if the entry must be skipped.
+
+        A list, a mapping and the merge key ``<<`` are errors.  Their entries are skipped.
+        """
         if raw.id != "scalar":
             self.report.add(
                 "yaml-key-not-text",

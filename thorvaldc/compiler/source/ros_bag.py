@@ -1,4 +1,7 @@
-"""Reads ROS bags: MCAP files, folders of ``ros2 bag record``, and ROS 1 bags."""
+"""Reads ROS bags.
+
+A ROS bag is an MCAP file, a folder written by ``ros2 bag record``, or a ROS 1 bag file.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +23,20 @@ TYPES = {
     JOINTS: "sensor_msgs/msg/JointState",
     COMMANDS: "sensor_msgs/msg/JointState",
 }
-"""Topics of a robot in a record, without the namespace, with their message types."""
+"""ROS message type of each topic of a robot.  The topic names have no namespace."""
 SUFFIXES = (".mcap", ".db3", ".bag")
-"""Suffixes of bag files.  A folder is a bag if it contains ``metadata.yaml``."""
+"""File name suffixes of ROS bags.  A folder is a bag if it contains ``metadata.yaml``."""
 
 
 class MissingPackageError(Exception):
-    """An optional package is not installed; the message is one line for the user."""
+    """Raised if an optional Python package is not installed.
+
+    The message is a single line that tells the user how to install the package.
+    """
 
 
 def require_rosbags() -> None:
-    """Raises ``MissingPackageError`` if rosbags is not installed."""
+    """Raises ``MissingPackageError`` if the package ``rosbags`` is not installed."""
     try:
         import rosbags.rosbag2  # noqa: F401
     except ImportError:
@@ -41,10 +47,11 @@ def require_rosbags() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """Messages of selected topics of a bag.
+    """Messages of selected topics of a ROS bag.
 
-    ``topics`` maps every topic of the bag to its type.  ``messages`` maps each selected topic
-    to its messages in order of time, each with its time in s since the start of the bag.
+    ``topics``: message type of every topic in the bag.
+    ``messages``: list of tuples (time, message) for each selected topic, in order of time.
+    The time is in s since the start of the bag.
     """
 
     topics: Mapping[str, str]
@@ -52,7 +59,10 @@ class Bag:
 
 
 def is_bag(path: Path) -> bool:
-    """Returns whether the path is a bag, by its suffix or its content."""
+    """Returns whether a path is a ROS bag.
+
+    A file is recognised by its suffix, and a folder by its file ``metadata.yaml``.
+    """
     return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
@@ -63,10 +73,13 @@ def read_bag(
     choose: Callable[[Mapping[str, str]], Collection[str]],
     report: Report,
 ) -> Bag | None:
-    """Reads the topics of a bag that ``choose`` selects; ``None`` if the bag is unreadable.
+    """Reads selected topics of a ROS bag.  Returns ``None`` if the bag is not readable.
 
-    ``choose`` receives the types of all topics.  ``display`` is the name of the file in
-    diagnostics, ``span`` their span.  Raises ``MissingPackageError`` without rosbags.
+    ``display``: name of the bag in messages.
+    ``span``: source span of the diagnostics about the bag.
+    ``choose``: function that receives the message type of every topic in the bag and returns
+    the names of the topics to read.
+    Raises ``MissingPackageError`` if the package ``rosbags`` is not installed.
     """
     require_rosbags()
     from rosbags.highlevel import AnyReader
@@ -80,13 +93,13 @@ def read_bag(
                 name: [] for name in topics if name in selected
             }
             connections = [c for c in reader.connections if c.topic in selected]
-            # Without connections, rosbags would read all of them.
+            # If the list of connections is empty, rosbags reads all topics.
             for connection, time, data in reader.messages(connections) if connections else ():
                 message = reader.deserialize(data, connection.msgtype)
                 seconds = (time - reader.start_time) / 1e9
                 messages[connection.topic].append((seconds, message))
             return Bag(topics, messages)
-    except Exception as error:  # rosbags raises many types of exceptions on broken bytes
+    except Exception as error:  # rosbags raises many types of exceptions for a damaged bag
         reason = " ".join(str(error).split()).replace(str(path), path.name).rstrip(".")
         report.add(
             "record-unreadable",

@@ -1,6 +1,8 @@
-"""Resolves plain scalars by the core schema of YAML 1.2; reports values that readers disagree on.
+"""Converts unquoted YAML scalars to Python values by the core schema of YAML 1.2.
 
-Examples: YAML 1.1 reads ``on`` as true and ``010`` as 8, YAML 1.2 as text and 10.
+Some values mean different things to YAML 1.1 and YAML 1.2 readers.  For example, YAML 1.1 reads
+``on`` as true and ``010`` as 8.  YAML 1.2 reads ``on`` as a text and ``010`` as 10.  The compiler
+reports an error for each such value.
 """
 
 from __future__ import annotations
@@ -37,9 +39,9 @@ _AMBIGUOUS = {
 
 
 def plain_scalar(text: str, span: Span, report: Report) -> Value:
-    """Returns the value of an unquoted scalar.
+    """Returns the Python value of an unquoted YAML scalar.
 
-    After an error, which goes to ``report``, returns the most likely value.
+    If the scalar has an error, adds a diagnostic to ``report`` and returns the most likely value.
     """
     if text in _WORDS:
         return _WORDS[text]
@@ -102,9 +104,9 @@ def _too_large(text: str, span: Span, report: Report) -> Value:
 
 
 def key_kind(text: str) -> str | None:
-    """Describes an unquoted key that YAML 1.2 does not read as text; ``None`` if it is text.
+    """Returns the kind of an unquoted mapping key, or ``None`` if the key is a text.
 
-    ``on`` and ``y`` are text here: as keys, YAML 1.2 readers agree on them.
+    The keys ``on`` and ``y`` are texts, because all YAML 1.2 readers read them as texts.
     """
     if text in _WORDS:
         return "null" if _WORDS[text] is None else "a truth value"

@@ -1,7 +1,8 @@
-"""Tables of the units and kinds of quantities of the language.
+"""Tables of the units and the kinds of quantities that documents can use.
 
-The factor of a unit is an exact fraction times a power of pi.  The radian is a dimension
-here, although SI has none for it: this distinguishes ``rad/s`` from ``Hz``.
+The conversion factor of a unit to SI is an exact fraction times a power of pi.
+The radian is a separate dimension in these tables, although the radian has no dimension in SI.
+With this dimension the compiler can distinguish ``rad/s`` from ``Hz``.
 """
 
 from __future__ import annotations
@@ -9,13 +10,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 Dimension = tuple[int, ...]
-"""Exponents of m, kg, s, A, K, rad, bit."""
+"""Exponents of the base units m, kg, s, A, K, rad and bit, in this order."""
 
 BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 
 
 class Quantity(NamedTuple):
-    """A kind of quantity: its dimensions, its SI unit and an example in the language."""
+    """A kind of quantity, such as a length or a torque.
+
+    ``name``: name of the kind, as in the schemas.
+    ``article``: indefinite article of the name in messages, ``a`` or ``an``.
+    ``unit``: SI unit of the kind.
+    ``example``: a quantity of this kind for hints, such as ``650 mm``.
+    ``dimensions``: allowed dimensions of the unit of a quantity.
+    """
 
     name: str
     article: str
@@ -27,12 +35,16 @@ class Quantity(NamedTuple):
         return f"{self.article} {self.name.replace('_', ' ')}"
 
     def format_value(self, value: float) -> str:
-        """Formats a value in SI with its unit: ``1.5 m/s``."""
+        """Returns a value in SI as a text with its unit, such as ``1.5 m/s``."""
         return f"{value:.6g}" if self.unit == "1" else f"{value:.6g} {self.unit}"
 
 
 class Unit(NamedTuple):
-    """A unit.  SI value = number * numerator / denominator * pi**pi_power + offset / 100."""
+    """A unit with its dimension and its conversion to SI.
+
+    SI value = number * numerator / denominator * pi**pi_power + offset / 100.
+    The offset is in hundredths of a kelvin.  Only degrees Celsius have an offset.
+    """
 
     dimension: Dimension
     numerator: int = 1
@@ -134,7 +146,7 @@ LONG_PREFIXABLE = _words(
     "watt watts joule joules hertz pascal amp amps ampere"
 )
 
-# Prefixed units for "did you mean" hints.
+# Units with a prefix that "did you mean" hints can suggest.
 _PREFIXED = (
     "kg mg mm cm km ms us kN kNm mNm kW mW mV kV mA kHz MHz kbit Mbit kB kPa kWh mAh mrad "
     "millimeter millimetre centimeter centimetre kilometer kilometre kilogram milligram"

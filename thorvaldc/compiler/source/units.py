@@ -1,9 +1,10 @@
-"""Converts quantities (a number with a unit) to floats in SI.
+"""Converts quantities to floats in SI units.  A quantity is a number with a unit.
 
-The factor of a unit is an exact fraction times a power of pi, and a number is an integer
-times a power of ten.  The result is rounded once: ``650 mm`` is the float nearest to 0.65.
-For example 1.5 cm = (15 * 10**-1) * (1 / 100) m = 15 / 1000 m.  The quotient of two integers is
-the nearest float in Python, while 1.5 * 0.01 rounds twice (0.01 and the product).
+The conversion factor of a unit is an exact fraction times a power of pi.  A decimal number is
+an integer times a power of ten.  Therefore a quantity in SI is a quotient of two integers if
+its unit does not contain pi.  For example, 1.5 cm = (15 * 10**-1) * (1 / 100) m = 15 / 1000 m.
+Python divides two integers with a single rounding, so ``650 mm`` gives the float nearest to 0.65.
+The product of the floats 1.5 and 0.01 would contain two roundings.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ _MAX_POWER = 9
 
 
 class UnitError(Exception):
-    """A text is not a quantity, or not of the expected kind.
+    """Raised for a text that is not a quantity of the expected kind.
 
-    ``message`` and ``hint`` are the texts of the diagnostic; ``code`` is its name
-    (``bad-quantity`` or ``wrong-dimension``).
+    ``message``: message of the diagnostic.
+    ``hint``: hint of the diagnostic.
+    ``code``: name of the diagnostic, ``bad-quantity`` or ``wrong-dimension``.
     """
 
     def __init__(self, message: str, hint: str | None = None, code: str = "bad-quantity") -> None:
@@ -50,11 +52,14 @@ class UnitError(Exception):
         self.code = code
 
 
-@functools.lru_cache(maxsize=4096)  # a robot repeats the numbers of equal modules
+# A robot often has several modules of one type, so the same quantities occur many times.
+@functools.lru_cache(maxsize=4096)
 def parse_quantity(text: str, quantity: str) -> float:
-    """Returns the SI value of ``text``, a quantity of the kind ``quantity`` (key of QUANTITIES).
+    """Returns the value of a quantity in SI units.
 
-    A number without a unit is in SI.  Raises UnitError.
+    ``text``: a number with a unit.  A number without a unit is in SI units.
+    ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
+    Raises ``UnitError`` if the text is not a quantity of the expected kind.
     """
     kind = QUANTITIES[quantity]
     value, unit = _parse(text, kind)
@@ -68,17 +73,26 @@ def parse_quantity(text: str, quantity: str) -> float:
 
 
 def parse_any(text: str) -> float:
-    """Returns the SI value of a quantity of any kind.  Raises UnitError."""
+    """Returns the value of a quantity of any kind in SI units.
+
+    Raises ``UnitError`` if the text is not a quantity.
+    """
     return _parse(text, None)[0]
 
 
 def parse_unit(text: str) -> Unit:
-    """Parses a unit without a number, such as ``kg m^2``.  Raises UnitError."""
+    """Parses a unit without a number, such as ``kg m^2``.
+
+    Raises ``UnitError`` if the text is not a unit.
+    """
     return _parse_unit(text)
 
 
 def describe(dimension: Dimension) -> str:
-    """Describes a dimension: ``a length``, or its base units if it has no name."""
+    """Returns the name of a dimension, such as ``a length``.
+
+    If the dimension has no name, returns its base units, such as ``in m kg``.
+    """
     for quantity in QUANTITIES.values():
         if dimension == quantity.dimensions[0]:
             return str(quantity)
@@ -96,7 +110,11 @@ _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
 
 
 def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
-    """Returns SI value and unit (``None``: a plain number, which is valid for every kind)."""
+    """Returns the SI value and the unit of a quantity.
+
+    The unit is ``None`` for a number without a unit.  Every kind of quantity allows a number
+    without a unit.
+    """
     shown = _shorten(text)
     example = f"write a number with a unit, as in `{kind.example if kind else '650 mm'}`"
     if len(text) > _MAX_TEXT:
@@ -125,7 +143,7 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
 
 
 def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
-    """Returns a decimal number as (mantissa, exponent of ten)."""
+    """Returns the integers (mantissa, exponent) with number = mantissa * 10**exponent."""
     sign, whole, fraction, only_fraction, power = number.groups()
     decimals = fraction or only_fraction or ""
     mantissa = int((whole or "") + decimals or "0")
@@ -137,7 +155,10 @@ def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
 
 
 def _value(mantissa: int, exponent: int, unit: Unit, shown: str) -> float:
-    """Returns mantissa * 10**exponent in ``unit`` as a float in SI, rounded once."""
+    """Returns the SI value of the quantity mantissa * 10**exponent in ``unit``.
+
+    The result is rounded only once, except for units that contain pi.
+    """
     numerator = mantissa * unit.numerator
     denominator = unit.denominator
     if exponent >= 0:
@@ -147,7 +168,7 @@ def _value(mantissa: int, exponent: int, unit: Unit, shown: str) -> float:
     try:
         value: float
         if unit.pi_power:
-            # As in math.radians: the factor is rounded, then the product.
+            # The conversion factor is rounded first, as in `math.radians`.
             plain = mantissa * 10**exponent if exponent >= 0 else mantissa / 10**-exponent
             value = plain * (unit.numerator * math.pi**unit.pi_power / unit.denominator)
         elif unit.offset:
@@ -182,10 +203,10 @@ def _shorten(text: str) -> str:
 # -- units ------------------------------------------------------------------------
 
 UNIT_NAME = r"(?:[^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]+|°[CF]?|%|\"|'|″|′)"
-"""Pattern of the name of a unit, without its power."""
+"""Regular expression of a unit name, without a power."""
 
 UNIT_POWER = r"(?:\^\s*[+-]?\d+|[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+)"
-"""Pattern of the power of a unit: ``^2``, ``²`` or a digit after the name."""
+"""Regular expression of the power of a unit, such as ``^2``, ``²`` or ``2``."""
 
 _TOKEN = re.compile(rf"\s*(?:({UNIT_NAME})({UNIT_POWER})?|([*·⋅×/()])|(1)(?=\s*/))")
 _SUPERSCRIPT = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻", "0123456789+-")
@@ -193,7 +214,10 @@ _SUPERSCRIPT = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻", "0123456789+-"
 
 @functools.lru_cache(maxsize=1024)
 def _parse_unit(text: str) -> Unit:
-    """Parses ``kg m^2``, ``N s/m``, ``m/s²``, ``J/(kg K)``: operators from left to right."""
+    """Parses a unit such as ``kg m^2``, ``N s/m``, ``m/s²`` or ``J/(kg K)``.
+
+    The operators are applied from left to right.
+    """
     known_unit = _find_unit(text)
     if known_unit is not None:
         return known_unit
@@ -204,7 +228,12 @@ def _parse_unit(text: str) -> Unit:
 
 
 def _parse_product(text: str, position: int, depth: int) -> tuple[Unit, int]:
-    """Parses until the end or a closing parenthesis; returns the unit and the position there."""
+    """Parses a product of units up to the end of the text or a closing parenthesis.
+
+    ``position``: position in the text at which parsing starts.
+    ``depth``: number of parentheses that are open at this position.
+    Returns the unit and the position at which parsing ended.
+    """
     result: Unit | None = None
     sign = 1
     pending = False  # after an operator, before its right operand
@@ -265,7 +294,7 @@ def _find_unit(name: str) -> Unit | None:
 
 
 def _scale(unit: Unit, power: int) -> Unit:
-    """Returns ``unit`` times 10**power."""
+    """Returns the unit that is 10**power times as large as ``unit``."""
     numerator, denominator = unit.numerator, unit.denominator
     if power >= 0:
         numerator *= 10**power
@@ -293,7 +322,7 @@ def _raise_to_power(unit: Unit, power: str | None, text: str) -> Unit:
 
 
 def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
-    """Returns a * b for ``sign`` 1 and a / b for ``sign`` -1."""
+    """Returns the unit a * b if ``sign`` is 1, or a / b if ``sign`` is -1."""
     if a.offset or b.offset or max(map(abs, (*a.dimension, *b.dimension))) > 4 * _MAX_POWER:
         _raise_error(text, text)
     numerator, denominator = b.numerator, b.denominator
@@ -308,7 +337,11 @@ def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
 
 
 def _raise_error(text: str, part: str) -> NoReturn:
-    """Raises the UnitError of the unit ``text``, which is wrong at ``part``."""
+    """Raises ``UnitError`` for an invalid unit.
+
+    ``text``: the whole unit.
+    ``part``: the part of the unit that contains the error.
+    """
     part = part.strip()
     if part and part != text.strip() and re.fullmatch(UNIT_NAME, part) is None:
         raise UnitError(

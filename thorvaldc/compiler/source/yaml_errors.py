@@ -1,8 +1,9 @@
-"""Converts the syntax errors of libyaml to diagnostics with plain messages and hints.
+"""Converts YAML syntax errors of libyaml to diagnostics with plain messages and hints.
 
-libyaml reports two positions: where it noticed the problem, and where the enclosing structure
-("context") starts.  After a missing bracket or quote, the first can be many lines too late; the
-diagnostic then marks the start of the structure.
+libyaml reports two positions of a syntax error.  The problem mark is the position at which the
+parser detected the error.  The context mark is the start of the enclosing list, mapping or text
+in quotes.  If a closing bracket or quote is missing, the problem mark can be many lines after
+the mistake.  In this case the diagnostic marks the opening bracket or quote.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from thorvaldc.diagnostics import Label, Report, Span
 
 _EXPRESSION = 'inside `{...}` and `[...]` an expression must be quoted, as in `"${width}"`'
 
-# Message of libyaml, message of the diagnostic, hint.
+# Each row contains a message of libyaml, the message of the diagnostic, and the hint.
 _MESSAGES: tuple[tuple[str, str, str], ...] = (
     (
         "mapping values are not allowed",
@@ -95,7 +96,12 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
 
 
 def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -> None:
-    """Adds the diagnostic for a syntax error that PyYAML raised on ``text``."""
+    """Adds the diagnostic for a YAML syntax error to ``report``.
+
+    ``error``: exception of PyYAML.
+    ``text``: text of the document.
+    ``file``: file name in source spans.
+    """
     problem = str(error.problem or error.context or "unknown error")
     context = str(error.context or "")
     lines = text.splitlines() or [""]
@@ -151,10 +157,12 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
 
 
 def _is_unclosed(lines: list[str], opened: Span, stopped: Span) -> bool:
-    """Returns whether the closing bracket is missing, rather than an entry wrong.
+    """Returns whether a closing bracket is probably missing.
 
-    This is likely if the parser stopped at a later line with no more indentation than that
-    of the opening bracket.
+    ``opened``: source span of the opening bracket.
+    ``stopped``: source span at which the parser stopped.
+    A bracket is probably missing if the parser stopped at a later line, and this line is not
+    indented more than the line of the opening bracket.
     """
 
     def indentation(number: int) -> int:
@@ -170,7 +178,10 @@ def _character(lines: list[str], span: Span) -> str:
 
 
 def _span(mark: Any, lines: list[str], file: str) -> Span:
-    """Returns the span of one character; a mark after the end of the text moves to its end."""
+    """Returns the source span of the character at a PyYAML mark.
+
+    If the mark is after the last line, returns the span after the last character of the text.
+    """
     if mark is None:
         return Span(file)
     line, column = mark.line + 1, mark.column + 1
@@ -180,7 +191,10 @@ def _span(mark: Any, lines: list[str], file: str) -> Span:
 
 
 def _tab(line: str, span: Span) -> int | None:
-    """Returns the column of a tab in the indentation or at the error; ``None`` without one."""
+    """Returns the column of the tab that causes a syntax error, or ``None`` if there is no tab.
+
+    The tab is in the indentation of the line or at the position of the error.
+    """
     indentation = line[: len(line) - len(line.lstrip())]
     if "\t" in indentation:
         return indentation.index("\t") + 1

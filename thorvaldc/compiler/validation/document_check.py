@@ -1,8 +1,10 @@
 """Checks documents against the JSON Schemas in ``thorvaldc/schema``.
 
-Valid documents pass the fast schema gate.  Only if the gate rejects one, jsonschema is imported
-to list the errors; ``schema_diagnostics`` converts them to diagnostics with spans.
-Quantities (``x-quantity`` in the schemas) are checked here.
+The module ``thorvaldc.schema.gate`` checks each document with a fast validator.  If the fast
+validator rejects a document, the package jsonschema lists the errors of the document.
+The module ``schema_diagnostics`` converts errors of jsonschema to diagnostics with source spans.
+This module also checks the numbers and units of quantities.  In a schema, the keyword
+``x-quantity`` names the allowed kinds of quantity of a value.
 """
 
 from __future__ import annotations
@@ -22,13 +24,15 @@ MAX_DIAGNOSTICS = 1000
 
 
 def check(node: Node, kind: Kind, report: Report) -> bool:
-    """Returns whether the document is valid for its kind; adds a diagnostic per error.
+    """Checks a document against the schema of its kind.
 
-    Stops after MAX_DIAGNOSTICS.  A value that already has an error in ``report`` gets no
-    second diagnostic.
+    Returns whether the document is valid.  Adds a diagnostic to ``report`` for each error, and
+    stops if the report has more than ``MAX_DIAGNOSTICS`` diagnostics.  If a value already has
+    an error in ``report``, the check adds no further diagnostic for the value.
     """
     schema = inlined(kind)
-    # The value of a scalar that the YAML reader rejected is only a guess.
+    # If the YAML reader rejects a scalar, it returns the most likely value.  A diagnostic about
+    # this value could be misleading.
     reported = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     valid = True
     plain = node.plain()
@@ -51,7 +55,8 @@ def _validator(kind: Kind) -> Any:
     from jsonschema import Draft202012Validator, ValidationError
     from jsonschema.validators import extend
 
-    # JSON Schema counts 3.0 as an integer, but it is not a device id.
+    # In JSON Schema 3.0 is an integer.  The compiler requires a number without a decimal point,
+    # for example for a device id.
     checker = Draft202012Validator.TYPE_CHECKER.redefine(
         "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
     )
@@ -67,10 +72,11 @@ def _validator(kind: Kind) -> Any:
 
 
 def without_invalid_values(node: Node, report: Report) -> Node:
-    """Returns the document with ``None`` in place of each value that has an error in ``report``.
+    """Returns a copy of a document in which ``None`` replaces each invalid value.
 
-    Later stages can process the rest, so one run reports their diagnostics too.  A replaced
-    value keeps its key and its span.
+    A value is invalid if ``report`` contains an error at the source span of the value.
+    Later stages of the compiler can process the copy, so one run also reports their errors.
+    A replaced value keeps its key and its source span.
     """
     spans = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     return _blanked(node, spans) if spans else node
@@ -118,7 +124,11 @@ def _quantity_errors(
 
 
 def _quantity_error(text: str, quantities: str | list[str]) -> UnitError | None:
-    """Returns the error of a text that is none of ``quantities``, or ``None`` if it is one."""
+    """Returns the error of a quantity, or ``None`` if the quantity is valid.
+
+    ``text``: a number with a unit.
+    ``quantities``: one or several allowed kinds of quantity.  ``any`` allows every kind.
+    """
     names = [quantities] if isinstance(quantities, str) else quantities
     first: UnitError | None = None
     for quantity in names:

@@ -1,4 +1,4 @@
-"""Recognises the kind of a document by a key that only this kind has."""
+"""Recognises the kind of a document by its top-level keys."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ def is_scenario(document: Node | None) -> bool:
 
 
 def is_fleet(document: Node | None) -> bool:
-    """Returns whether the document lists robots, as fleets and scenarios do."""
+    """Returns whether the document has the key ``robots``.
+
+    Fleet documents and scenario documents have this key.
+    """
     return document is not None and document.get("robots") is not None
 
 
-# Files that users pass by mistake: a key that only they have, their description, a hint.
+# Kinds of documents that a user may pass instead of a robot, fleet or scenario document.
+# Each row is a tuple (key that only this kind of document has, name of the kind, hint).
 _WRONG_KINDS = (
     (
         "motor_drives",
@@ -30,9 +34,10 @@ _WRONG_KINDS = (
 
 
 def report_wrong_kind(document: Node, report: Report) -> bool:
-    """Returns whether the document is no robot, fleet or scenario.
+    """Reports a document that is neither a robot nor a fleet nor a scenario.
 
-    If so, adds the only diagnostic about it: schema errors would be misleading.
+    Returns whether the document has a wrong kind.  The caller then skips the schema check,
+    because errors of the robot schema would be misleading.
     """
     if document.get("name") is None:
         for key, description, hint in _WRONG_KINDS:

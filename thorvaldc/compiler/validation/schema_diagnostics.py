@@ -1,4 +1,4 @@
-"""Converts the errors of jsonschema to diagnostics with spans and hints."""
+"""Converts errors of the package jsonschema to diagnostics with source spans and hints."""
 
 from __future__ import annotations
 
@@ -25,9 +25,11 @@ _ID_HINT = "a name has lower-case letters, digits and `_`, and begins with a let
 
 
 def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Report) -> None:
-    """Adds the diagnostics for one error of jsonschema.
+    """Adds the diagnostics for one error of jsonschema to ``report``.
 
-    Spans in ``reported`` already have an error and get no other; new ones are added to it.
+    ``root``: root node of the document.
+    ``reported``: source spans that already have an error.  The function adds no second
+    diagnostic at these spans, and adds the spans of new diagnostics to the set.
     """
     path = list(error.absolute_path)
     node, schema = _find(root, path), error.schema
@@ -50,7 +52,10 @@ def _find(node: Node, path: list[str | int]) -> Node:
 
 
 class _Explanation:
-    """Diagnostics of one error.  ``_<keyword>`` reports an error of that schema keyword."""
+    """Reports the diagnostics for one error of jsonschema.
+
+    A method ``_<keyword>`` reports an error of the schema keyword with this name.
+    """
 
     def __init__(
         self,
@@ -84,7 +89,10 @@ class _Explanation:
 
     @property
     def value_name(self) -> str:
-        """Name of the value in a message: its key, or the key of the list that contains it."""
+        """Name of the invalid value in messages.
+
+        The name is the key of the value.  For an element of a list, it is the key of the list.
+        """
         names = [step for step in self.path if isinstance(step, str)]
         if not names:
             return f"the {self.kind} document"
@@ -93,7 +101,11 @@ class _Explanation:
 
     @property
     def start(self) -> Span:
-        """Span to mark for a mapping: its key, else its first character."""
+        """Source span that a diagnostic about a mapping marks.
+
+        Returns the span of the key of the mapping.  If the mapping has no key, returns the span
+        of the first character.
+        """
         if self.node.key_span is not None:
             return self.node.key_span
         span = self.node.span
@@ -136,7 +148,7 @@ class _Explanation:
             if key in entries or f"'{key}'" not in self.error.message:
                 continue
             span = self.start
-            # Not `self.add`: several keys can be missing at the same span.
+            # `self.add` reports one error per span, but several keys can be missing in a mapping.
             self.report.add(
                 "missing-key",
                 f"{self.value_name} has no `{key}`",
@@ -334,12 +346,12 @@ class _Explanation:
         self.add("out-of-range", message, self.node.span)
 
     def unspecific(self) -> None:
-        """Reports an error of a schema keyword that has no method in this class."""
+        """Reports an error of a schema keyword for which this class has no method."""
         self.add("wrong-type", f"{self.value_name} does not match the schema", self.start)
 
 
 def _expected(schema: dict[str, Any]) -> str:
-    """Describes the allowed kinds of value: ``a length or a mapping``."""
+    """Returns a description of the allowed kinds of value, such as ``a length or a mapping``."""
     quantity = schema.get("x-quantity")
     words: list[str] = []
     if quantity is not None and quantity != "any":
@@ -362,17 +374,20 @@ def _expected(schema: dict[str, Any]) -> str:
 
 
 def _example(schema: dict[str, Any]) -> str | None:
-    """Returns the first example of a schema as YAML, unless it is an expression."""
+    """Returns the first example of a schema as YAML text.
+
+    Returns ``None`` if the schema has no example, or if the first example is an expression.
+    """
     examples = schema.get("examples")
     if not examples or (isinstance(examples[0], str) and examples[0].startswith("${")):
         return None
     shown = _yaml_text(examples[0])
-    # Unquoted, YAML would read this text as a number.
+    # Without quotes, YAML would read a text such as 0x10 as a number.
     return f'"{shown}"' if isinstance(examples[0], str) and shown.startswith("0x") else shown
 
 
 def _yaml_text(value: Any) -> str:
-    """Formats a value as YAML in one line."""
+    """Returns a value as YAML text in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, dict):
@@ -388,7 +403,7 @@ def _text(node: Node) -> str:
 
 
 def _actual(node: Node) -> str:
-    """Describes the kind of a value: ``a list``."""
+    """Returns a description of the actual value for a message, such as ``a list``."""
     if isinstance(node.value, dict):
         return "a mapping"
     if isinstance(node.value, tuple):
