@@ -55,7 +55,7 @@ def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
 
 def _load_model_file(path: Path) -> LoadedRobot | None:
     if path.name != "model.json":
-        raise typer.BadParameter(f"{path} is no build's model.json", param_hint="FILE")
+        raise typer.BadParameter(f"{path} is not the model.json of a build", param_hint="FILE")
     try:
         model = load_model(path.parent)
     except DiagnosticError as error:
