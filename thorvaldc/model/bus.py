@@ -1,4 +1,4 @@
-"""The bus in the model: nodes, frame definitions, signals and CANopen objects."""
+"""The CAN bus in the model: nodes, frame definitions, signals and CANopen objects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from thorvaldc.model.element import Element
 
 Scalar = bool | int | float | str
 
-# Data types of CANopen objects (CiA 301) that the model uses: index and length in bits.
+# CANopen data types (CiA 301) that the model uses.
+# Each name maps to the index of the data type and its length in bits.
 OBJECT_TYPES = {
     "boolean": (0x0001, 1),
     "integer8": (0x0002, 8),
@@ -26,10 +27,12 @@ CIA_402 = 402
 class Signal(Element):
     """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
 
-    ``start`` and ``length`` are in bits.  ``joint`` is the joint that the value belongs to; the
-    ``unit`` is then that of the joint (rad/s or rad).  ``multiplexer`` marks
-    the selector; ``selected_by`` lists the selector values with which the
-    frame contains this signal.  ``choices`` are names of raw values.
+    - ``start``, ``length``: the first bit and the number of bits of the signal.
+    - ``joint``: name of the joint that the signal belongs to. The ``unit`` of a joint signal is
+      rad/s or rad.
+    - ``multiplexer``: true if the signal selects which other signals the frame contains.
+    - ``selected_by``: values of the multiplexer with which the frame contains the signal.
+    - ``choices``: pairs of a raw value and its name.
     """
 
     name: str
@@ -52,15 +55,17 @@ class Signal(Element):
 class FrameDefinition(Element):
     """The layout and the timing of a CAN frame with an 11-bit identifier.
 
-    ``producer`` and ``consumers`` are names of nodes, or ``master``. ``kind`` is ``pdo``, ``sdo``,
-    ``heartbeat``, ``emcy``, ``sync``, ``nmt``, ``broadcast`` or ``relay`` (the frame of a foreign
-    device that the driver forwards).  ``period`` and ``deadline`` are in s, ``None`` for a frame
-    that is sent on demand.  Frames on demand are at least ``minimum_interval`` s apart (``None``:
-    see ``bus_timing``).  ``response_time`` (s) is the longest time from the instant at which the
-    frame is due until it is received, ``None`` if there is no bound.
-
-    ``pdo`` is the number of a CANopen PDO (1..512), ``mapping`` lists the objects in
-    it as (index, subindex, type).  A ``synchronous`` PDO is sent, or takes effect, at the SYNC.
+    - ``producer``, ``consumers``: names of nodes, or ``master``.
+    - ``kind``: ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``, ``broadcast`` or
+      ``relay``. A ``relay`` frame is a frame of a foreign device that the driver forwards.
+    - ``period``, ``deadline``: times in s. Both are ``None`` for a frame that is sent on demand.
+    - ``minimum_interval``: shortest time in s between two frames that are sent on demand. If the
+      interval is ``None``, the module ``bus_timing`` assumes one frame in a control cycle.
+    - ``response_time``: longest time in s from the instant at which the frame is due until the
+      frame is received. The response time is ``None`` if there is no upper bound.
+    - ``pdo``: number of the CANopen PDO, 1 to 512.
+    - ``mapping``: objects in the PDO, each as (index, subindex, type).
+    - ``synchronous``: true if the PDO is sent, or takes effect, when the SYNC frame is received.
     """
 
     name: str
@@ -83,7 +88,11 @@ class FrameDefinition(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Channel(Element):
-    """A channel of a motor controller, and the actuator on it (``None``: not connected)."""
+    """A channel of a motor controller.
+
+    - ``actuator``: name of the actuator that the channel drives. ``None`` means that no actuator is
+      connected to the channel.
+    """
 
     name: str
     role: str
@@ -92,11 +101,13 @@ class Channel(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ObjectValue(Element):
-    """An entry of a node's object dictionary, and its required value.
+    """An entry of the object dictionary of a node, with the value that the entry must have.
 
-    ``type`` is one of ``OBJECT_TYPES``; ``access`` is ``ro`` or ``rw``.  The value of an
-    ``ro`` entry identifies the node: the node must report it.  ``value`` is ``None`` if the entry
-    changes while the node runs, or if no value is required.
+    - ``type``: name of the data type, one of ``OBJECT_TYPES``.
+    - ``access``: ``ro`` (read only) or ``rw`` (read and write). A read-only entry identifies the
+      node, so the node must report the required value.
+    - ``value``: the required value. The value is ``None`` if the entry changes while the node runs,
+      or if no value is required.
     """
 
     name: str
@@ -111,14 +122,22 @@ class ObjectValue(Element):
 class Node(Element):
     """A device on a bus.
 
-    ``id`` is unique within its ``id_space``: the ids of batteries are separate from CANopen node
-    ids. Foreign devices without an id have an empty ``id_space`` and the id 0. ``automatic``: the
-    compiler chose the id and the lock file keeps it. ``vendor_id``, ``product_code`` and
-    ``revision_number`` are those of object 0x1018, ``device_type`` is object 0x1000.  ``lss``: the
-    node id can be written by LSS (CiA 305). ``heartbeat_timeout`` (s) is the silence after which
-    the master considers the node lost, ``heartbeat_consumer_time`` (s) the silence after which the
-    node considers the master lost (object 0x1016); ``None``: no supervision.  ``bitrates`` lists
-    the supported ones in bit/s; empty: any.  ``objects`` are in the order of index and subindex.
+    - ``id``: the number of the node, unique within the ``id_space``. A foreign device without an id
+      has the id 0.
+    - ``id_space``: name of a group of ids. Battery ids are in a different group than CANopen node
+      ids. A foreign device without an id has an empty ``id_space``.
+    - ``automatic``: true if the compiler chose the id. The lock file stores an automatic id.
+    - ``vendor_id``, ``product_code``, ``revision_number``: values of the CANopen object 0x1018.
+    - ``device_type``: value of the CANopen object 0x1000.
+    - ``lss``: true if the node id can be written by LSS (CiA 305).
+    - ``heartbeat_timeout``: time in s without a heartbeat of the node after which the master
+      considers the node lost. ``None`` means that the master does not supervise the node.
+    - ``heartbeat_consumer_time``: time in s without a heartbeat of the master after which the node
+      considers the master lost (object 0x1016). ``None`` means that the node does not supervise the
+      master.
+    - ``bitrates``: the supported bit rates in bit/s. An empty list means that the node supports any
+      bit rate.
+    - ``objects``: required values of the object dictionary, sorted by index and subindex.
     """
 
     name: str
@@ -143,7 +162,7 @@ class Node(Element):
 
     @property
     def is_cia402(self) -> bool:
-        """True for a drive of device profile CiA 402, according to its device type."""
+        """True if the device type is a drive of the device profile CiA 402."""
         return self.device_type is not None and self.device_type & 0xFFFF == CIA_402
 
 
@@ -151,8 +170,10 @@ class Node(Element):
 class Bus(Element):
     """A CAN bus with its nodes and frames.
 
-    ``bitrate`` in bit/s; ``sync_period`` in s is the control cycle.  ``master_id`` is the CANopen
-    node id of the master.  ``load`` is the worst-case bus load, 0..1.
+    - ``bitrate``: bit rate in bit/s.
+    - ``sync_period``: period of the control cycle in s.
+    - ``master_id``: CANopen node id of the master.
+    - ``load``: worst-case bus load, 0 to 1.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A script of faults to inject into a simulated bus.  All values in SI."""
+"""A script of faults to inject into a simulated CAN bus. All values are in SI units."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from thorvaldc.diagnostics import Span
 
 
 class FaultKind(NamedTuple):
-    """The fields of a kind of fault.
+    """The fields that a fault of one kind has in the script.
 
-    ``node``: ``yes`` (the fault affects one device), ``no`` (it affects the bus) or ``maybe``
-    (either). ``needs`` lists the required fields, ``may`` the optional ones.  ``lasts``: the fault
-    may have a ``duration``.
+    - ``node``: ``yes`` if the fault affects one device, ``no`` if the fault affects the whole bus,
+      ``maybe`` if the script may choose either.
+    - ``needs``: names of the required fields.
+    - ``may``: names of the optional fields.
+    - ``lasts``: true if the fault may have a ``duration``.
     """
 
     node: str
@@ -40,15 +42,19 @@ FAULT_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class BusFault:
-    """An injected fault of a ``node`` of ``bus``, or of all its nodes (``None``).
+    """A fault that the simulation injects into a CAN bus.
 
-    It begins ``delay`` s after ``time`` (s), or after the middle of the ``frame``-th frame of the
-    bus (from 1).  It lasts for ``duration`` s, or until the end of the run (``None``).
+    The fault begins ``delay`` s after the time ``time`` (s), or ``delay`` s after the middle of
+    frame number ``frame`` on the bus. Frames are counted from 1. The fault lasts for ``duration``
+    s. If ``duration`` is ``None``, the fault lasts until the end of the run.
 
-    ``id`` is the node id that the device takes.  ``cob_id`` and ``period`` (s) are those of the
-    frames that it sends without being asked.  ``code`` and ``register`` are the error code and the
-    error register of an EMCY.  ``channel`` is the channel of the motor.  ``bitrate`` in bit/s.
-    ``share`` is the fraction of the frames that are affected, 0..1.
+    - ``node``: name of the affected device. ``None`` means all devices on the bus.
+    - ``id``: node id that the device takes.
+    - ``cob_id``, ``period``: COB-ID and period in s of the frames that a babbling device sends.
+    - ``code``, ``register``: error code and error register of the injected emergency frame (EMCY).
+    - ``channel``: name of the motor channel that is affected.
+    - ``bitrate``: wrong bit rate of the device in bit/s.
+    - ``share``: fraction of the frames that the fault affects, 0 to 1.
     """
 
     kind: str
@@ -71,7 +77,7 @@ class BusFault:
 
 @dataclass(frozen=True, slots=True)
 class BusFaults:
-    """A script of faults.  ``seed`` is the seed for all random numbers."""
+    """A script of faults. ``seed`` initialises the random number generator of the simulated faults."""
 
     faults: tuple[BusFault, ...]
     seed: int = 0

@@ -1,34 +1,43 @@
 """Load of a CAN bus and worst-case response times of its frames.
 
-The analysis follows Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN)
-schedulability analysis: Refuted, revisited and revised", Real-Time Systems 35
-(2007), section 3.  A level-m busy period is an interval in which the bus only sends frames of
-priority m or higher (after one blocking frame).  The response time of instance k of frame m is
+The analysis follows Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN) schedulability
+analysis: Refuted, revisited and revised", Real-Time Systems 35 (2007), section 3. In a level-m busy
+period, the bus first sends at most one frame of lower priority, and then only frames of priority m
+or higher. The response time R(k) of instance k of frame m is
 
     R(k) = J + w(k) - k T + C,
-    w(k) = B + k C + sum over more urgent frames i of ceil((w(k) + J_i + bit) / T_i) C_i,
+    w(k) = B + k C + sum over more urgent frames i of ceil((w(k) + J_i + bit) / T_i) C_i.
 
-with C the transmission time, T the period, J the jitter, and B the longest frame of lower
-priority, which cannot be interrupted.  Every instance in the busy period is
-examined.  The frames of one control cycle have a fixed order, which lowers the bound
-(``_critical_instants``):
+The symbols are:
+
+- C: transmission time of the frame.
+- T: period of the frame.
+- J: jitter of the frame.
+- B: transmission time of the longest frame of lower priority. A frame that is being sent cannot be
+  interrupted.
+- bit: duration of one bit.
+
+The analysis computes R(k) for every instance k in the busy period. The frames of one control cycle
+are sent in a fixed order. The fixed order lowers the bound of the response time, see
+``_critical_instants``:
 
     0 s                                                     sync_period
     |command 1|command 2|...|SYNC|report 1|report 2|...     |command 1|...
      stage 0                 1    stage 2
 
-All times are integers in picoseconds, rounded to the safe side.
+All times are integers in picoseconds. Rounding never makes a response time shorter.
 
-Assumptions about the bus (``frame_streams``):
+``frame_streams`` assumes the following about the bus:
 
-- Every node offers the most urgent of its frames first.
-- In each control cycle, the master sends its commands, then SYNC, and at most one
-  frame on demand (NMT, SDO or a command without a period).  A node
-  answers an SDO within one cycle.
-- All nodes together send at most one EMCY in a control cycle.  (When many nodes fail
-  at the same time, the robot stops and no longer depends on its commands.)
-- A node sends any other frame on demand at most once in a control cycle.  A relayed
-  frame is not more frequent than its limit.
+- Every node sends the most urgent of its waiting frames first.
+- In each control cycle, the master sends its commands first and SYNC after the commands.
+- In each control cycle, the master sends at most one frame on demand. A frame on demand of the
+  master is an NMT frame, an SDO or a command without a period.
+- A node answers an SDO within one control cycle.
+- All nodes together send at most one EMCY frame in a control cycle. When many nodes fail at the
+  same time, the robot stops and no longer depends on its commands.
+- A node sends any other frame on demand at most once in a control cycle.
+- A relayed frame is not more frequent than its limit.
 """
 
 from __future__ import annotations
@@ -47,14 +56,19 @@ _REQUEST, _ANSWER, _EMERGENCY = "request", "answer", "emergency"
 
 
 class Stream(NamedTuple):
-    """The frames of one identifier: ``bits`` long with stuffing, at least ``period`` s apart.
+    """All CAN frames with one identifier.
 
-    A frame is due up to ``jitter`` s late.  The lower identifier wins the arbitration.
-    Streams of the same ``group`` have the same period and jitter, and together only one frame in a
-    period.
+    - ``identifier``: the CAN identifier. The lower identifier wins the arbitration.
+    - ``bits``: length of a frame in bits, including stuff bits.
+    - ``period``: shortest time in s between two frames.
+    - ``jitter``: largest delay in s until a frame is due.
+    - ``group``: name of a group of streams with the same period and the same jitter. All streams of
+      a group together send one frame in a period.
+    - ``stage``: number of the stage in the control cycle, ``None`` for a stream outside the control
+      cycle.
 
-    Streams with a ``stage`` belong to the control cycle, which is their common period.  Each has
-    one frame in a cycle.  It is due at the beginning of the cycle plus the jitter, and is never
+    A stream with a ``stage`` sends one frame in each control cycle. The period of the stream is the
+    control cycle. The frame is due at the beginning of the cycle plus the jitter. A frame is never
     sent before the frames of a lower stage in the same cycle.
     """
 
@@ -69,9 +83,9 @@ class Stream(NamedTuple):
 def frame_bits(length: int) -> int:
     """Return the largest number of bits of a frame with 11-bit identifier and ``length`` bytes.
 
-    With n bytes: 47 bits of overhead (with 3 bits of interframe space), 8 n bits of data, and one
-    stuff bit for every four bits after the first of the 34 + 8 n bits that are subject to
-    stuffing.
+    A frame with n data bytes has 47 bits of overhead, including 3 bits of interframe space, and 8 n
+    bits of data. The CAN controller inserts stuff bits into the first 34 + 8 n bits of the frame.
+    The worst case is one stuff bit for every four bits after the first bit.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
@@ -79,9 +93,10 @@ def frame_bits(length: int) -> int:
 def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None]:
     """Return the worst-case response time in s of each stream.
 
-    It is the longest time from the instant at which a frame is due without jitter until it is
-    received, with the interframe space.  ``None``: there is no bound, because frames of its
-    priority and above need the whole bus.  Identifiers must differ.
+    The response time begins when the frame is due without jitter. The response time ends when the
+    frame and the interframe space after the frame are received. The response time is ``None`` if
+    frames of the same or higher priority need the whole bandwidth of the bus. The identifiers of
+    all streams must be different.
     """
     bit = -(-_SECOND // bitrate)
     order = sorted(range(len(streams)), key=lambda i: streams[i].identifier)
@@ -90,8 +105,9 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
     for i in reversed(order):
         blocked[i] = longest
         longest = max(longest, streams[i].bits * bit)
-    # Only the period and the jitter of more urgent frames matter.  Frames with the same pair are
-    # added up, and a group has one entry.  Frames of the cycle are added up by jitter and stage.
+    # The delay of a frame depends only on the periods, jitters and lengths of more urgent frames.
+    # Frames with the same period and jitter are therefore added up, and a group has one entry.
+    # The frames of the control cycle are added up by period, jitter and stage.
     above: dict[tuple[int, int, str], int] = {}
     cycle: dict[tuple[int, int, int], int] = {}
     bounds: list[float | None] = [None] * len(streams)
@@ -122,8 +138,9 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
 _Other = tuple[int, int, int, int]
 """A more urgent frame: (period, lead, length, most), the first three in ps.
 
-Its n-th instance, from 0, is due at ``n * period - lead`` or, if that is negative, at 0.  At most
-``most + k`` of its instances are sent before instance k of the examined frame.
+Instance n of a more urgent frame, counted from 0, is due at ``n * period - lead``. If this time is
+negative, instance n is due at 0. At most ``most + k`` instances of the more urgent frame are sent
+before instance k of the examined frame.
 """
 _ANY = 1 << 60
 
@@ -131,12 +148,12 @@ _ANY = 1 << 60
 def _critical_instants(
     period: int, jitter: int, stage: int | None, cycle: Mapping[tuple[int, int, int], int]
 ) -> Iterator[tuple[int, list[_Other]]]:
-    """Return the lead of the examined frame and the cycle's more urgent frames, for each candidate.
+    """Yield the lead of the examined frame and the more urgent frames for each candidate instant.
 
-    A busy period may begin at any time of the cycle.  In the worst case, a frame of the cycle
-    begins it, and this frame has its largest jitter (Palencia and Gonzalez Harbour, "Schedulability
-    analysis for tasks with static and dynamic offsets", RTSS 1998).  Each frame of the cycle
-    is a candidate.
+    The candidates are the times of the control cycle at which a busy period may begin. In the worst
+    case, a frame of the control cycle with its largest jitter begins the busy period (Palencia and
+    Gonzalez Harbour, "Schedulability analysis for tasks with static and dynamic offsets", RTSS
+    1998). Therefore each frame of the control cycle gives one candidate.
     """
     if not cycle:
         yield jitter, []
@@ -145,8 +162,8 @@ def _critical_instants(
     if stage is not None:
         begins[jitter] = None
     for begin in begins:
-        # The first instance in the busy period is that of the earliest cycle in which its jitter
-        # allows it to be due then.
+        # The first instance of the frame in the busy period belongs to the earliest control cycle
+        # whose frame can still be due when the busy period begins.
         first = -((jitter - begin) // period)
         others: list[_Other] = []
         for (cycle_time, late, other_stage), length in cycle.items():
@@ -160,10 +177,14 @@ def _critical_instants(
 def _longest(
     length: int, period: int, lead: int, blocked: int, above: Sequence[_Other], bit: int
 ) -> int | None:
-    """Return the longest response time in ps; ``above`` are the more urgent frames."""
+    """Return the longest response time in ps of a frame.
+
+    ``above`` lists the more urgent frames. Returns ``None`` if the response time exceeds
+    ``_LONGEST``.
+    """
     worst = wait = instance = 0
     while wait < _LONGEST:
-        # After this time the instance gets the bus.
+        # The bus starts to send this instance of the frame after the time ``wait``.
         wait = _fixed_point(blocked + instance * length, wait, above, instance, bit)
         if wait + lead < 0:
             return worst  # the busy period ends before this instance is due
@@ -177,9 +198,10 @@ def _longest(
 
 
 def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
-    """Return the least time from ``time`` on at which ``own`` and all frames above it are sent.
+    """Return the least time at which the bus has sent ``own`` and all more urgent frames.
 
-    This is the fixed point of w(k) in the module's docstring.
+    The search begins at ``time``. The result is the fixed point of the equation for w(k) in the
+    docstring of this module.
     """
     while True:
         needed = own
@@ -197,8 +219,9 @@ def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bi
 def bus_load(bus: Bus) -> float:
     """Return the worst-case load of a bus, as a fraction of its bandwidth.
 
-    It is the sum of the periodic frames, of the relayed frames at their limit, and, in each control
-    cycle, of one frame on demand of the master and the answer to one SDO.
+    The load is the sum of all periodic frames and of the relayed frames at their highest allowed
+    rate. The load also includes one frame on demand of the master and one SDO answer in each
+    control cycle.
     """
     bits, groups = 0.0, dict[str, int]()
     for frame in bus.frames:
@@ -218,14 +241,15 @@ def bus_load(bus: Bus) -> float:
 def frame_response_times(
     bus: Bus, bits: Mapping[str, int] | None = None
 ) -> dict[str, float | None]:
-    """Return the worst-case response times in s of the frames of a bus by their names.
+    """Return the worst-case response time in s of each frame of a bus, by the name of the frame.
 
-    Those of commands, SYNC, synchronous PDOs and SDO answers count from the beginning of the
-    control cycle.  ``bits`` are lengths of frames by name, for frames with known stuffing.
-    ``None``: no bound.
+    The response times of commands, SYNC, synchronous PDOs and SDO answers count from the beginning
+    of the control cycle. ``None`` means that the response time has no upper bound. ``bits`` maps
+    the names of frames to their lengths in bits, for frames with a known number of stuff bits.
 
-    The jitter of a frame depends on the response times of the frames that trigger it: SYNC follows
-    the commands, synchronous PDOs follow SYNC.  So the analysis is repeated until no jitter grows.
+    The jitter of a frame depends on the response times of the frames that trigger the frame. The
+    commands trigger SYNC, and SYNC triggers the synchronous PDOs. The analysis is therefore
+    repeated until no jitter grows.
     """
     names = [frame.name for frame in bus.frames]
     jitter = {frame.name: bus.sync_period for frame in bus.frames if _group(frame) == _ANSWER}
@@ -242,7 +266,11 @@ def frame_response_times(
 
 
 def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]) -> list[Stream]:
-    """Return the frames of a bus as streams, in order; ``jitter`` (s) and ``bits`` are by name."""
+    """Return the frames of a bus as streams, in the order of the bus.
+
+    ``jitter`` maps the names of frames to their jitter in s. ``bits`` maps the names of frames to
+    their lengths in bits.
+    """
     return [
         Stream(
             frame.cob_id,
@@ -257,7 +285,11 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
 
 
 def _group(frame: FrameDefinition) -> str:
-    """Return the group of a frame on demand, of which each cycle has one; empty: no group."""
+    """Return the group of a frame on demand.
+
+    The bus sends one frame of each group in a control cycle. The name is empty for a frame without
+    a group.
+    """
     if frame.period is not None or frame.kind == "relay":
         return ""
     if frame.producer == MASTER:
@@ -266,7 +298,10 @@ def _group(frame: FrameDefinition) -> str:
 
 
 def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
-    """Return the stage of a frame in the cycle: 0 commands, 1 SYNC, 2 synchronous PDOs of nodes."""
+    """Return the stage of a frame in the control cycle.
+
+    Stage 0 has the commands, stage 1 the SYNC frame, and stage 2 the synchronous PDOs of nodes.
+    """
     if frame.period != bus.sync_period:
         return None
     if frame.producer == MASTER:
@@ -275,7 +310,10 @@ def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
 
 
 def _lateness(bus: Bus, times: Mapping[str, float | None]) -> dict[str, float] | None:
-    """Return the jitter in s of SYNC and of synchronous PDOs by name; ``None``: no bound."""
+    """Return the jitter in s of SYNC and of each synchronous PDO, by the name of the frame.
+
+    Returns ``None`` if a response time has no upper bound.
+    """
     commands = [
         times[f.name]
         for f in bus.frames

@@ -1,4 +1,4 @@
-"""Plain values that JSON can express."""
+"""Conversion of numbers that JSON cannot express."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Any
 
 
 def finite(value: Any) -> Any:
-    """Replaces infinities and NaN by ``None``, because JSON has neither."""
+    """Replace infinities and NaN by ``None`` in nested dictionaries, lists and tuples.
+
+    JSON has neither infinities nor NaN.
+    """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

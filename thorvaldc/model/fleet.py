@@ -1,4 +1,4 @@
-"""Several robots in one scene, and their world.  All values in SI."""
+"""Several robots in one scene, and the world around the robots. All values are in SI units."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from thorvaldc.model.spatial import Pose
 class Placement(Element):
     """A robot of a fleet.
 
-    ``name`` is its name in the scene and its name space, ``pose`` that of its ``base_link`` in the
-    world.
+    - ``name``: name and name space of the robot in the scene.
+    - ``pose``: pose of the robot's ``base_link`` in the world.
     """
 
     name: str
@@ -24,11 +24,15 @@ class Placement(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Ground(Element):
-    """The ground of a scene.  The poses of the robots are relative to its plane z = 0.
+    """The ground of a scene. The poses of the robots are relative to the ground plane z = 0.
 
-    ``angle`` (rad) is its inclination and ``direction`` (rad, from x to y) the uphill direction.
-    It has random bumps of +-``amplitude`` (m; 0: none), no shorter than ``wavelength`` (m), with
-    the random seed ``seed``, on a rectangle of ``size`` (m along x and y) around the origin.
+    - ``angle``: inclination of the ground in rad.
+    - ``direction``: uphill direction in rad, measured from x to y.
+    - ``amplitude``: largest height of the random bumps above and below the plane in m. The ground
+      has no bumps if ``amplitude`` is 0.
+    - ``wavelength``: shortest wavelength of the bumps in m.
+    - ``seed``: seed of the random number generator for the bumps.
+    - ``size``: edge lengths in m along x and y of the bumpy rectangle around the origin.
     """
 
     angle: float = 0.0
@@ -41,12 +45,16 @@ class Ground(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Zone(Element):
-    """A rectangle of the ground, of ``size`` (m along x and y), centred on ``pose``.
+    """A rectangular zone of the ground, centred on ``pose``.
 
-    ``friction`` and ``rolling_resistance`` apply to wheels in the zone (``None``: the
-    values of each wheel apply).  The zone is raised by ``height`` (m), with sides that rise at
-    ``slope`` (rad).  It has random bumps of +-``amplitude`` (m) around their mean, no
-    shorter than ``wavelength`` (m), with the random seed ``seed``.
+    - ``size``: edge lengths of the zone in m along x and y.
+    - ``friction``, ``rolling_resistance``: coefficients of the wheels in the zone. ``None`` means
+      that each wheel keeps its own coefficient.
+    - ``height``: height of the zone above the ground in m.
+    - ``slope``: angle of the sides of a raised zone in rad.
+    - ``amplitude``: largest height of the random bumps above and below their mean in m.
+    - ``wavelength``: shortest wavelength of the bumps in m.
+    - ``seed``: seed of the random number generator for the bumps.
     """
 
     pose: Pose
@@ -65,7 +73,10 @@ class Zone(Element):
         return not (self.height or self.amplitude)
 
     def holds(self, x: float, y: float, margin: float = 0.0) -> bool:
-        """Return whether a point of the ground (m) is in the zone, or within ``margin`` m of it."""
+        """Return whether a point is in the zone, or at most ``margin`` m outside the zone.
+
+        ``x`` and ``y`` are the coordinates of the point in m.
+        """
         local = self.pose.inverse().apply((x, y, self.pose.xyz[2]))
         return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))
 
@@ -74,8 +85,9 @@ class Zone(Element):
 class Block(Element):
     """A fixed body of the scene.
 
-    ``kind`` is ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``.  Wheels may roll on kerbs
-    and rails.  ``name`` is unique within the kind.
+    - ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``. Wheels may roll on kerbs and
+      rails.
+    - ``name``: name of the body, unique among the bodies of the same kind.
     """
 
     kind: str
@@ -86,7 +98,7 @@ class Block(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class World(Element):
-    """The surroundings of the robots: the ground, fixed bodies, zones of the ground."""
+    """The surroundings of the robots: the ground, fixed bodies and zones of the ground."""
 
     ground: Ground
     blocks: tuple[Block, ...] = ()
@@ -95,7 +107,10 @@ class World(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fleet(Element):
-    """Several robots in one scene, in file order.  ``world`` is ``None`` for level ground alone."""
+    """Several robots in one scene, in the order of the fleet file.
+
+    - ``world``: surroundings of the robots. ``None`` means level ground without other bodies.
+    """
 
     name: str
     description: str

@@ -22,7 +22,7 @@ _PLAIN = {
 
 
 def model_schema() -> dict[str, Any]:
-    """Return the schema of a whole file, with a definition for each class of the model."""
+    """Return the JSON Schema of ``model.json``, with a definition for each class of the model."""
     definitions: dict[str, Any] = {}
     roots = [_schema_of(cls, definitions) for cls in KINDS.values()]
     return {
@@ -50,12 +50,16 @@ def model_schema() -> dict[str, Any]:
 
 
 def model_schema_text() -> str:
-    """Return the schema as JSON text."""
+    """Return the JSON Schema of ``model.json`` as JSON text."""
     return json.dumps(model_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
 def _schema_of(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a type; classes go to ``definitions`` and are referred to."""
+    """Return the JSON Schema of a type.
+
+    The schema of a class is added to ``definitions``. The returned schema then has only a reference
+    to the definition.
+    """
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}
     if hint is Span or dataclasses.is_dataclass(hint):
@@ -111,6 +115,6 @@ def _list_schema(items: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _description(cls: type) -> str:
-    """Return the docstring of a class, its paragraphs as one line each."""
+    """Return the docstring of a class, with each paragraph on one line."""
     text = inspect.cleandoc(cls.__doc__ or "").replace("``", "`").replace("`None`", "`null`")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))

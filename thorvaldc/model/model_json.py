@@ -1,8 +1,8 @@
-"""The model as JSON text and back, driven by the type hints of the dataclasses.
+"""Conversion of the model to JSON text and back, driven by the type hints of the dataclasses.
 
-``docs/model.md`` describes the format and its versions.  An object is written for each
-dataclass, with all of its fields; a list for each tuple and each source span; a
-``Shape`` has the name of its class in ``kind``.
+The page ``docs/model.md`` describes the format and its versions. A dataclass becomes a JSON object
+with all its fields. A tuple or a source span becomes a JSON list. The JSON object of a ``Shape``
+has the name of its class in the field ``kind``.
 """
 
 from __future__ import annotations
@@ -26,11 +26,14 @@ from thorvaldc.model.robot import Robot, Shape
 
 FORMAT = "thorvaldc-model"
 VERSION = 2
-"""Increased with every change of the fields; ``docs/model.md`` lists the versions."""
+"""Version of the JSON format, increased with every change of the model's fields.
+
+The page ``docs/model.md`` lists all versions of the JSON format.
+"""
 KINDS: dict[str, type[Robot | Fleet]] = {"Robot": Robot, "Fleet": Fleet}
 SHAPES: dict[str, type] = {shape.__name__: shape for shape in typing.get_args(Shape)}
 
-# The bytes of a mesh are not in the JSON form: the file is beside it in the build.
+# The JSON text omits the bytes of a mesh, because the build folder contains the mesh file.
 _OMITTED = {("Mesh", "data")}
 _NAMES = {
     bool: "true or false",
@@ -44,10 +47,11 @@ _NAMES = {
 
 
 class ModelFormatError(ValueError):
-    """The text is not a model of this version.
+    """The JSON text is not a model of the supported version.
 
-    ``reason`` is the cause; ``path`` is the position in the model, such as ``robot.wheels[2]``,
-    empty if the whole file is wrong.
+    - ``reason``: cause of the error.
+    - ``path``: position in the model, such as ``robot.wheels[2]``. The path is empty if the whole
+      file is wrong.
     """
 
     def __init__(self, reason: str, path: str = "") -> None:
@@ -61,7 +65,10 @@ class ModelFormatError(ValueError):
 
 @functools.cache
 def type_hints(cls: type) -> dict[str, Any]:
-    """Return the types of the fields of a model class that are in the JSON form, in order."""
+    """Return the types of the fields of a model class by field name.
+
+    Fields that the JSON text omits are left out.
+    """
     hints = typing.get_type_hints(cls)
     names = (field.name for field in dataclasses.fields(cls))
     return {name: hints[name] for name in names if (cls.__name__, name) not in _OMITTED}
@@ -71,7 +78,7 @@ def type_hints(cls: type) -> dict[str, Any]:
 
 
 def _is_plain(hint: Any) -> bool:
-    """Return whether ``json`` writes values of this type without help (a tuple as a list)."""
+    """Return whether the module ``json`` can write values of this type without conversion."""
     if hint is Ellipsis or hint in (bool, int, float, str, type(None)):
         return True
     arguments = typing.get_args(hint)
@@ -80,7 +87,7 @@ def _is_plain(hint: Any) -> bool:
 
 @functools.cache
 def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]], list[str]]:
-    """Return the fields of a class, the getter of their values, and those that are not plain."""
+    """Return the field names of a class, the getter of their values, and the fields to convert."""
     hints = type_hints(cast(Any, cls))
     names = tuple(hints)
     return names, values_getter(names), [name for name in names if not _is_plain(hints[name])]
@@ -104,9 +111,10 @@ def _encode(value: Any) -> Any:
 
 
 def to_json(model: Robot | Fleet) -> str:
-    """Return the model as JSON text, without mesh bytes; ``from_json`` reads it back equal.
+    """Return the model as JSON text, without mesh bytes.
 
-    Raises ``ValueError`` for a number that JSON does not have (infinite, not a number).
+    ``from_json`` reads the text back as an equal model. Raises ``ValueError`` if a number of the
+    model is infinite or NaN, because JSON cannot express such a number.
     """
     kind = type(model).__name__
     head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": _encode(model)}
@@ -116,12 +124,15 @@ def to_json(model: Robot | Fleet) -> str:
 # -- reading ------------------------------------------------------------------------------
 
 _Decoder = Callable[[Any, str], Any]
-"""Returns the value of the model for a JSON value at a path; raises ``ModelFormatError``."""
+"""A decoder converts a JSON value at a path to a value of the model.
+
+A decoder raises ``ModelFormatError`` if the JSON value has a wrong type.
+"""
 
 
 @functools.cache
 def _decoder(hint: Any) -> _Decoder:
-    """Return the decoder of a type."""
+    """Return the decoder for a type of the model."""
     if hint is Span:
         fields = _decoder(tuple[str, int, int, int, int])
         return lambda value, path: Span(*fields(value, path))
@@ -158,7 +169,7 @@ def _object_decoder(cls: type) -> _Decoder:
 
 
 def _report_fields(value: dict[str, Any], fields: list[str], path: str) -> None:
-    """Raise ``ModelFormatError`` for the first field that is missing or unknown."""
+    """Raise ``ModelFormatError`` for the first missing or unknown field of a JSON object."""
     for name in fields:
         if name not in value:
             raise ModelFormatError(f"the field `{name}` is missing", path)
@@ -205,7 +216,10 @@ def _tuple_decoder(decoders: list[_Decoder]) -> _Decoder:
 
 
 def _plain_decoder(allowed: tuple[type, ...]) -> _Decoder:
-    """Return the decoder of a JSON value of these types; where a float may be, an int may too."""
+    """Return the decoder for numbers, texts and booleans of the types in ``allowed``.
+
+    The decoder accepts an integer where a float is expected.
+    """
     only_float = allowed == (float,)
 
     def decode_plain(value: Any, path: str) -> Any:
@@ -230,17 +244,24 @@ def _require(value: Any, expected: type, path: str) -> None:
 
 
 def _text(value: Any) -> str:
-    """Return a JSON value for a message: short ones in full, lists and objects by their kind."""
+    """Return a JSON value as text for a message.
+
+    Only the type of a list or an object is named. Other values are cut after 40 characters.
+    """
     if isinstance(value, list | dict):
         return _NAMES[type(value)]
     return json.dumps(value, ensure_ascii=False)[:40]
 
 
 def from_json(text: str) -> Robot | Fleet:
-    """Return the model of a text that ``to_json`` has written.
+    """Return the model from a text that ``to_json`` has written.
 
-    Raises ``ModelFormatError`` if the text is not such a model: not JSON, of another format
-    or version, with a field that is missing or unknown, or with a value of the wrong type.
+    Raises ``ModelFormatError`` in the following cases:
+
+    - The text is not JSON.
+    - The JSON text has another format or another version.
+    - A field is missing or unknown.
+    - A value has the wrong type.
     """
     try:
         head = json.loads(text)
@@ -261,7 +282,10 @@ def from_json(text: str) -> Robot | Fleet:
 
 
 def load_model(build: Path) -> Robot | Fleet:
-    """Return the model of a build folder.  Raises ``DiagnosticError`` (``model-unreadable``)."""
+    """Return the model from the file ``model.json`` of a build folder.
+
+    Raises ``DiagnosticError`` (``model-unreadable``) if the file cannot be read.
+    """
     path = build / "model.json"
     try:
         return from_json(path.read_text(encoding="utf-8"))
