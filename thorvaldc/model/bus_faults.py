@@ -50,7 +50,9 @@ class BusFault:
 
     - ``node``: name of the affected device. ``None`` means all devices on the bus.
     - ``id``: node id that the device takes.
-    - ``cob_id``, ``period``: COB-ID and period in s of the frames that a babbling device sends.
+    - ``cob_id``: COB-ID of the frames that a babbling device sends, or of the frames that are lost.
+      ``None`` means that frames with any COB-ID are lost.
+    - ``period``: period in s of the frames that a babbling device sends.
     - ``code``, ``register``: error code and error register of the injected emergency frame (EMCY).
     - ``channel``: name of the motor channel that is affected.
     - ``bitrate``: wrong bit rate of the device in bit/s.
@@ -77,7 +79,7 @@ class BusFault:
 
 @dataclass(frozen=True, slots=True)
 class BusFaults:
-    """A script of faults. ``seed`` initialises the random number generator of the simulated faults."""
+    """A script of faults. ``seed`` initialises the random number generator of the faults."""
 
     faults: tuple[BusFault, ...]
     seed: int = 0

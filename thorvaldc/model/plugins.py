@@ -1,14 +1,14 @@
 """Plug-ins: classes by name, from this package and from other installed packages.
 
-Four kinds of classes can come from other packages: backends, base calculators, motor controllers
-and batteries on the bus, and simulated devices.  Each kind has one ``PluginTable``.
+Other packages can offer four kinds of classes: backends, base calculators, classes for motor
+controllers and batteries on the bus, and simulated devices. Each kind has one ``PluginTable``.
 
-Rules for a name that is offered more than once:
+Two rules apply if several packages offer the same name:
 
-- A built-in name cannot be replaced.  A build or a robot must not change because
-  somebody installs a package.
-- If two packages offer different classes under one name, the name cannot be loaded.  The
-  order of installed packages must not decide which class drives a robot.
+- A built-in name cannot be replaced. A build or a robot must not change because somebody installs a
+  package.
+- If two packages offer different classes with the same name, the name cannot be loaded. The order
+  of installed packages must not decide which class drives a robot.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ T = TypeVar("T")
 
 
 class PluginFailure(NamedTuple):
-    """The reason why a plug-in cannot be loaded, for the caller's diagnostic.
+    """The reason why a plug-in cannot be loaded. The caller puts the reason into a diagnostic.
 
-    ``unknown``: no package offers this name.  Otherwise a package offers it, and
-    its class cannot be used.
+    - ``unknown``: true if no package offers the name, false if the class of the plug-in cannot be
+      used.
     """
 
     reason: str
@@ -35,12 +35,17 @@ class PluginFailure(NamedTuple):
 
 
 class PluginTable(Generic[T]):
-    """The classes of one kind by name: the built-in ones and those of an entry-point group.
+    """The classes of one kind by name, both built-in classes and classes from other packages.
 
-    ``builtin`` maps names to ``"module:attribute"``.  A built-in class is imported when it is
-    loaded, and the metadata of installed packages are read only for other names: this
-    takes more time than compiling a small robot.  Every loaded class must be a
-    concrete subclass of ``base_class``.
+    Other packages offer their classes in an entry-point group of the package metadata.
+
+    - ``group``: name of the entry-point group.
+    - ``base_class``: every loaded class must be a concrete subclass of the base class.
+    - ``builtin``: maps a built-in name to the text ``"module:attribute"``.
+
+    The table imports a built-in class when the class is loaded. The table reads the metadata of
+    installed packages only for names that are not built-in. Reading the metadata takes more time
+    than compiling a small robot.
     """
 
     def __init__(self, group: str, base_class: type[Any], builtin: Mapping[str, str]) -> None:
@@ -49,11 +54,14 @@ class PluginTable(Generic[T]):
         self.builtin = dict(builtin)
 
     def names(self) -> list[str]:
-        """All names, built-in and plugged-in, in alphabetical order."""
+        """All built-in names and names from other packages, in alphabetical order."""
         return sorted({*self.builtin, *(entry.name for entry in _entry_points(self.group))})
 
     def load(self, name: str) -> type[T] | PluginFailure:
-        """Import the class of this name, or return the reason why that is not possible."""
+        """Import and return the class with a name.
+
+        Returns a ``PluginFailure`` with the reason if the class cannot be used.
+        """
         try:
             if name in self.builtin:
                 module, attribute = self.builtin[name].split(":")
@@ -65,7 +73,7 @@ class PluginTable(Generic[T]):
                 if len({entry.value for entry in entries}) > 1:
                     return PluginFailure(_conflict(entries))
                 loaded = entries[0].load()
-        except Exception as error:  # the import runs code of other packages: anything can happen
+        except Exception as error:  # code of other packages may raise any exception
             return PluginFailure(f"cannot be loaded: {error or type(error).__name__}")
         if not (isinstance(loaded, type) and issubclass(loaded, self.base_class)):
             return PluginFailure(f"is no {self.base_class.__name__}")

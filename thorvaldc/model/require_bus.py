@@ -1,4 +1,4 @@
-"""The check that a robot has a bus."""
+"""The check that a robot has a CAN bus."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from thorvaldc.model.robot import Robot
 
 
 def require_bus(robot: Robot) -> None:
-    """Raise ``DiagnosticError`` (``bus-missing``) for a robot without a bus."""
+    """Raise ``DiagnosticError`` (``bus-missing``) if the robot has no CAN bus."""
     if not robot.buses:
         raise DiagnosticError(
             "bus-missing",

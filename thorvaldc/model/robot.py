@@ -1,8 +1,8 @@
-"""The intermediate model of a robot: frozen dataclasses, all values in SI.
+"""The intermediate model of a robot: frozen dataclasses with all values in SI units.
 
-The compiler builds it; backends and the runtime read it.  ``span`` is the position in the source
-file from which an element comes.  Lists are in model order: the order of the modules in
-the file, depth first.  All outputs keep this order.
+The compiler builds the model. The backends and the runtime read the model. The field ``span`` is
+the position of an element in the source file. Every list has the order of the modules in the robot
+file, depth first. All outputs keep the order of the model.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
-# The classes of the bus are in bus.py; they are a part of the model, so they are exported here too.
+# The module bus.py defines the classes of the bus. The classes are exported here too, because the
+# bus is a part of the robot model.
 __all__ = [
     "Actuator",
     "Battery",
@@ -52,14 +53,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Box(Element):
-    """A box, centred on the frame; ``size`` has the full edge lengths along x, y, z in m."""
+    """A box, centred on the frame. ``size`` has the full edge lengths along x, y and z in m."""
 
     size: Vec3
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Cylinder(Element):
-    """A cylinder along z, centred on the frame; radius and full length in m."""
+    """A cylinder along the z axis, centred on the frame, with radius and full length in m."""
 
     radius: float
     length: float
@@ -67,14 +68,18 @@ class Cylinder(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sphere(Element):
-    """A sphere, centred on the frame; radius in m."""
+    """A sphere, centred on the frame, with the radius in m."""
 
     radius: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MeshShape(Element):
-    """A mesh of ``Robot.meshes`` by its name; ``scale`` has a factor for each axis."""
+    """A shape from a mesh file of the robot.
+
+    - ``mesh``: name of a mesh in ``Robot.meshes``.
+    - ``scale``: scale factors along x, y and z.
+    """
 
     mesh: str
     scale: Vec3 = (1.0, 1.0, 1.0)
@@ -85,10 +90,12 @@ Shape = Box | Cylinder | Sphere | MeshShape
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mesh(Element):
-    """A mesh file of a build; ``name`` is its file name there.
+    """A mesh file of a build, in the format STL or OBJ.
 
-    It is an STL or an OBJ file: URDF readers and MuJoCo both read these.  The compiler converts
-    other formats.  The JSON form omits ``data``.
+    URDF readers and MuJoCo both read STL and OBJ files. The compiler converts other mesh formats.
+
+    - ``name``: name of the mesh file in the build folder.
+    - ``data``: bytes of the mesh file. The JSON text of the model omits ``data``.
     """
 
     name: str
@@ -98,7 +105,11 @@ class Mesh(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Visual(Element):
-    """A visual shape; ``pose`` is in the link frame, ``color`` is RGBA in 0..1."""
+    """A visual shape of a link.
+
+    - ``pose``: pose of the shape in the link frame.
+    - ``color``: red, green, blue and opacity, each 0 to 1.
+    """
 
     shape: Shape
     pose: Pose
@@ -107,7 +118,7 @@ class Visual(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Collision(Element):
-    """A collision shape; ``pose`` is in the link frame."""
+    """A collision shape of a link. ``pose`` is the pose of the shape in the link frame."""
 
     shape: Shape
     pose: Pose
@@ -118,9 +129,10 @@ class Collision(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Link(Element):
-    """A rigid body.  ``inertial`` is in the link frame; ``None``: massless.
+    """A rigid body.
 
-    ``module`` is the path of its module instance, such as ``fl.steering``.
+    - ``module``: path of the module that the link belongs to, such as ``fl.steering``.
+    - ``inertial``: mass and inertia in the link frame. ``None`` means that the link has no mass.
     """
 
     name: str
@@ -133,7 +145,7 @@ class Link(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mimic(Element):
-    """A joint that follows another one: q = multiplier * q_joint + offset."""
+    """The position of a joint as a function of another joint: q = multiplier * q_joint + offset."""
 
     joint: str
     multiplier: float
@@ -142,16 +154,22 @@ class Mimic(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Joint(Element):
-    """A joint; ``pose`` is that of the child link in the parent link at joint position 0.
+    """A joint between two links.
 
-    ``type`` is ``fixed``, ``revolute`` (limited), ``continuous`` or ``prismatic``; ``axis`` is a
-    unit vector in the child link frame.  ``lower`` and ``upper`` are the position limits in rad or
-    m (``None``: no limit), ``effort`` the largest torque or force in N m or N, ``velocity`` the
-    largest speed in rad/s or m/s.  ``stiffness`` (N m/rad or N/m) and ``spring_reference`` (the
-    joint position at which the spring is relaxed) describe a spring.  ``damping`` (viscous, N m
-    s/rad or N s/m) and ``friction`` (Coulomb, N m or N) are the losses.  ``armature`` is the
-    inertia of the motor at the joint (kg m^2).  ``role`` is ``steering``, ``propulsion``,
-    ``suspension``, ``swivel``, ``wheel`` (without a motor) or empty.
+    - ``module``: path of the module that the joint belongs to, such as ``fl.steering``.
+    - ``type``: ``fixed``, ``revolute`` (with position limits), ``continuous`` or ``prismatic``.
+    - ``pose``: pose of the child link in the parent link at joint position 0.
+    - ``axis``: joint axis as a unit vector in the child link frame.
+    - ``lower``, ``upper``: position limits in rad or m. ``None`` means no limit.
+    - ``effort``: largest torque in N m or largest force in N.
+    - ``velocity``: largest speed in rad/s or m/s.
+    - ``damping``: viscous friction in N m s/rad or N s/m.
+    - ``friction``: Coulomb friction in N m or N.
+    - ``stiffness``: stiffness of the joint spring in N m/rad or N/m.
+    - ``spring_reference``: joint position at which the spring is relaxed.
+    - ``armature``: inertia of the motor at the joint in kg m^2.
+    - ``role``: ``steering``, ``propulsion``, ``suspension``, ``swivel``, ``wheel`` (a wheel joint
+      without a motor), or empty.
     """
 
     name: str
@@ -180,11 +198,12 @@ class Joint(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tread(Element):
-    """A ring of a wheel beside its tyre, which rolls on rails.
+    """A ring beside the tyre of a wheel. The ring rolls on rails.
 
-    ``name`` is the name of its radius in ``Wheel.radii``.  ``center`` (m) is its centre in the
-    wheel's link frame, ``width`` (m) the distance between its flanges, ``flange`` (m) their height
-    (0: no flanges).
+    - ``name``: name of the rolling radius of the ring in ``Wheel.radii``.
+    - ``center``: centre of the ring in the link frame of the wheel, in m.
+    - ``width``: distance between the flanges in m.
+    - ``flange``: height of the flanges in m. The value 0 means that the ring has no flanges.
     """
 
     name: str
@@ -195,17 +214,25 @@ class Tread(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Wheel(Element):
-    """A wheel and its geometry in ``base_link``, with every joint at 0.
+    """A wheel, with its geometry in ``base_link`` when every joint is at position 0.
 
-    ``x``, ``y`` (m): the intersection of the steering (or swivel) axis with the ground; for a
-    wheel without such an axis, its contact point.  ``heading`` (rad): the rolling direction for a
-    positive joint speed at steering angle 0; at steering angle q it is ``heading + steering_sign *
-    q``.  ``trail`` and ``lateral_offset`` (m): the contact point relative to (``x``, ``y``), along
-    the rolling direction and to the left of it.  ``radius`` and ``width`` in m; ``radii`` has
-    named alternatives (``floor``, ``rail``), ``treads`` the rings for them.  ``friction`` is the
-    coefficient of friction, ``rolling_resistance`` that of rolling resistance.  ``load`` (N) is
-    the static wheel load.  ``contact_height`` (m) is the height of the wheel's lowest point above
-    the ground (0 if it stands on the ground).
+    - ``x``, ``y``: intersection of the steering axis or swivel axis with the ground, in m. For a
+      wheel without a steering or swivel axis, ``x`` and ``y`` are the position of the contact
+      point.
+    - ``heading``: rolling direction in rad for a positive joint speed at steering angle 0. At
+      steering angle q, the rolling direction is ``heading + steering_sign * q``.
+    - ``trail``: distance in m from (``x``, ``y``) to the contact point, along the rolling
+      direction.
+    - ``lateral_offset``: distance in m from (``x``, ``y``) to the contact point, to the left of the
+      rolling direction.
+    - ``radius``, ``width``: rolling radius and width of the wheel in m.
+    - ``radii``: other rolling radii in m by name, such as ``floor`` or ``rail``.
+    - ``treads``: rings of the wheel that roll with one of the radii in ``radii``.
+    - ``friction``: coefficient of friction.
+    - ``rolling_resistance``: coefficient of rolling resistance.
+    - ``load``: static wheel load in N.
+    - ``contact_height``: height of the lowest point of the wheel above the ground in m. The height
+      is 0 if the wheel stands on the ground.
     """
 
     name: str
@@ -237,24 +264,29 @@ class Wheel(Element):
         return self.steering_joint is not None
 
     def radius_named(self, name: str | None) -> float:
-        """Return the radius (m) of this name in ``radii``.
+        """Return the rolling radius in m that has the name ``name`` in ``radii``.
 
-        Returns ``radius`` for ``None`` and for a name that this wheel does not have.
+        Returns ``radius`` if ``name`` is ``None`` or if the wheel has no radius with this name.
         """
         return dict(self.radii).get(name, self.radius) if name else self.radius
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Actuator(Element):
-    """A motor with its gear on a joint; the limits are those at the joint.
+    """A motor with its gear on a joint.
 
-    ``role`` is ``propulsion`` (speed control) or ``steering`` (position control).
-    ``max_velocity`` in rad/s, ``max_acceleration`` in rad/s^2, ``max_torque`` in N m, ``armature``
-    in kg m^2 (rotor inertia times the square of the gear ratio).  ``motor_max_speed`` (rad/s) and
-    ``encoder_ppr`` (pulses per revolution, four counts each) are at the motor shaft.  ``node`` and
-    ``channel`` name the motor controller and its channel, or are ``None``.  ``encoder_offset``
-    (rad, at the joint) comes from the calibration of a steering motor: joint position = encoder
-    reading + offset.
+    - ``role``: ``propulsion`` (the motor controls the speed) or ``steering`` (the motor controls
+      the position).
+    - ``max_velocity``: largest speed of the joint in rad/s.
+    - ``max_acceleration``: largest acceleration of the joint in rad/s^2.
+    - ``max_torque``: largest torque on the joint in N m.
+    - ``armature``: inertia of the rotor times the square of the gear ratio, in kg m^2.
+    - ``motor_max_speed``: largest speed of the motor shaft in rad/s.
+    - ``encoder_ppr``: encoder pulses per revolution of the motor shaft. One pulse has four counts.
+    - ``node``, ``channel``: names of the motor controller and its channel. Both are ``None`` for a
+      motor without a controller on a bus.
+    - ``encoder_offset``: joint position minus encoder reading in rad, from the calibration of a
+      steering motor.
     """
 
     name: str
@@ -276,9 +308,11 @@ class Actuator(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sensor(Element):
-    """A sensor; ``link`` is its measurement frame, ``properties`` are in SI.
+    """A sensor of the robot.
 
-    ``type`` is ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another word of the module type.
+    - ``type``: ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another word of the module type.
+    - ``link``: name of the link whose frame is the measurement frame.
+    - ``properties``: values of the sensor in SI units, by name.
     """
 
     name: str
@@ -291,7 +325,11 @@ class Sensor(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Battery(Element):
-    """A battery enclosure; ``node`` is its battery on the bus, ``None`` if it is empty."""
+    """A battery enclosure.
+
+    - ``node``: name of the node of the battery on the bus. ``None`` means that the enclosure
+      contains no battery.
+    """
 
     name: str
     module: str
@@ -306,7 +344,7 @@ class Battery(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CalculatorChoice(Element):
-    """The name of the base calculator (a plug-in) and its options."""
+    """The name of the base calculator and its options. The base calculator is a plug-in."""
 
     name: str = "general"
     options: tuple[tuple[str, Scalar], ...] = ()
@@ -316,10 +354,16 @@ class CalculatorChoice(Element):
 class DriverSettings(Element):
     """Settings of the base driver.
 
-    ``rate`` (Hz) is that of the control loop; ``command_timeout`` in s.  The limits of the twist
-    come from the robot file, or from the limits of the modules: m/s, rad/s, m/s^2, rad/s^2.
-    ``noise`` has the standard deviations for the odometry that the robot file sets, in SI, by the
-    names of the fields of the runtime's ``Noise``.
+    - ``rate``: frequency of the control loop in Hz.
+    - ``command_timeout``: time in s after which the driver considers a commanded twist too old.
+    - ``max_linear_velocity``, ``max_angular_velocity``: limits of the twist in m/s and rad/s.
+    - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
+      in m/s^2 and rad/s^2.
+    - ``noise``: standard deviations for the odometry in SI units, by the names of the fields of the
+      runtime's class ``Noise``. Only values from the robot file are listed.
+
+    The limits of the twist are those in the robot file. Without limits in the robot file, the
+    limits of the modules determine the limits of the twist.
     """
 
     rate: float
@@ -335,9 +379,9 @@ class DriverSettings(Element):
 class ParameterSet(Element):
     """A named set of parameters that the driver can select while the robot drives.
 
-    ``radii`` is the name of the wheel radii (``None``: ``Wheel.radius``; a wheel without radii of
-    this name keeps ``radius``).  ``driver`` has all settings: those of the robot with the
-    changes of this set.
+    - ``radii``: name of the rolling radii of the wheels. With ``None``, each wheel uses
+      ``Wheel.radius``. A wheel that has no radius with this name also uses ``Wheel.radius``.
+    - ``driver``: settings of the robot's driver, with the changes of the parameter set.
     """
 
     name: str
@@ -350,10 +394,13 @@ class ParameterSet(Element):
 class TwistInput(Element):
     """A source of commanded twists for the multiplexer, or a lock that blocks sources.
 
-    Among the active sources, the one with the highest ``priority`` (1..255) commands the robot.  A
-    lock blocks the sources with a lower priority.  A source becomes inactive after ``timeout`` s
-    without a message.  A lock locks after ``timeout`` s without a message (0: it keeps its last
-    state).  ``topic`` is its ROS topic, in the name space of the robot.
+    The active source with the highest priority commands the robot. A lock blocks the sources with a
+    lower priority.
+
+    - ``topic``: name of the ROS topic in the name space of the robot.
+    - ``priority``: priority of the source or lock, 1 to 255.
+    - ``timeout``: time in s without a message after which a source becomes inactive and a lock
+      blocks. With the timeout 0, a lock keeps its last state.
     """
 
     name: str
@@ -364,11 +411,14 @@ class TwistInput(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Robot(Element):
-    """A whole robot.  ``links[0]`` is ``base_link``, which lies on the ground.
+    """A whole robot.
 
-    ``namespace`` is the prefix of names in outputs (empty: no prefix).  ``inertial`` is the
-    inertia of the whole robot in ``base_link``, with every joint at 0.  ``urdf_extensions`` are
-    XML elements of the extras that only URDF has, such as ``<gazebo>``.
+    - ``namespace``: prefix of names in outputs. An empty name space means no prefix.
+    - ``links``: rigid bodies of the robot. The first link is ``base_link``, which lies on the
+      ground.
+    - ``inertial``: inertia of the whole robot in ``base_link`` when every joint is at position 0.
+    - ``urdf_extensions``: XML elements from extras that only URDF can express, such as
+      ``<gazebo>``.
     """
 
     name: str
@@ -393,25 +443,25 @@ class Robot(Element):
 
     @property
     def prefix(self) -> str:
-        """The prefix of every name in an output: the name space and a slash, or empty."""
+        """The prefix of every name in an output: the name space and a slash, or an empty text."""
         return f"{self.namespace}/" if self.namespace else ""
 
     def link(self, name: str) -> Link:
-        """Return the link of this name.  Raises ``KeyError``."""
+        """Return the link with a name. Raises ``KeyError`` if the robot has no such link."""
         for link in self.links:
             if link.name == name:
                 return link
         raise KeyError(name)
 
     def joint(self, name: str) -> Joint:
-        """Return the joint of this name.  Raises ``KeyError``."""
+        """Return the joint with a name. Raises ``KeyError`` if the robot has no such joint."""
         for joint in self.joints:
             if joint.name == name:
                 return joint
         raise KeyError(name)
 
     def actuator_of(self, joint: str) -> Actuator | None:
-        """Return the actuator on a joint, ``None`` if it has none."""
+        """Return the actuator on a joint, or ``None`` if the joint has no actuator."""
         for actuator in self.actuators:
             if actuator.joint == joint:
                 return actuator

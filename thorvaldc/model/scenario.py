@@ -1,4 +1,4 @@
-"""A scenario: the inputs of a simulation run and the expected results.  All values in SI."""
+"""A scenario: the inputs of a simulation run and the expected results. All values are in SI."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.model.fleet import Fleet
 
 GROUPS = ("odometry", "truth", "twist", "joints")
-"""Groups of columns that a record can have."""
+"""Names of the groups of columns that a record of a run can contain."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A commanded twist of ``base_link`` that applies from ``time`` (s) on.
+    """A commanded twist of ``base_link``, valid from ``time`` (s) until the next command.
 
-    ``vx`` (forward) and ``vy`` (to the left) in m/s, ``wz`` (counterclockwise) in rad/s.
-    ``parameters`` is the parameter set that applies from then on (empty: no change).
+    - ``vx``, ``vy``: forward velocity and velocity to the left in m/s.
+    - ``wz``: counterclockwise angular velocity in rad/s.
+    - ``parameters``: name of the parameter set that the driver selects at ``time``. An empty name
+      keeps the selected parameter set.
     """
 
     time: float
@@ -28,15 +30,19 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class WheelFault:
-    """An injected fault of a wheel, active from ``start`` to before ``end`` (s).
+    """An injected fault of a wheel. The base driver receives no message about the injected fault.
 
-    The driver does not know about it.  ``type`` is one of the following, with the meaning of
-    ``value``:
+    - ``start``, ``end``: times in s. The fault is active from ``start`` until just before ``end``.
+    - ``motor``: ``drive`` or ``steering``, for a fault of a motor.
+    - ``value``: size of the fault. The meaning depends on ``type``.
 
-    - ``steering_offset``: true angle minus encoder angle, rad.
+    Types and the meaning of ``value``:
+
+    - ``steering_offset``: true steering angle minus encoder angle, in rad.
     - ``radius_error``: (true radius - nominal radius) / nominal radius.
     - ``ice``: coefficient of friction under the wheel.
-    - ``encoder_frozen``, ``motor_lost``: no value; ``motor`` is ``drive`` or ``steering``.
+    - ``encoder_frozen``: no value. The encoder of the motor always returns the same position.
+    - ``motor_lost``: no value. The motor has no torque.
     """
 
     type: str
@@ -51,12 +57,16 @@ class WheelFault:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Random errors of the sensors: the standard deviation of each reading.
+    """Standard deviations of the random errors of the simulated sensors.
 
-    ``seed`` is the random seed.  ``wheel_speed`` in rad/s, ``wheel_position`` and
-    ``steering_angle`` in rad.  ``gyro`` is the noise of the measured yaw rate in rad/s
-    (``None``: the robot has no gyroscope), ``gyro_bias`` its constant error in rad/s.
-    ``encoder_counts``: positions are rounded to whole encoder counts.
+    - ``seed``: seed of the random number generator.
+    - ``wheel_speed``: standard deviation of the measured wheel speed in rad/s.
+    - ``wheel_position``: standard deviation of the measured wheel position in rad.
+    - ``steering_angle``: standard deviation of the measured steering angle in rad.
+    - ``gyro``: standard deviation of the measured yaw rate in rad/s. ``None`` means that the robot
+      has no gyroscope.
+    - ``gyro_bias``: constant error of the measured yaw rate in rad/s.
+    - ``encoder_counts``: true if positions are rounded to whole encoder counts.
     """
 
     seed: int = 0
@@ -70,7 +80,12 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """The range, ``least`` to ``most``, of a metric of every robot (``None``: no limit)."""
+    """The allowed range of a metric, checked for every robot of the scenario.
+
+    - ``metric``: name of the metric.
+    - ``least``, ``most``: smallest and largest allowed value of the metric. ``None`` means no
+      limit.
+    """
 
     metric: str
     least: float | None
@@ -80,11 +95,12 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A simulation run of ``duration`` s with the robots of ``fleet`` in its world.
+    """A simulation run with the robots of a fleet in the world of the fleet.
 
-    ``commands`` has the commands of each robot by its name, in order of time.  ``record`` lists the
-    groups of columns of the record, and ``every`` is the time between two rows in s (0: each
-    control tick).
+    - ``duration``: duration of the run in s.
+    - ``commands``: the name of each robot with the commands of the robot, in order of time.
+    - ``record``: names of the groups of columns in the record of the run.
+    - ``every``: time between two rows of the record in s. The value 0 records every control tick.
     """
 
     name: str

@@ -1,8 +1,9 @@
-"""Rigid-body algebra in plain Python: vectors, unit quaternions, poses, inertias.
+"""Rigid-body algebra in plain Python: vectors, unit quaternions, poses and inertias.
 
-The compiler does not import numpy: a cold build is faster without it,
-and tuples are faster for vectors of three.  All quaternions of the project are ``(w, x, y, z)``.
-A pose named ``X_AB`` is the pose of frame B in frame A, so ``X_AC = X_AB * X_BC``.
+The compiler does not import numpy, because a cold build is faster without numpy. Tuples are faster
+than numpy arrays for vectors with three elements. All quaternions of the project have the order
+``(w, x, y, z)``. A pose named ``X_AB`` is the pose of frame B in frame A, so ``X_AC = X_AB *
+X_BC``.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ IDENTITY_QUAT: Quat = (1.0, 0.0, 0.0, 0.0)
 
 
 def clean(value: float) -> float:
-    """Round to 12 significant digits; values below 1e-12 become 0.
+    """Round a number to 12 significant digits. A number between -1e-12 and 1e-12 becomes 0.
 
-    Results of ``sin`` and ``cos`` differ in the last bit between C libraries.  The numbers
-    of the model must be the same on every machine.
+    The results of ``sin`` and ``cos`` differ in the last bit between C libraries. Rounding makes
+    the numbers of the model equal on every machine.
     """
     if -1e-12 < value < 1e-12:
         return 0.0
@@ -81,7 +82,10 @@ def quat_normalize(q: Quat) -> Quat:
 
 
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
-    """Rotation by fixed-axis roll, pitch, yaw in rad (the convention of URDF)."""
+    """Return the quaternion of a rotation by fixed-axis roll, pitch and yaw angles in rad.
+
+    URDF uses the same convention for roll, pitch and yaw.
+    """
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -94,7 +98,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
 
 
 def quat_from_axis_angle(axis: Vec3, angle: float) -> Quat:
-    """Rotation by ``angle`` rad about the unit vector ``axis``."""
+    """Return the quaternion of a rotation by ``angle`` rad about the unit vector ``axis``."""
     s = math.sin(angle / 2)
     return (math.cos(angle / 2), s * axis[0], s * axis[1], s * axis[2])
 
@@ -109,12 +113,12 @@ def quat_to_matrix(q: Quat) -> Mat3:
 
 
 def matrix_to_rpy(r: Mat3) -> Vec3:
-    """Return fixed-axis roll, pitch, yaw in rad of a rotation matrix.
+    """Return the fixed-axis roll, pitch and yaw angles in rad of a rotation matrix.
 
     With R = Rz(yaw) Ry(pitch) Rx(roll), the matrix Rz(-yaw) R has the entries cos(roll) and
-    -sin(roll) in its second row.  Roll comes from these, so the three angles
-    reproduce the matrix even at a pitch of +-90 degrees, where ``asin`` loses half of the
-    digits.
+    -sin(roll) in its second row. The function computes roll from these two entries. The three
+    angles therefore reproduce the matrix R even at a pitch of +-90 degrees, where ``asin`` loses
+    half of the digits.
     """
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
     yaw = math.atan2(r[1][0], r[0][0]) if math.hypot(r[0][0], r[1][0]) > 1e-12 else 0.0
@@ -136,7 +140,7 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Pose of one frame in another: position in m, unit quaternion wxyz."""
+    """Pose of one frame in another frame: position in m and unit quaternion (w, x, y, z)."""
 
     xyz: Vec3 = ZERO3
     quat: Quat = IDENTITY_QUAT
@@ -179,9 +183,9 @@ class Pose:
 class Inertial:
     """Mass in kg, centre of mass ``com`` in m and rotational inertia in kg m^2.
 
-    ``inertia`` is ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre of mass,
-    in axes parallel to those of the frame in which ``com`` is given.  The
-    off-diagonal entries are elements of the matrix (URDF's sign convention).
+    ``inertia`` is ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre of mass. The axes of
+    ``inertia`` are parallel to the axes of the frame in which ``com`` is given. The off-diagonal
+    values are the elements of the inertia matrix, with the sign convention of URDF.
     """
 
     mass: float
@@ -193,9 +197,9 @@ class Inertial:
         return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
 
     def transformed(self, pose: Pose) -> Inertial:
-        """Return the same body in the outer frame of ``pose``.
+        """Return the mass and inertia of the same body in the outer frame of ``pose``.
 
-        The inertia transforms as R I R^T, with R the rotation of the pose.
+        The inertia matrix I becomes R I R^T, where R is the rotation matrix of the pose.
         """
         if pose.quat == IDENTITY_QUAT:
             return Inertial(self.mass, pose.apply(self.com), self.inertia)
@@ -213,11 +217,13 @@ class Inertial:
         )
 
     def clean(self) -> Inertial:
-        """Round all values like ``clean``, and keep the inertia physically possible.
+        """Round all values with ``clean`` and keep the inertia physically possible.
 
-        The largest principal moment of a body is at most the sum of the other two; for a flat plate
-        it is equal.  Rounding may make it slightly larger, and simulators reject this.  All
-        three moments are then increased by the same value, at most 1e-6 of the largest.
+        The largest principal moment of a body is at most the sum of the other two principal
+        moments. For a flat plate, the largest principal moment is equal to the sum. Rounding may
+        make the largest moment slightly larger than the sum, and simulators reject such an inertia.
+        The function then increases all three moments by the same value, at most 1e-6 of the largest
+        moment.
         """
         low, middle, high = self.principal_moments()
         excess = high - low - middle
@@ -232,12 +238,15 @@ class Inertial:
         )
 
     def principal_moments(self) -> Vec3:
-        """Return the eigenvalues of the inertia matrix in ascending order, kg m^2."""
+        """Return the eigenvalues of the inertia matrix in ascending order, in kg m^2."""
         return symmetric_eigenvalues(self.matrix())
 
 
 def combine(bodies: list[Inertial]) -> Inertial:
-    """Return several bodies of the same frame as one body (parallel-axis theorem)."""
+    """Return the mass and inertia of several bodies as one body (parallel-axis theorem).
+
+    All bodies must be given in the same frame.
+    """
     mass = sum(b.mass for b in bodies)
     if mass <= 0.0:
         return Inertial(0.0, ZERO3, (0.0,) * 6)
@@ -262,9 +271,10 @@ def combine(bodies: list[Inertial]) -> Inertial:
 def symmetric_eigenvalues(m: Mat3) -> Vec3:
     """Return the eigenvalues of a symmetric 3x3 matrix in ascending order.
 
-    Trigonometric solution (Smith, "Eigenvalues of a symmetric 3 x 3 matrix", Communications of the
-    ACM 4, 1961): with q = tr(M) / 3, p^2 = tr((M - q)^2) / 6 and B = (M - q) / p they are
-    q + 2 p cos(phi + 2 pi k / 3), phi = arccos(det(B) / 2) / 3.
+    The trigonometric solution is from Smith, "Eigenvalues of a symmetric 3 x 3 matrix",
+    Communications of the ACM 4, 1961. With q = tr(M) / 3, p^2 = tr((M - q)^2) / 6 and B = (M - q) /
+    p, the eigenvalues are q + 2 p cos(phi + 2 pi k / 3), where phi = arccos(det(B) / 2) / 3 and k =
+    0, 1, 2.
     """
     p1 = m[0][1] ** 2 + m[0][2] ** 2 + m[1][2] ** 2
     q = (m[0][0] + m[1][1] + m[2][2]) / 3

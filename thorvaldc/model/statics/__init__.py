@@ -1,1 +1,1 @@
-"""The statics of a robot: joint tree, mass matrix, wheel contacts, standing pose."""
+"""The statics of a robot: joint tree, mass matrix, wheel contacts and standing pose."""

@@ -1,4 +1,4 @@
-"""Standard gravity as all outputs and checks use it."""
+"""Standard gravity, used by all outputs and checks."""
 
 GRAVITY = 9.81
-"""Acceleration of free fall in m/s^2; MuJoCo's default value."""
+"""Acceleration of free fall in m/s^2, equal to the default value of MuJoCo."""

@@ -1,4 +1,4 @@
-"""The tree of links and joints: order, parents, link poses, inertia of subtrees."""
+"""The tree of links and joints: order, parents, link poses and inertia of subtrees."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ from thorvaldc.model.spatial import Inertial, Pose, add, combine, quat_from_axis
 
 
 class JointTree:
-    """Links and joints below ``links[0]``, with the pose of every link in ``base_link``.
+    """The links and joints of a robot as a tree, with the pose of every link in ``base_link``.
 
-    ``order`` lists the names of the connected links depth first, parents first, children in model
-    order.  ``parent_joint`` maps a link to the joint above it, ``children`` a link to
-    the joints below it.  ``pose`` maps a link to its pose at the given joint
-    ``positions`` (rad or m; a joint that is not named is at 0).
+    The root of the tree is ``links[0]``. The links are visited depth first, and the children of a
+    link are visited in model order.
 
-    ``moving`` lists the movable joints in depth-first order; they are counted from 1, and
-    0 is the base.  ``carrier`` maps a link to the number of the nearest movable joint
-    above it: links with the same carrier move as one rigid body.  ``moving_parent[j]``
-    is the carrier of movable joint ``j`` itself.
+    - ``positions``: joint positions in rad or m by joint name. A joint without a value is at 0.
+    - ``order``: names of the connected links, depth first. A parent link is listed before its
+      children.
+    - ``parent_joint``: maps a link name to the joint above the link.
+    - ``children``: maps a link name to the joints below the link.
+    - ``pose``: maps a link name to the pose of the link in ``base_link``.
+    - ``moving``: the movable joints, depth first. Movable joints are numbered from 1, and the
+      number 0 is the base.
+    - ``carrier``: maps a link name to the number of the nearest movable joint above the link. All
+      links with the same carrier move as one rigid body.
+    - ``moving_parent``: the nearest movable joint above each movable joint, as a number.
     """
 
     def __init__(
@@ -62,7 +67,7 @@ class JointTree:
         return JointTree(list(self.links.values()), list(self.joints.values()), positions)
 
     def joints_above(self, link: str) -> list[Joint]:
-        """Return the joints from a link up to the root, nearest first."""
+        """Return the joints between a link and the root, the nearest joint first."""
         joints: list[Joint] = []
         while link in self.parent_joint:
             joint = self.parent_joint[link]
@@ -71,17 +76,18 @@ class JointTree:
         return joints
 
     def links_below(self, link: str) -> list[str]:
-        """Return a link and all its descendants, level by level."""
+        """Return the names of a link and all its descendants, level by level."""
         names = [link]
         for name in names:
             names.extend(joint.child for joint in self.children.get(name, ()))
         return names
 
     def inertial(self, names: Sequence[str] | None = None, lift: float = 0.0) -> Inertial:
-        """Return the inertia of links as one body, in ``base_link`` raised by ``lift`` m.
+        """Return the mass and inertia of several links as one body.
 
-        ``names`` are the links (default: all).  Links that are not connected to the root do
-        not count.
+        - ``names``: names of the links. ``None`` means all links. Links that are not connected to
+          the root are left out.
+        - ``lift``: height in m by which all links are raised in ``base_link``.
         """
         bodies = []
         for name in names if names is not None else self.links:
@@ -94,7 +100,7 @@ class JointTree:
 
 
 def _joint_motion(joint: Joint, position: float) -> Pose:
-    """Return the pose of the child link relative to its pose at joint position 0."""
+    """Return the motion of a joint as the pose of the child link relative to joint position 0."""
     x, y, z = joint.axis
     if joint.type == "prismatic":
         return Pose((position * x, position * y, position * z))

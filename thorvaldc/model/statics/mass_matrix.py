@@ -1,19 +1,23 @@
 """The joint-space mass matrix, its sparse factors, and MuJoCo's inverse weights.
 
-The mass matrix M(q) at joint positions 0 is computed by composite rigid bodies (Featherstone,
-Rigid Body Dynamics Algorithms, 2008, section 6.2).  The degrees of freedom are three
-translations and three rotations of the base, then one for each movable joint.  For
-a degree of freedom i with motion s_i (angular velocity w and velocity v of the point at the origin
-for a unit joint velocity), and C_i the spatial inertia of everything that it carries,
+The composite-rigid-body algorithm computes the mass matrix M(q) at joint positions 0 (Featherstone,
+Rigid Body Dynamics Algorithms, 2008, section 6.2). The degrees of freedom are three translations
+and three rotations of the base, followed by one degree of freedom for each movable joint. The
+elements of the mass matrix are
 
     M_ij = s_j . C_i s_i,   for each j on the path from the root to i,
 
-and M_ij = 0 if neither joint carries the other.  C_i is the sum of the inertias of all
-links below the joint.
+and M_ij = 0 if neither joint carries the other joint. The symbols are:
 
-M is factored as L^T D L (section 6.5).  Row i has entries only for the degrees of freedom
-on its path, and the factors have no others.  The cost therefore grows linearly with the
-number of branches of the tree.
+- s_i: motion of degree of freedom i. The motion consists of the angular velocity w and the velocity
+  v of the point at the origin, for a unit joint velocity.
+- C_i: spatial inertia of the composite body i. The composite body consists of all links below joint
+  i.
+
+The mass matrix is factored as L^T D L (Featherstone, section 6.5). Row i of the matrix has nonzero
+entries only for the degrees of freedom on the path from the root to i. The factors L and D have
+entries at the same positions as the mass matrix. The computing time therefore grows linearly with
+the number of branches of the tree.
 """
 
 from __future__ import annotations
@@ -28,8 +32,10 @@ from thorvaldc.model.statics.joint_tree import JointTree
 class BranchSparse:
     """A symmetric matrix over the degrees of freedom of a tree, and its L^T D L factors.
 
-    ``paths[i]`` lists the degrees of freedom from the root to i, i last.  Row i holds the
-    entries of the matrix for them; the other entries left of the diagonal are zero.
+    - ``paths``: one list for each degree of freedom i. The list contains the degrees of freedom on
+      the path from the root to i, and i is the last element.
+    - ``rows``: one list for each degree of freedom i. Element k of row i is the matrix entry in row
+      i and column ``paths[i][k]``. All other matrix entries left of the diagonal are zero.
     """
 
     def __init__(self, paths: list[list[int]]) -> None:
@@ -37,10 +43,11 @@ class BranchSparse:
         self.rows = [[0.0] * len(path) for path in paths]
 
     def factor(self) -> bool:
-        """Replace each row by that of L, with 1/D last.
+        """Replace the matrix by its L^T D L factors.
 
-        Returns false if a pivot vanishes: the matrix is singular.  Such a degree of freedom gets a
-        zero row: it is locked, instead of infinitely light.
+        Each row of the matrix is replaced by the row of L. The last element of the row becomes 1/D.
+        Returns false if a pivot is zero, which means that the matrix is singular. A degree of
+        freedom without a pivot gets a row of zeros. The row of zeros locks the degree of freedom.
         """
         regular = True
         for i in range(len(self.rows) - 1, -1, -1):
@@ -61,7 +68,10 @@ class BranchSparse:
         return regular
 
     def quadratic(self, path: list[int], column: list[float]) -> float:
-        """Return ``j^T M^-1 j`` for a vector j that has entries along ``path`` only."""
+        """Return ``j^T M^-1 j`` for a sparse vector j.
+
+        The vector j has the entries ``column`` at the degrees of freedom in ``path``.
+        """
         y = list(column)
         total = 0.0
         for k in range(len(path) - 1, -1, -1):
@@ -74,7 +84,7 @@ class BranchSparse:
         return total
 
     def solve(self, b: list[float]) -> list[float]:
-        """Return ``M^-1 b`` for a full vector."""
+        """Return ``M^-1 b`` for a vector ``b`` with an entry for each degree of freedom."""
         y = list(b)
         for i in range(len(y) - 1, -1, -1):
             row, path = self.rows[i], self.paths[i]
@@ -89,12 +99,16 @@ class BranchSparse:
 
 
 # Spatial inertia about the common origin: (m, m cx, m cy, m cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz).
-# It is additive, and linear momentum and angular momentum are linear functions of it.
+# The spatial inertia of several bodies is the sum of the spatial inertias of the bodies.
 _SpatialInertia = list[float]
 
 
 def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | None:
-    """Return the spatial inertia of a link at a pose about ``origin``, in axes of ``base_link``."""
+    """Return the spatial inertia of a link about the point ``origin``, in the axes of
+    ``base_link``.
+
+    ``pose`` is the pose of the link in ``base_link``. Returns ``None`` for a link without mass.
+    """
     if link.inertial is None:
         return None
     placed = link.inertial.transformed(pose)
@@ -116,9 +130,11 @@ def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | 
 
 
 def _momentum(body: _SpatialInertia, w: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
-    """Return C s: linear and angular momentum for angular velocity w and velocity v at the origin.
+    """Return the linear and the angular momentum of a body.
 
-    With h = m c: linear momentum m v + w x h, angular momentum I w + h x v.
+    ``w`` is the angular velocity of the body, and ``v`` the velocity of the body's point at the
+    origin. With h = m c, the linear momentum is m v + w x h and the angular momentum is I w + h x
+    v.
     """
     m, hx, hy, hz, xx, yy, zz, xy, xz, yz = body
     wx, wy, wz = w
@@ -140,16 +156,20 @@ _UNIT: tuple[Vec3, Vec3, Vec3] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1
 def inverse_weights(
     tree: JointTree, origin: Vec3, links: Sequence[str]
 ) -> tuple[list[float], dict[str, float]]:
-    """Return MuJoCo's ``body_invweight0`` of links (1/kg), and the inertia on each joint.
+    """Return the inverse weights of ``links`` in 1/kg, and the inertia on each movable joint.
 
-    ``tree.pose`` must be at joint positions 0.  ``origin`` is the common origin, best near
-    the centre of mass of the robot.
+    The inverse weight of a body is MuJoCo's translational ``body_invweight0``. MuJoCo applies a
+    unit force at the centre of mass of the body in each of three directions. The inverse weight is
+    the mean of the three accelerations: trace(J M^-1 J^T) / 3. J is the Jacobian of the centre of
+    mass.
 
-    The translational inverse weight of a body is the mean over three directions of its
-    acceleration for a unit force at its centre of mass: trace(J M^-1 J^T) / 3, with J the
-    Jacobian of the centre of mass.  The second value maps the name of each movable joint to
-    the inertia of everything that it carries about its axis (kg m^2; for a prismatic joint the
-    mass in kg).
+    The second returned value maps the name of a movable joint to an inertia in kg m^2. The inertia
+    contains all links that the joint carries, about the joint axis. For a prismatic joint, the
+    second value maps the name to the carried mass in kg.
+
+    - ``tree``: joint tree with every joint at position 0.
+    - ``origin``: common origin of all spatial inertias. The rounding errors are smallest near the
+      centre of mass of the robot.
     """
     parent_of = tree.moving_parent
     count = len(tree.moving)
@@ -199,7 +219,10 @@ def _mass_matrix(
     composite: list[_SpatialInertia],
     motions: list[tuple[Vec3, Vec3]],
 ) -> tuple[BranchSparse, dict[str, float]]:
-    """Return the mass matrix with armatures, and its diagonal without them by joint names."""
+    """Return the mass matrix with motor inertias, and the inertia on each movable joint.
+
+    The inertia on a joint does not include the motor inertia ``armature``.
+    """
     matrix = BranchSparse(paths)
     for k in range(3):
         unit = _UNIT[k]

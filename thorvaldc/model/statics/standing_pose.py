@@ -1,25 +1,29 @@
 """The pose in which a robot stands at rest on level ground, and the load of each wheel.
 
-The unknowns q are the height of the base, its rotation about the world's x and y axes, and the
-positions of the compliant joints: joints with a spring, and free joints that wheels
-hang on, such as that of a rocker.  In equilibrium the generalised force of each vanishes:
+The unknowns q are the height of the base, the rotations of the base about the world's x and y axes,
+and the positions of the compliant joints. A joint with a spring is compliant. A free joint that
+carries wheels, such as the joint of a rocker, is also compliant. In equilibrium the generalised
+force on each unknown is zero:
 
     r(q) = sum over wheels f_w(q) l_w + weights - springs = 0,   l_w = dz_w / dq.
 
-f_w is the contact force of wheel w for its penetration p_w (``wheel_contact``), and l_w
-is the lift of its contact point for a unit of each unknown.  For the height l = 1, for the
-rotations about x and y at the base position b it is y - b_y and b_x - x, for a prismatic
-joint with axis a it is a_z, and for a hinge at o it is a_x (y - o_y) - a_y (x - o_x).
+The symbols are:
 
-A centre that rises by dz reduces the penetration by 2 dz, so the stiffness is
+- f_w: contact force of wheel w as a function of its penetration p_w, see ``wheel_contact``.
+- l_w: lift of the contact point of wheel w for a unit change of each unknown. The lift for the
+  height is 1. With the base position b, the lift for the rotations about x and y is y - b_y and b_x
+  - x. For a prismatic joint with axis a, the lift is a_z. For a hinge joint with axis a at the
+  point o, the lift is a_x (y - o_y) - a_y (x - o_x).
 
-    K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses),
+Raising the wheel centre by dz reduces the penetration by 2 dz, so the stiffness matrix is
 
-without the change of the levers l with q, which is small beside it.  The Newton step solves
-K dq = r.  K has entries only between unknowns that carry the same wheel, so it has the
-shape of the joint tree and is factored like a mass matrix; the cost grows linearly with
-the number of branches.  A step is limited to 0.05 (m or rad), and halved until the largest
-residual decreases.
+    K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses).
+
+The stiffness matrix neglects the small change of l_w with q. Newton's method solves K dq = r for
+the step dq. K has entries only between unknowns that carry the same wheel. K therefore has the
+sparsity of the joint tree and is factored like a mass matrix. The computing time grows linearly
+with the number of branches of the tree. Every element of a Newton step is limited to 0.05 m or 0.05
+rad. The step is then halved until the largest residual decreases.
 """
 
 from __future__ import annotations
@@ -55,14 +59,17 @@ _MAX_STEP = 0.05  # m or rad
 
 
 class Statics(NamedTuple):
-    """A robot at rest on level ground: pose, wheel contacts, and the inertia on each joint.
+    """A robot at rest on level ground: pose, wheel contacts and inertia on each joint.
 
-    ``base`` is the pose of ``base_link`` in the world; ``positions`` maps every movable
-    joint to its position in rad or m.  ``inertias`` maps every movable joint to the inertia
-    about its axis of everything that it carries (kg m^2; for a prismatic joint the mass in kg).
-    ``wheels`` maps each wheel to its contact.  ``settled`` is false if there is no
-    equilibrium, such as for a robot that tips over: then ``base`` is the identity and the
-    contacts are those under the loads of the model.
+    - ``base``: pose of ``base_link`` in the world.
+    - ``positions``: maps the name of every movable joint to its position in rad or m.
+    - ``inertias``: maps the name of every movable joint to the inertia of all carried links about
+      the joint axis in kg m^2. For a prismatic joint, the value is the carried mass in kg.
+    - ``wheels``: maps the name of each wheel to its contact.
+    - ``settled``: true if the robot has an equilibrium.
+
+    A robot that tips over has no equilibrium. Without an equilibrium, ``base`` is the identity and
+    the wheel contacts are computed from the wheel loads of the model.
     """
 
     base: Pose
@@ -73,7 +80,10 @@ class Statics(NamedTuple):
 
 
 class _Footing(NamedTuple):
-    """A wheel in the home pose, in ``base_link``; ``group`` is the rigid group that carries it."""
+    """A wheel in the home pose, with its geometry in ``base_link``.
+
+    ``group`` is the number of the rigid group of links that carries the wheel.
+    """
 
     group: int
     centre: Vec3
@@ -85,8 +95,11 @@ class _Footing(NamedTuple):
 class _Forces(NamedTuple):
     """The generalised forces at one pose, and the geometry that a Newton step needs.
 
-    ``depths`` (m), ``tilts`` (vertical component of the spin axis) and ``points`` (x and y of the
-    contact) are those of the footings; ``frames`` has origin and axis of each group's joint.
+    - ``residual``: generalised force on each unknown, in N or N m.
+    - ``depths``: penetration of each footing in m.
+    - ``tilts``: vertical component of each footing's spin axis.
+    - ``points``: x and y of each footing's contact point in m.
+    - ``frames``: origin and axis of the joint above each rigid group.
     """
 
     residual: list[float]
@@ -96,21 +109,25 @@ class _Forces(NamedTuple):
     frames: list[tuple[Vec3, Vec3]]
 
     def size(self) -> float:
-        """Return the largest residual, in N or N m."""
+        """Return the largest absolute residual, in N or N m."""
         return max(abs(r) for r in self.residual)
 
 
 class _Stance:
-    """The robot as rigid groups of links, connected by its compliant joints.
+    """The robot as rigid groups of links that are connected by its compliant joints.
 
-    Group 0 hangs on the base.  Unknowns 0 to 2 are the height of the base and its rotations
-    about the world's x and y axes; unknown 2 + g is the position of the joint above group g.
+    Group 0 contains the base. Unknown 0 is the height of the base. Unknowns 1 and 2 are the
+    rotations of the base about the world's x and y axes. Unknown 2 + g is the position of the
+    compliant joint above group g.
     """
 
     def __init__(
         self, tree: JointTree, compliant: list[Joint], wheels: list[tuple[Wheel, Vec3, float]]
     ) -> None:
-        """Group the links of ``tree``; ``wheels`` have their spin axis and inverse weight."""
+        """Divide the links of ``tree`` into rigid groups.
+
+        ``wheels`` lists each wheel with its spin axis and its inverse weight.
+        """
         self.joints = compliant
         number = {joint.name: g for g, joint in enumerate(compliant, 1)}
         group_of_carrier = [0] * (len(tree.moving) + 1)
@@ -153,7 +170,9 @@ class _Stance:
             )
 
     def evaluate(self, base: Pose, positions: list[float]) -> _Forces:
-        """Return r(q) for a pose of the base and the positions of the compliant joints."""
+        """Return the residual r(q) for a pose of the base and the positions of the compliant
+        joints.
+        """
         transforms = [base]
         frames: list[tuple[Vec3, Vec3]] = [(base.xyz, (0.0, 0.0, 1.0))]
         for g in range(1, len(self.parent)):
@@ -170,7 +189,7 @@ class _Stance:
                 transforms.append(
                     Pose(parent.apply(shift), quat_normalize(quat_multiply(parent.quat, q)))
                 )
-        # Vertical force on each group, and its moments about x and y through the world's origin.
+        # Vertical force on each group, and the moments of the force about the world's x and y axes.
         vertical = [-m * GRAVITY for m in self.mass]
         about_x: list[float] = []
         about_y: list[float] = []
@@ -185,7 +204,8 @@ class _Stance:
             t = transforms[footing.group]
             x, y, z = t.apply(footing.centre)
             ax, ay, az = t.rotate(footing.axis)
-            # The lowest point of the wheel's middle circle lies along -z made normal to the axis.
+            # The direction from the wheel centre to the lowest point of the wheel's middle circle
+            # is -z, projected onto the plane normal to the spin axis.
             cos = math.sqrt(max(1.0 - az * az, 1e-9))
             x += footing.radius * ax * az / cos
             y += footing.radius * ay * az / cos
@@ -219,7 +239,10 @@ class _Stance:
         return _Forces(residual, depths, tilts, points, frames)
 
     def step(self, forces: _Forces) -> list[float] | None:
-        """Return the Newton step; ``None`` if the stance has no stiffness in some direction."""
+        """Return the Newton step for the unknowns.
+
+        Returns ``None`` if the stiffness matrix is singular.
+        """
         matrix = BranchSparse(self.paths)
         for g in range(1, len(self.parent)):
             matrix.rows[g + 2][-1] = self.joints[g - 1].stiffness
@@ -240,10 +263,11 @@ class _Stance:
         return matrix.solve(forces.residual) if matrix.factor() else None
 
     def settle(self, sink: float) -> tuple[Pose, list[float], _Forces] | None:
-        """Return the base, the positions of the compliant joints and the forces in equilibrium.
+        """Return the base pose, the positions of the compliant joints and the forces in
+        equilibrium.
 
-        The search starts with the base ``sink`` m below the origin.  ``None``: the robot does not
-        stand.
+        The search starts with the base ``sink`` m below the origin. Returns ``None`` if the search
+        finds no equilibrium.
         """
         base, positions = Pose((0.0, 0.0, -sink)), [_joint_home(joint) for joint in self.joints]
         forces = self.evaluate(base, positions)
@@ -281,14 +305,17 @@ def _moved(base: Pose, step: list[float]) -> Pose:
 
 
 def _joint_home(joint: Joint) -> float:
-    """Return the position of a joint in the home pose: 0, or the nearest within its limits."""
+    """Return the position of a joint in the home pose.
+
+    The home position is 0, or the limit nearest to 0 if the joint cannot reach 0.
+    """
     low = -math.inf if joint.lower is None else joint.lower
     high = math.inf if joint.upper is None else joint.upper
     return min(max(0.0, low), high)
 
 
 def solve_statics(robot: Robot) -> Statics:
-    """Return the statics of a robot that stands on level ground under its weight."""
+    """Return the statics of a robot that stands on level ground under its own weight."""
     tree = JointTree(robot.links, robot.joints)
     weights, inertias = inverse_weights(
         tree, robot.inertial.com, [wheel.link for wheel in robot.wheels]
@@ -302,7 +329,7 @@ def solve_statics(robot: Robot) -> Statics:
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
     compliant = _compliant_joints(robot, tree)
-    # The stance measures the compliant joints from 0, all other joints are at home.
+    # The positions of compliant joints are measured from 0. All other joints are at home.
     unknown = {joint.name for joint in compliant}
     home = {name: q for name, q in positions.items() if name not in unknown and q != 0.0}
     wheels = list(zip(robot.wheels, axes, weights, strict=True))
@@ -324,16 +351,17 @@ def solve_statics(robot: Robot) -> Statics:
     contacts = {}
     for (wheel, axis, weight), depth, tilt in zip(wheels, depths, tilts, strict=True):
         p = max(depth, 0.0)
-        # The body of a standing robot leans by about 1e-5 rad; upright wheels stay upright.
+        # A standing robot leans by about 1e-5 rad. So small a tilt of a wheel counts as upright.
         camber = tilt if abs(tilt) > 1e-4 else 0.0
         contacts[wheel.name] = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
     return Statics(base, positions, inertias, contacts, equilibrium is not None)
 
 
 def _compliant_joints(robot: Robot, tree: JointTree) -> list[Joint]:
-    """Return the joints that a load moves: those with a spring, and free ones above wheels.
+    """Return the joints that move under the weight of the robot.
 
-    The axles of wheels are not among them: level ground does not turn a wheel.
+    A joint with a spring is compliant. A free joint above a wheel is also compliant. The axle of a
+    wheel is not compliant, because level ground does not turn a wheel.
     """
     actuated = {actuator.joint for actuator in robot.actuators}
     carriers: set[int] = set()
@@ -361,7 +389,10 @@ def _compliant_joints(robot: Robot, tree: JointTree) -> list[Joint]:
 
 
 def _spin_axis(tree: JointTree, wheel: Wheel) -> Vec3:
-    """Return the wheel's spin axis, from the right to the left, in the wheel link's frame."""
+    """Return the spin axis of a wheel in the link frame of the wheel.
+
+    The spin axis points from the right to the left side of the robot.
+    """
     spin = tree.joints[wheel.spin_joint]
     if spin.child == wheel.link:
         return spin.axis

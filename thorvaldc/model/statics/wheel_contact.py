@@ -1,23 +1,31 @@
 """A wheel in MuJoCo's soft contact, computed in closed form and without MuJoCo.
 
-Normal force.  A wheel sinks into the ground until the contact carries its load.  MuJoCo
-(documentation, chapter "Computation", section "Solver parameters") regularises a contact with R
-and drives it with the reference acceleration a_ref.  At rest its normal force is
+Normal force. A wheel sinks into the ground until the contact force is equal to the wheel load.
+MuJoCo computes the contact force from a regularisation R and a reference acceleration a_ref (MuJoCo
+documentation, chapter "Computation", section "Solver parameters"). The normal force at rest is
 
     f = a_ref / R,   a_ref = k d(p) p,   R = A (1 - d(p)) / d(p),
-    k = 1 / (d_max timeconst dampratio)^2,
+    k = 1 / (d_max timeconst dampratio)^2.
 
-where p is the penetration (m), d(p) the impedance curve of ``solimp`` and A the inverse
-weight of the wheel's body (1/kg, ``mass_matrix.inverse_weights``).  Together
+The symbols are:
+
+- p: penetration in m.
+- d(p): impedance curve of ``solimp``.
+- A: inverse weight of the wheel's body in 1/kg, see ``mass_matrix.inverse_weights``.
+
+The normal force and its derivative are therefore
 
     f(p) = k p d^2 / (A (1 - d)),
     f'(p) = k / A * (d^2 / (1 - d) + p d' d (2 - d) / (1 - d)^2).
 
-Rolling radius.  MuJoCo puts the contact point half of the penetration above the lowest
-point of the shape, so a wheel rolls on less than its collision radius.  Each wheel's
-shape is therefore enlarged until the contact point lies on a circle of ``Wheel.radius`` in
-the middle plane of the wheel.  The contact point is at the height -p/2, the ground at 0, and the
-lowest point of the circle at h - radius cos(camber), with h the height of the wheel's centre:
+Rolling radius. MuJoCo puts the contact point half of the penetration above the lowest point of the
+shape. A wheel therefore rolls on a smaller radius than its collision radius. To correct the rolling
+radius, the shape of each wheel is enlarged. After the enlargement, the contact point lies on a
+circle of ``Wheel.radius`` in the middle plane of the wheel.
+
+The ground is at the height 0 and the contact point at the height -p/2. The lowest point of the
+circle is at the height h - radius cos(camber), where h is the height of the wheel centre. The two
+heights are equal, so the penetration is
 
     p = 2 (radius cos(camber) - h).
 """
@@ -31,7 +39,7 @@ from thorvaldc.model.robot import Wheel
 from thorvaldc.model.spatial import Vec3, clean
 
 SOLREF = (0.01, 1.0)
-"""MuJoCo's ``solref`` of a wheel: time constant in s, damping ratio."""
+"""MuJoCo's ``solref`` of a wheel: time constant in s and damping ratio."""
 SOLIMP = (0.02, 0.95, 0.002)
 """MuJoCo's ``solimp`` of a wheel: d at penetration 0, d_max, and the width of the curve in m."""
 
@@ -41,12 +49,13 @@ _MAX_ITERATIONS = 60
 
 
 class WheelContact(NamedTuple):
-    """The ellipsoid that represents a wheel in contact simulations, in the wheel link's frame.
+    """The ellipsoid that represents a wheel in contact simulations, in the link frame of the wheel.
 
-    ``axis`` is the spin axis, a unit vector from the right to the left side of the robot.
-    ``radius`` and ``half_width`` are the half axes of the ellipsoid in m, ``offset`` is the
-    position of its centre on the spin axis in m.  ``penetration`` (m) and ``force``
-    (N, vertical) are those of the robot at rest.
+    - ``axis``: spin axis as a unit vector from the right to the left side of the robot.
+    - ``radius``, ``half_width``: radial and axial half axis of the ellipsoid in m.
+    - ``offset``: position of the centre of the ellipsoid on the spin axis in m.
+    - ``penetration``: penetration of the wheel into the ground in m, for a robot at rest.
+    - ``force``: vertical contact force in N, for a robot at rest.
     """
 
     axis: Vec3
@@ -58,7 +67,7 @@ class WheelContact(NamedTuple):
 
 
 def impedance(penetration: float) -> float:
-    """Return ``d(p)`` of ``solimp`` with MuJoCo's default midpoint 0.5 and power 2."""
+    """Return the impedance d(p) of ``solimp`` with MuJoCo's default midpoint 0.5 and power 2."""
     d0, d1, width = SOLIMP
     x = penetration / width
     if x >= 1.0:
@@ -68,7 +77,11 @@ def impedance(penetration: float) -> float:
 
 
 def normal_force(penetration: float, inverse_weight: float) -> float:
-    """Return f(p) in N, for the ``inverse_weight`` (1/kg) of the wheel's body."""
+    """Return the normal force f(p) of a wheel in N.
+
+    ``penetration`` is the penetration p in m. ``inverse_weight`` is the inverse weight of the
+    wheel's body in 1/kg.
+    """
     if penetration <= 0.0:
         return 0.0
     d = impedance(penetration)
@@ -76,9 +89,10 @@ def normal_force(penetration: float, inverse_weight: float) -> float:
 
 
 def contact_stiffness(penetration: float, inverse_weight: float) -> float:
-    """Return f'(p) in N/m, evaluated at 1e-6 m or deeper.
+    """Return the contact stiffness f'(p) of a wheel in N/m.
 
-    It is never zero: a wheel above the ground keeps a stiffness that Newton's method can use.
+    A penetration below 1e-6 m is replaced by 1e-6 m. The stiffness is therefore never zero, and
+    Newton's method also works for a wheel above the ground.
     """
     p = max(penetration, 1e-6)
     d0, d1, width = SOLIMP
@@ -90,9 +104,10 @@ def contact_stiffness(penetration: float, inverse_weight: float) -> float:
 
 
 def penetration_under(force: float, inverse_weight: float) -> float:
-    """Return the penetration in m at which the contact carries ``force`` N.
+    """Return the penetration in m at which the normal force is ``force`` N.
 
-    Newton's method inside a bracket; a step that leaves the bracket is replaced by bisection.
+    The function uses Newton's method inside a bracket. Bisection replaces a Newton step that leaves
+    the bracket.
     """
     if force <= 0.0:
         return 0.0
@@ -118,21 +133,22 @@ def penetration_under(force: float, inverse_weight: float) -> float:
 def contact_ellipsoid(
     wheel: Wheel, axis: Vec3, penetration: float, force: float, tilt: float
 ) -> WheelContact:
-    """Return the ellipsoid whose contact point lies on the wheel's rolling circle.
+    """Return the ellipsoid whose contact point lies on the rolling circle of the wheel.
 
-    ``axis`` is the spin axis in the link frame; ``tilt`` is its vertical component in the
-    world, the sine of the camber angle.
+    ``axis`` is the spin axis in the link frame. ``tilt`` is the vertical component of the spin axis
+    in the world, which is the sine of the camber angle.
 
-    The ellipsoid has the half axes a (radial) and b = width / 2 (axial).  In the plane of
-    the spin axis and the vertical, with c = cos(camber), s = sin(camber) and
-    H^2 = a^2 c^2 + b^2 s^2, its lowest point has the radius a^2 c / H and the axial position
-    b^2 s / H.  The contact point is p/2 above it, at the radius a^2 c / H - p/2 c.
+    The ellipsoid has the radial half axis a and the axial half axis b = width / 2. All points are
+    described in the plane of the spin axis and the vertical. With c = cos(camber), s = sin(camber)
+    and H^2 = a^2 c^2 + b^2 s^2, the lowest point has the radius a^2 c / H and the axial position
+    b^2 s / H. The contact point is p/2 above the lowest point, at the radius a^2 c / H - p/2 c. The
+    ellipsoid must meet two conditions:
 
-    - This radius must be ``wheel.radius``: a^2 c / H = wheel.radius + p/2 c =: r.  With
-      q = b s / c this is a^4 - r^2 a^2 - r^2 q^2 = 0, and the positive root is
+    - The radius of the contact point must be ``wheel.radius``: a^2 c / H = wheel.radius + p/2 c =:
+      r. With q = b s / c, the condition becomes a^4 - r^2 a^2 - r^2 q^2 = 0. The positive root is
       a^2 = r^2 (1 + sqrt(1 + 4 (q / r)^2)) / 2.
-    - The contact point must lie in the middle plane of the wheel: the centre is shifted along the
-      axis by the offset (b^2 / H - p/2) s.
+    - The contact point must lie in the middle plane of the wheel. The centre of the ellipsoid is
+      therefore shifted along the axis by (b^2 / H - p/2) s.
     """
     cos = math.sqrt(max(1.0 - tilt * tilt, 0.0))
     half = wheel.width / 2
