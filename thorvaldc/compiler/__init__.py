@@ -1,1 +1,4 @@
-"""The compiler: from robot, fleet and scenario files to the model.  Start at ``pipeline``."""
+"""The compiler reads robot, fleet and scenario files and builds the model.
+
+Start reading in the module ``pipeline``.
+"""

@@ -1,4 +1,4 @@
-"""The input file of a compilation, and its result."""
+"""The input file of a compilation (``SourceFile``) and the result (``Compilation``)."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 
-if TYPE_CHECKING:  # Creating these classes takes milliseconds, and only scenarios need them.
+if TYPE_CHECKING:  # Robot files need no scenario classes; the import takes milliseconds.
     from thorvaldc.compiler.source.node import Node
     from thorvaldc.model.scenario import Scenario
 
 SETTING = "--set "
-"""Prefix of the file name in a span that points at a ``--set`` option of the command line."""
+"""A span of a ``--set`` option of the command line has a file name with this prefix."""
 
 
 class SourceFile:
-    """A robot, fleet or scenario file: its document and the diagnostics about its shape.
+    """A robot, fleet or scenario file with its document.
 
     Attributes
     ----------
-    path : where the file is.
-    name : the file name that spans of this file show; relative to ``folder``.
-    folder : the folder of the file that the user named.
-    document : the YAML tree, or ``None`` if the file is unreadable or is no document of
-        these kinds; ``shape`` then contains the reason.
-    kind : the schema of the document.
+    path : path of the file.
+    name : name of the file in diagnostics, relative to ``folder``.
+    folder : folder of the file that the user named on the command line.
+    document : YAML tree of the file.  ``None`` if the file cannot be read, or if it is not a
+        robot, fleet or scenario document.
+    kind : kind of the document: ``robot``, ``fleet`` or ``scenario``.
+    shape : errors of the document against the schema, and errors of reading the file.
     """
 
     def __init__(self, path: Path, name: str, folder: Path) -> None:
@@ -54,9 +55,9 @@ class SourceFile:
             self.kind = "fleet"
 
     def check_shape(self, document: Node) -> Node:
-        """Checks the document against the schema; returns it without the values that are wrong.
+        """Checks the document against the schema and returns the valid part of the document.
 
-        The later stages compile what is left, so that one run reports the errors of all stages.
+        The later stages compile the valid part, so that one run reports the errors of all stages.
         """
         check(document, self.kind, self.shape)
         return without_invalid_values(document, self.shape)
@@ -69,14 +70,16 @@ class Compilation:
     Attributes
     ----------
     model : the robot, or the fleet of a fleet or scenario file.  ``None`` if there are errors.
-        Spans in it are relative to ``folder``, so that outputs do not depend on where that is.
-    scenario : the scenario of a scenario file; ``model`` is then its fleet.
-    report : all diagnostics.  Their spans contain paths as the user gave them.
-    source_sha256 : hash of all input files (hexadecimal).
-    sources : maps the paths in ``report`` to files, for excerpts.
+        File names in spans of the model are relative to ``folder``.  The outputs of a build
+        therefore do not depend on the location of the folder.
+    scenario : the scenario of a scenario file.  The fleet of the scenario is in ``model``.
+    report : all diagnostics.  Paths in spans of the report are written as the user gave them.
+    source_sha256 : SHA-256 of all input files (hexadecimal).
+    sources : path of the input file for each path in ``report``.  Messages show excerpts of the
+        input files.
     folder : the folder of the compiled file.
-    files : maps the file names in spans of ``model`` to the input files.
-    locks : maps the lock files that a build must write to their text.
+    files : path of the input file for each file name in spans of ``model``.
+    locks : text of each lock file that a build must write, by the path of the lock file.
     """
 
     model: Robot | Fleet | None = None
@@ -90,16 +93,16 @@ class Compilation:
 
     @classmethod
     def of(cls, source: SourceFile) -> Compilation:
-        """Returns the still empty compilation of a file."""
+        """Returns a compilation of the file without a model and without diagnostics."""
         return cls(folder=source.folder, files={source.name: source.path})
 
     def located(self, report: Report) -> Report:
-        """Returns diagnostics about ``model`` with paths as the user gave them."""
+        """Replaces the file names in diagnostics about the model by paths as the user gave them."""
 
         def with_user_path(span: Span) -> Span:
             if span.file.startswith((BUILTIN_LIBRARY, SETTING)):
                 return span
-            # Normalized, because annotations of changes in CI need paths without `..`.
+            # Annotations of a pull request in CI need normalized paths, without `..`.
             path = os.path.normpath(self.files.get(span.file) or self.folder / span.file)
             return Span(path, *span[1:])
 
@@ -123,13 +126,20 @@ class Compilation:
         parts: dict[str, Compilation] | None = None,
         lock_file: str = "",
     ) -> Compilation:
-        """Adds hash, diagnostics and paths, and removes the model if there are errors.
+        """Completes the compilation with hash, diagnostics and paths.
 
-        ``report`` contains the diagnostics of the stages after the shape check; those at a span
-        with a shape error are dropped.  ``parts`` are the compilations of the robot files that
-        the file names, by the names in it.  ``lock_file`` is the text of the lock file after
-        this build: with it, the hash of the first build, which writes the lock file, equals the
-        hash of the next build, which reads it.
+        If there are errors, the model is removed.
+
+        Parameters
+        ----------
+        source : the compiled file.
+        report : diagnostics of the stages after the schema check.  A diagnostic is dropped if
+            the schema check already reported an error at the same span.
+        parts : compilations of the robot and fleet files that the compiled file names, by the
+            names in the document.
+        lock_file : text of the lock file after this build.  The hash includes the text.  The
+            first build, which writes the lock file, and the next build, which reads the lock
+            file, therefore have the same hash.
         """
         parts = parts or {}
         for part in parts.values():
@@ -152,11 +162,11 @@ class Compilation:
 
 
 Compile = Callable[[SourceFile], Compilation]
-"""Compiles a robot or fleet file that a fleet or scenario file names."""
+"""Function that compiles a robot or fleet file named in a fleet or scenario file."""
 
 
 def _hash_sources(files: dict[str, Path], parts: dict[str, Compilation], lock_file: str) -> str:
-    """Computes the SHA-256 of all input files and their names."""
+    """Computes the SHA-256 of the names and contents of all input files (hexadecimal)."""
     digest = hashlib.sha256(lock_file.encode())
     for name in sorted(parts):
         digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())

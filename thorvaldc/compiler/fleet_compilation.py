@@ -1,4 +1,4 @@
-"""Compiles fleet files: every robot file that the fleet names, and the pose of each robot."""
+"""Compiles fleet files.  A fleet file names robot files and the pose of each robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from thorvaldc.model import Fleet, Robot
 
 
 def compile_fleet(source: SourceFile, compile_robot: Compile) -> Compilation:
-    """Compiles a fleet file; ``compile_robot`` compiles the robot files that it names."""
+    """Compiles a fleet file.
+
+    ``compile_robot`` is the function that compiles each robot file of the fleet.
+    """
     compilation, report = Compilation.of(source), Report()
     parts: dict[str, Compilation] = {}
     if source.document is not None:
@@ -30,9 +33,10 @@ def read_fleet(
     report: Report,
     parts: dict[str, Compilation],
 ) -> Fleet:
-    """Returns the fleet of the document's ``robots``, without the robots that have errors.
+    """Compiles and places the robots in the section ``robots`` of a fleet or scenario document.
 
-    Adds the compilation of each robot file to ``parts``, by the name in the document.
+    The returned fleet does not contain robots that have errors.  The function adds the
+    compilation of each robot file to ``parts``, by the name of the file in the document.
     """
     scope = Scope(None, {}, Library(), report, None)
     placements = Placements(report)
@@ -47,7 +51,7 @@ def read_fleet(
             robot_source = open_named_file(source, file_node, report)
             if robot_source is None:
                 continue
-            if robot_source.kind != "robot":  # A fleet might name itself.
+            if robot_source.kind != "robot":  # A fleet in a fleet could contain itself.
                 report.add(
                     "fleet-in-fleet",
                     f"`{file_name}` is a {robot_source.kind}; a robot is needed",
@@ -63,7 +67,11 @@ def read_fleet(
 
 
 def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFile | None:
-    """Opens the file whose path, relative to ``source``, is the value of ``node``."""
+    """Opens a file that a document names.
+
+    The value of ``node`` is the path, relative to the folder of ``source``.  Returns ``None`` and
+    reports an error if the file does not exist.
+    """
     name = str(node.value)
     path = source.path.parent / name
     if not os.path.isfile(path):

@@ -1,4 +1,4 @@
-"""Staging folders, folder locks and the exchange of two folders in one system call."""
+"""Creates staging folders, locks folders, and exchanges two folders in one system call."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ STAGE_PREFIX = ".thorvaldc-"
 
 @contextlib.contextmanager
 def staging_folder(target: Path) -> Iterator[Path]:
-    """Creates a folder on the file system of ``target``, and deletes it at the end.
+    """Creates a staging folder on the file system of ``target``, and deletes it at the end.
 
-    It is beside the target, or in it if that is not possible.  It is locked while in use: an
-    unlocked staging folder was left by a killed process and is deleted here.
+    The staging folder is beside the target.  If this is not possible, the staging folder is in
+    the target.  A process locks its staging folder.  An unlocked staging folder was left by a
+    killed process, and this function deletes it.
     """
     parents = [target.parent]
     if target.exists():
@@ -46,10 +47,10 @@ def staging_folder(target: Path) -> Iterator[Path]:
 
 
 def _is_fixed(target: Path) -> bool:
-    """Returns whether the folder must keep its inode.
+    """Returns whether a folder must keep its inode and therefore cannot be exchanged.
 
-    This is so for a mount point, the current folder and its parents.  After an exchange, a shell
-    in the folder would be in the deleted old one.
+    A mount point, the current folder and the parents of the current folder keep their inodes.
+    If the current folder were exchanged, the user's shell would be in a deleted folder.
     """
     try:
         current = Path.cwd()
@@ -72,7 +73,10 @@ def _delete_abandoned(parent: Path) -> None:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Waits until no other build uses the folder; does nothing on systems without ``flock``."""
+    """Locks a folder, and waits if another build has locked the folder.
+
+    On a system without ``flock`` nothing is locked.
+    """
     handle = _lock(folder, wait=True)
     try:
         yield
@@ -82,9 +86,12 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _lock(folder: Path, *, wait: bool) -> int | None:
-    """Locks a folder until the returned handle is closed; ``None`` if that is not possible."""
+    """Locks a folder until the caller closes the returned file descriptor.
+
+    Returns ``None`` if the folder cannot be locked.
+    """
     try:
-        import fcntl  # not on Windows
+        import fcntl  # The module does not exist on Windows.
 
         handle = os.open(folder, os.O_RDONLY)
     except (ImportError, OSError):
@@ -101,13 +108,19 @@ def _lock(folder: Path, *, wait: bool) -> int | None:
 
 
 def is_exchangeable(target: Path, stage: Path) -> bool:
-    """Returns whether the folders are in one parent and the target need not keep its inode."""
+    """Returns whether the target and the staging folder can be exchanged.
+
+    Both folders must have the same parent, and the target need not keep its inode.
+    """
     return stage.parent == target.parent and not _is_fixed(target)
 
 
 def exchange(first: Path, second: Path) -> bool:
-    """Exchanges two folders in one system call; returns ``False`` if the system cannot."""
-    import ctypes  # loaded only when a build is replaced
+    """Exchanges two folders in one system call.
+
+    Returns ``False`` if the operating system does not support the exchange.
+    """
+    import ctypes  # Only the replacement of an old build needs this module.
 
     try:
         library = ctypes.CDLL(None, use_errno=True)

@@ -1,4 +1,4 @@
-"""Reads a file of faults to inject on a robot's simulated bus."""
+"""Reads a file with faults that a simulation injects on the CAN buses of a robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from thorvaldc.model.bus_faults import BusFaults
 
 
 def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | None:
-    """Returns the injected faults of a file; ``None`` if the file has errors (reported)."""
+    """Reads the injected faults from a file.
+
+    Returns ``None`` and reports the errors if the file is not valid.
+    """
     shape, content = Report(), Report()
     document = read_file(Path(path), str(path), shape)
     if document is None:

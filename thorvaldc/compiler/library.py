@@ -1,8 +1,9 @@
 """Finds and reads module types by name.
 
-The name of a module type is the path of its folder under a library folder: ``drive/standard`` is
-``<library>/drive/standard/module.yaml``.  The folders of the user are searched first, in their
-order, then the built-in library.  Documents are cached per process until the file changes.
+The name of a module type is the path of a folder inside a library folder.  For example, the
+module type ``drive/standard`` is in the file ``<library>/drive/standard/module.yaml``.  The
+library folders of the user are searched first, in the given order.  The built-in library is
+searched last.  A process reads a module file again only if the file has changed.
 """
 
 from __future__ import annotations
@@ -25,14 +26,15 @@ Content = TypeVar("Content")
 _PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
 PALETTE = "palette.yaml"
-BUILTIN_LIBRARY = "<library>"  # the built-in library in spans, wherever it is installed
+BUILTIN_LIBRARY = "<library>"  # Spans contain this name instead of the installed path.
 
 
 @cache
 def data_folder(name: str) -> Path:
-    """Returns the folder ``modules`` or ``templates``: of the checkout, else of the wheel.
+    """Returns the path of the data folder ``modules`` or ``templates``.
 
-    The checkout comes first because an editable install may contain a stale copy.
+    The folder of a source checkout is preferred to the copy in an installed package, because an
+    editable installation may contain an outdated copy.
     """
     checkout = _PACKAGE.parent / name
     if (_PACKAGE.parent / "pyproject.toml").is_file() and checkout.is_dir():
@@ -42,10 +44,15 @@ def data_folder(name: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class ModuleType:
-    """A module document that is valid against the schema.
+    """A module type with its document, which is valid against the schema.
 
-    ``folder`` contains the document and its meshes; ``display`` is the document's name in spans.
-    ``elaborated`` caches the hardware of the module by the values of its parameters.
+    Attributes
+    ----------
+    name : name of the module type, for example ``drive/standard``.
+    folder : folder of the module file and its meshes.
+    display : name of the module file in spans.
+    document : YAML tree of the module file.
+    elaborated : cache of the hardware of the module, by the values of the parameters.
     """
 
     name: str
@@ -56,12 +63,12 @@ class ModuleType:
 
     @property
     def category(self) -> str:
-        """The stated category, by default the first part of the name."""
+        """Category of the module type.  The default is the first part of the name."""
         category = self.document.get("category")
         return str(category.value) if category is not None else self.name.split("/")[0]
 
     def section(self, key: str) -> dict[str, Node]:
-        """Returns the entries of a mapping of the document; empty if it is missing."""
+        """Returns the entries of a section of the document, or ``{}`` without the section."""
         node = self.document.get(key)
         return node.value if node is not None and isinstance(node.value, dict) else {}
 
@@ -71,14 +78,17 @@ class ModuleType:
 
 
 class _CachedFile(NamedTuple, Generic[Content]):
-    """The content of a file, its diagnostics, and the time and size of the file."""
+    """Content of a file, with the diagnostics of reading the file.
+
+    ``stamp`` contains the modification time (ns) and the size of the file.
+    """
 
     stamp: tuple[int, int]
     content: Content
     report: Report
 
 
-# By path and name in spans.
+# The key of both caches contains the path of a file and the name of the file in spans.
 _module_cache: dict[tuple[str, str], _CachedFile[ModuleType | None]] = {}
 _palette_cache: dict[tuple[str, str], _CachedFile[dict[str, str]]] = {}
 
@@ -90,7 +100,10 @@ def _read_cached(
     report: Report,
     read: Callable[[Node | None, Report], Content],
 ) -> Content:
-    """Reads a YAML file by ``read``; repeats its diagnostics at every call."""
+    """Reads a YAML file with the function ``read``, or returns the cached content of the file.
+
+    Every call adds the diagnostics of the file to ``report``.
+    """
     status = path.stat()
     stamp = (status.st_mtime_ns, status.st_size)
     key = (str(path.absolute()), display)
@@ -115,7 +128,10 @@ def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleT
 
 
 class Library:
-    """The library folders of one compilation, each with its name in spans."""
+    """The library folders of one compilation.
+
+    ``folders`` contains the path and the name in spans of each library folder.
+    """
 
     def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
         self.folders = [*folders, (data_folder("modules"), BUILTIN_LIBRARY)]
@@ -125,16 +141,17 @@ class Library:
 
     @property
     def files(self) -> dict[str, Path]:
-        """The documents that were read, by their names in spans."""
+        """Paths of the library files that were read, by the names of the files in spans."""
         return dict(self._files)
 
     def exists(self, name: str) -> bool:
         return any(os.path.isfile(folder / name / FILE) for folder, _ in self.folders)
 
     def load(self, name: str, node: Node, report: Report) -> ModuleType | None:
-        """Returns the module type of a name, or ``None`` if it is unknown or invalid (reported).
+        """Returns the module type with this name.
 
-        ``node`` is the name in the document.
+        Returns ``None`` and reports an error if the module type is unknown or not valid.
+        ``node``: node of the document that contains the name; errors are reported at its span.
         """
         if name in self._types:
             return self._types[name]
@@ -142,7 +159,7 @@ class Library:
         is_inside = all(part and part not in (".", "..") for part in parts) and "\\" not in name
         for folder, folder_display in self.folders if is_inside else ():
             path = folder / name / FILE
-            if os.path.isfile(path):  # False also for names that cannot be a path.
+            if os.path.isfile(path):  # `isfile` returns false for a name that is no valid path.
                 display = f"{folder_display}/{name}/{FILE}"
                 self._files[display] = path
                 module = _load_module(name, path, display, report)
@@ -157,18 +174,19 @@ class Library:
         return None
 
     def names(self) -> list[str]:
-        """Returns the names of all module types, sorted."""
+        """Returns the sorted names of the module types in all library folders."""
         return sorted({name for folder, _ in self.folders for name in self.names_in(folder)})
 
     def names_in(self, folder: Path) -> list[str]:
-        """Returns the names of the module types in one folder, sorted."""
+        """Returns the sorted names of the module types in one library folder."""
         folders = (Path(root) for root, _, files in os.walk(folder) if FILE in files)
         return sorted(path.relative_to(folder).as_posix() for path in folders)
 
     def palette(self, report: Report | None = None) -> dict[str, str]:
-        """Returns the colours of all library folders by name; those of the user come first.
+        """Returns the colours of the palette files of all library folders, by name.
 
-        The first call reads them and reports their errors.
+        A colour in a library folder of the user replaces a built-in colour of the same name.
+        The first call reads the palette files and reports errors in the palette files.
         """
         if self._palette is None:
             self._palette = {}

@@ -1,4 +1,7 @@
-"""Reads the lock file beside a robot file, and computes the text that a build must write."""
+"""Reads the lock file beside a robot file, and computes the new text of the lock file.
+
+The lock file keeps node ids that were chosen automatically.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from thorvaldc.model import Robot
 
 
 def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report) -> Lock | None:
-    """Returns the ids in the robot's lock file; ``None`` if there is no lock file."""
+    """Returns the ids in the lock file of a robot, or ``None`` if there is no lock file."""
     path = lock_path(source.path)
     if not os.path.lexists(path):
         return None
@@ -23,9 +26,9 @@ def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report
 
 
 def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation) -> str:
-    """Returns the text that the lock file must contain; empty if the robot needs none.
+    """Returns the new text of the lock file, or ``""`` if the robot needs no lock file.
 
-    If the file on the disk differs, ``compilation.locks`` gets the text.
+    If the lock file on the disk has another text, the new text is added to ``compilation.locks``.
     """
     path = lock_path(source.path)
     was_read = os.path.normpath(path) in compilation.sources

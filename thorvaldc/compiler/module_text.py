@@ -1,4 +1,4 @@
-"""Module types as text and as plain values, for ``thorvaldc modules``."""
+"""Describes module types for the output of the command ``thorvaldc modules``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ Row = tuple[str, str]
 
 
 def module_summary(module: ModuleType) -> dict[str, Any]:
-    """Returns what a user of the module needs: description, parameters, ports, where it mounts."""
+    """Returns the description, parameters, ports and mount kinds of a module type as JSON values.
+
+    ``fits`` lists the kinds of ports that the module can be mounted on.
+    """
     document = module.document.plain()
     return {
         "type": module.name,
@@ -25,13 +28,13 @@ def module_summary(module: ModuleType) -> dict[str, Any]:
 
 
 def first_sentence(module: ModuleType) -> str:
-    """Returns the first sentence of the description."""
+    """Returns the first sentence of the description of a module type."""
     text = " ".join(str(module.document.plain().get("description", "")).split())
     return text.split(". ")[0].rstrip(".") + "."
 
 
 def module_facts(module: ModuleType) -> list[Row]:
-    """Returns description, mounts, ports and parts as rows of a table."""
+    """Returns the description, mount kinds, ports and parts of a module type as table rows."""
     document = module.document.plain()
     rows = [("what", str(document.get("description", "")))]
     kinds = (document.get("mount") or {}).get("kinds", [])
@@ -49,7 +52,10 @@ def module_facts(module: ModuleType) -> list[Row]:
 
 
 def parameter_rows(module: ModuleType) -> Iterable[Row]:
-    """Returns a row for each parameter: kind, default, range, description and source."""
+    """Yields a table row for each parameter of a module type.
+
+    The second column contains the kind, default, range, description and source of the parameter.
+    """
     for name, declaration in module.document.plain().get("params", {}).items():
         yield name, _parameter_text(declaration)
 

@@ -1,4 +1,4 @@
-"""Robots to start from: robot files of the templates."""
+"""Creates the text of a new robot file from a template."""
 
 from __future__ import annotations
 
@@ -11,17 +11,23 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 def is_robot_name(name: str) -> bool:
-    """Whether a robot can have this name: small letters, digits and _, a letter first."""
+    """Returns whether a text is a valid robot name.
+
+    A robot name contains lower case letters, digits and underscores, and begins with a letter.
+    """
     return _NAME.fullmatch(name) is not None
 
 
 def presets() -> list[str]:
-    """Returns the names of the templates."""
+    """Returns the sorted names of the templates for robot files."""
     return sorted(path.stem for path in _templates().glob("*.yaml"))
 
 
 def robot_text(name: str, preset: str) -> str:
-    """Returns the text of a robot.yaml."""
+    """Returns the text of a robot file for a robot with this name.
+
+    ``preset`` is the name of a template.
+    """
     return (_templates() / f"{preset}.yaml").read_text(encoding="utf-8").replace("@NAME@", name)
 
 

@@ -1,9 +1,18 @@
-"""The stages of the compiler: read, check the shape, resolve and elaborate, check, emit.
+"""Runs the stages of the compiler.
 
-`compile_file` goes from a path to a `Compilation`, which contains the model and all diagnostics;
-`emit` goes from the model to the files of the targets, in memory.  The stages below compile one
-robot.  A fleet or scenario file names robot files; `fleet_compilation` and
-`scenario_compilation` compile them with these same stages.
+The stages for a robot file are:
+
+1. Read the YAML file.
+2. Check the document against the schema.
+3. Resolve the document to a tree of module instances.
+4. Elaborate the tree of module instances to the model.
+5. Check the model.
+6. Emit the files of the targets.
+
+`compile_file` runs the stages 1 to 5 and returns a `Compilation`, which contains the model and
+all diagnostics.  `emit` runs stage 6 and returns the files of the targets in memory.
+`fleet_compilation` and `scenario_compilation` run the same stages for each robot file that a
+fleet or scenario file names.
 """
 
 from __future__ import annotations
@@ -29,7 +38,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
 
-if TYPE_CHECKING:  # Creating these classes takes milliseconds, and few files need them.
+if TYPE_CHECKING:  # Robot files need no scenario classes; the import takes milliseconds.
     from thorvaldc.compiler.scenario.variations import Change
 
 MODEL_FILE = "model.json"
@@ -44,14 +53,22 @@ def compile_file(
 ) -> Compilation:
     """Compiles a robot, fleet or scenario file.
 
-    ``library`` are folders of further module types.  ``robot`` is a robot or fleet file that
-    replaces the robots of a scenario; ``changes`` replace values in a scenario document.
-    The report contains every error of the file; bad input raises no exception.
+    The report of the returned compilation contains every error of the file.  An invalid file
+    raises no exception.
+
+    Parameters
+    ----------
+    path : path of the file.
+    library : additional library folders with module types.
+    robot : path of a robot or fleet file.  The robots of the file replace the robots of a
+        scenario.
+    changes : new values for entries of a scenario document.
     """
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
     if source.kind == "scenario":
-        from thorvaldc.compiler.scenario_compilation import compile_scenario  # rarely needed
+        # Imported here because robot files do not need the module.
+        from thorvaldc.compiler.scenario_compilation import compile_scenario
 
         return compile_scenario(source, partial(_compile, library=library), robot, changes)
     return _compile(source, library)
@@ -60,14 +77,15 @@ def compile_file(
 def _compile(source: SourceFile, library: Sequence[Path]) -> Compilation:
     """Compiles a robot or fleet file."""
     if source.kind == "fleet":
-        from thorvaldc.compiler.fleet_compilation import compile_fleet  # rarely needed
+        # Imported here because robot files do not need the module.
+        from thorvaldc.compiler.fleet_compilation import compile_fleet
 
         return compile_fleet(source, partial(_compile, library=library))
     return compile_robot(source, library)
 
 
 def compile_robot(source: SourceFile, library: Sequence[Path]) -> Compilation:
-    """Runs the stages for one robot file.
+    """Runs the stages of the compiler, except ``emit``, for one robot file.
 
     Each stage continues with the valid part of the document, so that one run reports the errors
     of all stages.
@@ -103,12 +121,13 @@ def compile_robot(source: SourceFile, library: Sequence[Path]) -> Compilation:
 def emit(
     model: Robot | Fleet, targets: Sequence[str], report: Report | None = None
 ) -> dict[str, bytes]:
-    """Returns the files of the targets by relative path, and ``model.json``.
+    """Returns the content of each output file of the targets, by the relative path of the file.
 
-    Raises ``KeyError`` for an unknown target.  Elements of the model that a format cannot
-    express are reported, with spans as in the model.
+    The output files include ``model.json``.  An element of the model that the format of a target
+    cannot express is reported at the span in the model.  Raises ``KeyError`` if a target is
+    unknown.
     """
-    # Imported here because `check` does not need them.
+    # Imported here because the command `check` does not need the statics.
     from thorvaldc.backends.statics_backend import StaticsBackend
     from thorvaldc.model.statics.standing_pose import solve_statics
 
@@ -138,7 +157,10 @@ def emit(
 def _library_folders(
     document: Node, base_dir: Path, library: Sequence[Path], report: Report
 ) -> list[tuple[Path, str]]:
-    """Returns the library folders of the document, then those of the user, with their names."""
+    """Returns the path and the name in spans of each library folder.
+
+    The folders that the document names come first, and the folders of the user follow.
+    """
     folders: list[tuple[Path, str]] = []
     prefix = posixpath.dirname(document.span.file)
     listed = document.get("library")

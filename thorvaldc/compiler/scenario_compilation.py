@@ -1,4 +1,7 @@
-"""Compiles scenario files: robots, world, script, injected faults and expectations."""
+"""Compiles scenario files.
+
+A scenario has robots, a world, a script of commands, injected faults and expectations.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,15 @@ def compile_scenario(
     robot: Path | str | None,
     changes: Sequence[Change],
 ) -> Compilation:
-    """Compiles a scenario file with ``changes`` to its document.
+    """Compiles a scenario file.
 
-    ``compile_part`` compiles the robot and fleet files that the scenario names.  ``robot`` is a
-    robot or fleet file that replaces the scenario's robots.
+    Parameters
+    ----------
+    source : the scenario file.
+    compile_part : function that compiles the robot and fleet files that the scenario names.
+    robot : path of a robot or fleet file.  The robots of the file replace the robots of the
+        scenario.
+    changes : new values for entries of the scenario document.
     """
     compilation, report = Compilation.of(source), Report()
     parts: dict[str, Compilation] = {}
@@ -54,12 +62,12 @@ def _read_robots(
     parts: dict[str, Compilation],
     robot: Path | str | None,
 ) -> Fleet | None:
-    """Returns the fleet of the scenario; ``None`` if a robot is missing or has errors."""
+    """Returns the fleet of a scenario, or ``None`` if a robot is missing or has errors."""
     fleet_node, robots = document.get("fleet"), document.get("robots")
     if robot is None and fleet_node is None and robots is not None:
         fleet = read_fleet(document, source, compile_part, report, parts)
         entries = robots.value.values() if isinstance(robots.value, dict) else ()
-        # If a robot is missing, checks of the scenario would report errors that do not exist.
+        # With an incomplete fleet, the checks of the scenario would report false errors.
         return fleet if len(fleet.placements) == sum(map(robots_of, entries)) else None
     if robot is not None:
         folder, span = source.path.parent, document.span
@@ -89,7 +97,11 @@ def _read_robots(
 
 
 def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:
-    """Places the robot with the name and pose of the scenario's only entry, else at the origin."""
+    """Places the robot that replaces the robots of a scenario.
+
+    If the scenario has exactly one entry in ``robots``, the robot gets the name and pose of the
+    entry.  Otherwise the robot keeps its name and is placed at the origin.
+    """
     entries = robots.value if robots is not None else None
     if not isinstance(entries, dict) or len(entries) != 1:
         return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
@@ -102,7 +114,10 @@ def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tu
 def _with_log(
     document: Node, scenario: Scenario, source: SourceFile, files: dict[str, Path], report: Report
 ) -> Scenario:
-    """Returns the scenario with the twists of the log that its script names, if it names one."""
+    """Returns the scenario with the commands of the log that the script names.
+
+    A scenario whose script names no log is returned unchanged.
+    """
     script = document.get("script")
     log = script.get("log") if script is not None else None
     if script is None or log is None:

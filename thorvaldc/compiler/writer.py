@@ -1,20 +1,25 @@
-"""Writes a build completely or not at all.
+"""Writes all files of a build to a folder, or leaves the folder unchanged.
 
 All files are first written to a staging folder beside the build folder.  One system call then
-exchanges the two folders (``renameat2`` on Linux, ``renamex_np`` on macOS)::
+exchanges the staging folder and the build folder (``renameat2`` on Linux, ``renamex_np`` on
+macOS)::
 
     build/            <- old build          build/            <- new build
     .thorvaldc-7f3a/  <- new build    ==>   .thorvaldc-7f3a/  <- old build, then deleted
 
-Whenever the process ends (error, Ctrl-C, ``kill -9``), the build folder contains a complete
-build, the old or the new one.
+If the process is interrupted (error, Ctrl-C, ``kill -9``), the build folder therefore contains
+either the complete old build or the complete new build.
 
-``manifest.json`` lists the files of a build.  All other files in the folder belong to the user
-and are kept.  If there are such files, or if the folder cannot be exchanged (mount point, current
-folder, file system without the system call), the files are moved one by one.  An error then
-moves all files back; until the last move the manifest says ``"complete": false``.
+``manifest.json`` lists the files of a build.  All other files in the build folder belong to the
+user and are kept.
 
-The writer does not call ``fsync``: it does not protect against a power failure.
+The files of a build are moved one by one in two cases.  Either the build folder contains files of
+the user, or the build folder cannot be exchanged.  A mount point, the current folder, and a
+folder on a file system without the system call cannot be exchanged.  If an error occurs while the
+files are moved, all files are moved back.  Until the last file is moved, the manifest contains
+``"complete": false``.
+
+The writer does not call ``fsync``.  A power failure can therefore damage a build.
 """
 
 from __future__ import annotations
@@ -43,7 +48,10 @@ FORMAT = "thorvaldc-manifest"
 
 
 class WriteError(Exception):
-    """The build cannot be written; the message is one line for the user."""
+    """A build cannot be written.
+
+    The message of the exception is one line of text for the user.
+    """
 
 
 def manifest(
@@ -54,7 +62,11 @@ def manifest(
     version: str,
     complete: bool = True,
 ) -> bytes:
-    """Returns the manifest: SHA-256 of each file and of the source, and the compiler's version."""
+    """Returns the content of the manifest file of a build.
+
+    The manifest contains the SHA-256 of each file, the SHA-256 of the input files and the
+    version of the compiler.
+    """
     content = {
         "format": FORMAT,
         "version": 1,
@@ -70,10 +82,17 @@ def manifest(
 def write_build(
     files: Mapping[str, bytes], folder: Path, *, name: str, source_sha256: str, version: str
 ) -> None:
-    """Replaces the build in ``folder`` by these files and a manifest; keeps files of the user.
+    """Replaces the build in a folder, and keeps files of the user in the folder.
 
-    ``files`` maps paths relative to the folder, with ``/``, to their content.  Raises
-    ``WriteError`` and leaves the folder unchanged if it cannot be written.
+    Raises ``WriteError`` and leaves the folder unchanged if the folder cannot be written.
+
+    Parameters
+    ----------
+    files : content of each file, by the path relative to the folder, with ``/``.
+    folder : the build folder.  A manifest is written to the folder, too.
+    name : name of the robot, fleet or scenario.
+    source_sha256 : SHA-256 of the input files (hexadecimal).
+    version : version of the compiler.
     """
     for path in files:
         if not _is_inside(path) or path == MANIFEST:
@@ -91,9 +110,10 @@ def write_build(
 
 
 def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
-    """Writes lock files, each in one step; returns the paths of those that were written.
+    """Writes lock files and returns the paths of the files that were written.
 
-    If a file cannot be written, ``report`` gets a warning: the build is complete without it.
+    Each lock file is replaced in one step.  A lock file that cannot be written causes a warning
+    and not an error, because the build is complete without the lock file.
     """
     written = []
     for path, text in locks.items():
@@ -121,9 +141,11 @@ def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
 
 
 def _check_writable(target: Path, shown: str) -> None:
-    """Checks that the folder may be written: an exchange would replace a read-only folder.
+    """Raises ``WriteError`` if a folder is read-only.
 
-    A folder without any write permission is read-only also for the superuser.
+    The exchange of two folders does not check the permissions of the folders, and would replace
+    a read-only folder.  A folder without any write permission counts as read-only also if the
+    user is the superuser.
     """
     folder = next(path for path in (target, *target.parents) if path.exists())
     if not os.access(folder, os.W_OK) or not folder.stat().st_mode & 0o222:
@@ -150,7 +172,10 @@ def _shown(folder: Path) -> str:
 
 
 def _reason(error: OSError, target: Path) -> str:
-    """Returns the text of an error, with the file name unless it is that of a staging folder."""
+    """Returns the text of an operating system error for the user.
+
+    The text includes the name of the file, unless the file is the target or in a staging folder.
+    """
     text = error.strerror or str(error)
     file_name = error.filename
     if file_name is None or str(file_name) == str(target) or STAGE_PREFIX in str(file_name):
@@ -165,7 +190,8 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():
         with locked(target.parent):
-            _check_content(_list_content(target), files, shown)  # fails before files are written
+            # The check here raises an error before any file is written.
+            _check_content(_list_content(target), files, shown)
     with staging_folder(target) as stage:
         _fill(stage, files)
         with locked(target.parent), uninterrupted():
@@ -183,7 +209,7 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
 
 
 def _fill(stage: Path, files: Mapping[str, bytes]) -> None:
-    """Writes all files into the staging folder."""
+    """Writes all files of a build into the staging folder."""
     created_folders = set()
     for path, data in files.items():
         parent = os.path.dirname(path)
@@ -198,10 +224,13 @@ def _fill(stage: Path, files: Mapping[str, bytes]) -> None:
 
 
 class _FolderContent(NamedTuple):
-    """Files in a build folder.
+    """Relative paths of the files in a build folder.
 
-    ``built`` are those in the manifest and the manifest itself, as keys in order; ``None``
-    without manifest.  ``user_files`` are all others; an empty folder ends with ``/``.
+    Attributes
+    ----------
+    built : files of the last build, including the manifest, as the keys of a dictionary in
+        the order of the manifest.  ``None`` if the folder contains no manifest.
+    user_files : all other files.  The path of an empty folder ends with ``/``.
     """
 
     built: dict[str, None] | None
@@ -227,7 +256,7 @@ def _list_content(target: Path) -> _FolderContent:
         if not folders and not names and here != target:
             user_files.append(f"{relative.as_posix()}/")
         if built is None and user_files:
-            break  # The folder is refused; it may be a whole home folder.
+            break  # The folder is rejected.  It may be a home folder with many files.
     return _FolderContent(built, user_files)
 
 
@@ -236,7 +265,7 @@ def _raise(error: OSError) -> None:
 
 
 def _check_content(content: _FolderContent, files: Mapping[str, bytes], shown: str) -> None:
-    """Raises ``WriteError`` if writing ``files`` would replace files of the user."""
+    """Raises ``WriteError`` if the new build would replace files of the user."""
     if content.built is None and content.user_files:
         raise WriteError(
             f"will not write into {shown}: it contains files that are not of a build"
@@ -255,7 +284,10 @@ def _shorten(paths: list[str]) -> str:
 
 
 def _return_user_files(old: Path, target: Path, content: _FolderContent) -> None:
-    """Moves back files that the user created in the old folder just before the exchange."""
+    """Moves files of the user from the old folder to the new folder.
+
+    A user may create a file in the old folder between the check of the folder and the exchange.
+    """
     for root, folders, names in os.walk(old):
         folders.sort()
         for name in sorted(names):
@@ -272,11 +304,14 @@ def _return_user_files(old: Path, target: Path, content: _FolderContent) -> None
 def _move_in(
     stage: Path, target: Path, files: Mapping[str, bytes], content: _FolderContent
 ) -> None:
-    """Replaces the old files one by one; an error moves all files back."""
+    """Replaces the files of the old build one by one.
+
+    If an error occurs, all files are moved back.
+    """
     old_files = [p for p in content.built or {} if p != MANIFEST and _is_file(target / p)]
     backup = stage / f"{STAGE_PREFIX}old"
-    # Until the end the manifest lists the files of both builds: if this process is killed, the
-    # next build may replace all of them.
+    # While the files are moved, the manifest lists the files of the old and the new build.  If
+    # this process is killed, the next build may therefore replace the files of both builds.
     interim_manifest = json.loads(files[MANIFEST])
     interim_manifest["complete"] = False
     interim_manifest["files"] = dict.fromkeys([*old_files, *interim_manifest["files"]], "")
@@ -318,7 +353,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _remove_empty_folders(target: Path, paths: list[str]) -> None:
-    """Removes the folders of these files that are empty, the deepest first."""
+    """Removes the parent folders of these files if the folders are empty."""
     parents = {parent for path in paths for parent in PurePosixPath(path).parents}
     for parent in sorted(parents, key=lambda p: (-len(p.parts), str(p))):
         if parent.parts:
