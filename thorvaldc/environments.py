@@ -1,7 +1,10 @@
-"""Gymnasium environments of robot, fleet and scenario files, with the id ``thorvaldc/Robot-v0``.
+"""Registers the Gymnasium environment ``thorvaldc/Robot-v0``.
 
-``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")`` imports this
-module, which registers the id.
+The environment simulates the robots of a robot, fleet or scenario file.  The import of this
+module registers the id of the environment with Gymnasium.  The following call imports the module
+and creates an environment::
+
+    gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")
 """
 
 from __future__ import annotations
@@ -33,11 +36,17 @@ def make(
     library: Sequence[str | Path] = (),
     **options: Any,
 ) -> RobotEnv:
-    """Returns the environment of a robot, fleet or scenario file.
+    """Creates the Gymnasium environment of a robot, fleet or scenario file.
 
-    With ``scenario`` the robot of ``file`` replaces that of the scenario.  ``library`` are
-    additional module folders, ``options`` the arguments of ``RobotEnv``.  Raises ``ValueError``
-    with all errors if the file does not compile, and if ``scenario`` is not a scenario.
+    Raises ``ValueError`` if the file has errors, and if ``scenario`` is not a scenario file.  The
+    message of the exception contains all errors of the file.
+
+    Parameters
+    ----------
+    file : path of a robot, fleet or scenario file.
+    scenario : path of a scenario file.  The robots of ``file`` replace the robots of the scenario.
+    library : additional library folders with module types.
+    options : keyword arguments of ``RobotEnv``.
     """
     from thorvaldc.simulation.gym.robot_env import RobotEnv
 

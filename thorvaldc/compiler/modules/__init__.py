@@ -1,1 +1,1 @@
-"""From a robot document and its module types to the model: resolution, hardware, elaboration."""
+"""Builds the model of a robot from the robot document and the module types."""

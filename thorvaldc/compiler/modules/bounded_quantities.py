@@ -1,4 +1,4 @@
-"""Reads quantities that must lie within bounds, from documents without expressions."""
+"""Reads physical quantities and checks that each value is within bounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from thorvaldc.model import Pose
 
 
 class BoundedQuantities:
-    """Reads quantities in SI; reports those that are out of bounds and returns the default."""
+    """Reads physical quantities from a document and converts the values to SI units.
+
+    A value that is out of bounds is reported and replaced by the default.
+    """
 
     def __init__(self, scope: ValueReader, report: Report) -> None:
         self.scope = scope
@@ -28,9 +31,16 @@ class BoundedQuantities:
         most: float = math.inf,
         above: bool = False,
     ) -> float:
-        """Returns the value of ``key``, from ``least`` to ``most``.
+        """Returns the value of a key in SI units, or the default if the key is missing.
 
-        If ``above`` is true, it must be more than ``least``.
+        Parameters
+        ----------
+        node : mapping that contains the key.
+        quantity : kind of quantity, such as ``length``.
+        least : lower bound of the value.
+        most : upper bound of the value.
+        above : if true, the value must be greater than ``least``.  If false, the value may equal
+            ``least``.
         """
         entry = node.get(key)
         if entry is None:
@@ -51,11 +61,14 @@ class BoundedQuantities:
         return default
 
     def positive(self, node: Node, key: str, quantity: str, default: float) -> float:
-        """Returns the value of ``key``, which must be more than 0."""
+        """Returns the value of a key in SI units, and checks that the value is greater than 0."""
         return self(node, key, quantity, default, least=0.0, above=True)
 
     def pair(self, node: Node, key: str, default: tuple[float, float]) -> tuple[float, float]:
-        """Returns a list of two lengths (m)."""
+        """Returns the two lengths (m) in the list of a key.
+
+        Returns the default if the list does not have exactly two elements.
+        """
         elements = items(node.get(key))
         if len(elements) != 2:
             return default
@@ -63,7 +76,10 @@ class BoundedQuantities:
         return x, y
 
     def planar_pose(self, node: Node) -> Pose:
-        """Returns the pose of the keys `xyz` (m) and `yaw` (rad, reduced to -pi..pi)."""
+        """Returns the pose that the keys `xyz` (m) and `yaw` (rad) of a mapping describe.
+
+        The yaw angle is reduced to the range -pi to pi.
+        """
         yaw = math.remainder(self.scope.quantity(node.get("yaw"), "angle"), 2 * math.pi)
         xyz = self.scope.vector(node.get("xyz"), "length")
         return Pose.from_xyz_rpy(xyz, (0.0, 0.0, yaw)).clean()

@@ -1,4 +1,4 @@
-"""The base calculator that a robot document chooses: its name and options."""
+"""Reads and checks the base calculator that a robot document chooses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from thorvaldc.model.robot import CalculatorChoice, Robot
 
 
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
-    """Returns the document's ``base_calculator``, by default the general calculator."""
+    """Returns the name and options of the base calculator that the document chooses.
+
+    The default is the general calculator.
+    """
     node = document.get("base_calculator")
     if node is None:
         return CalculatorChoice()
@@ -31,10 +34,14 @@ def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
 
 
 def check_calculator(robot: Robot, document: Node, report: Report) -> None:
-    """Checks that the calculator exists, accepts its options and suits the robot's wheels."""
+    """Checks the base calculator of a robot.
+
+    The calculator must exist, accept the chosen options and suit the wheels of the robot.
+    """
     if robot.calculator == CalculatorChoice():
         return  # The general calculator suits every robot.
-    from thorvaldc.runtime import calculators  # rarely needed
+    # Imported here because most robots use the general calculator.
+    from thorvaldc.runtime import calculators
 
     choice = document.get("base_calculator")
     name = choice.get("name") if choice is not None else None

@@ -1,4 +1,4 @@
-"""Requirements of the whole robot, from the `design` section of its document."""
+"""Reads the requirements on the whole robot from the `design` section of a robot document."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ DEFAULT_TIP_OVER = math.radians(15)
 
 
 class DesignRequirements(NamedTuple):
-    """Slope to climb and least tip-over angle, both in rad; the spans of their entries."""
+    """Requirements on a robot.
+
+    Attributes
+    ----------
+    slope : slope (rad) that the robot must climb.  ``None`` if no slope is required.
+    tip_over_angle : least tip-over angle (rad) of the robot.
+    slope_span : span of the entry for the slope.
+    tip_over_span : span of the entry for the tip-over angle.
+    """
 
     slope: float | None = None
     tip_over_angle: float = DEFAULT_TIP_OVER
@@ -22,7 +30,10 @@ class DesignRequirements(NamedTuple):
 
 
 def read_design(document: Node, report: Report) -> DesignRequirements:
-    """Reads the `design` section of a robot document; missing keys get their defaults."""
+    """Reads the `design` section of a robot document.
+
+    A missing or invalid entry is replaced by the default value.
+    """
     node = document.get("design")
     if node is None:
         return DesignRequirements()

@@ -1,8 +1,10 @@
-"""Settings of the base driver: rate, limits and noise, and named parameter sets.
+"""Reads the settings of the base driver and the named parameter sets of a robot document.
 
-The motors limit the twist of the robot.  A wheel of radius r whose motor turns it at most at
-omega (rad/s) rolls at v = omega r.  At the distance d from the centre of the base it allows the
-turning rate v / d.  The slowest wheel determines both; accelerations follow in the same way.
+The motors limit the twist of the robot.  A wheel of radius r (m) with a maximum wheel speed omega
+(rad/s) rolls at most at v = omega r (m/s).  A wheel at the distance d (m) from the centre of the
+base allows the turning rate v / d (rad/s).  The slowest wheel determines the maximum linear
+velocity and the maximum turning rate of the robot.  The limits of the accelerations are computed
+in the same way.
 """
 
 from __future__ import annotations
@@ -20,10 +22,15 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, DriverSettings, ParameterSet, Wheel
 from thorvaldc.model.spatial import clean
 
-MIN_RATE, MAX_RATE = 1.0, 1000.0  # Hz; a CAN bus cannot serve cycles shorter than 1 ms
-DEFAULT_RATE = 50.0  # Hz; parameter `rate` of the original system's base driver
-DEFAULT_TIMEOUT = 0.5  # s; the original system's command time-out
-MIN_LEVER = 0.05  # m; a wheel near the centre does not limit the turning rate
+# Range of the rate of the base driver in Hz.  A CAN bus cannot serve cycles shorter than 1 ms.
+MIN_RATE, MAX_RATE = 1.0, 1000.0
+# Default rate in Hz.  The base driver of the original system has the same default for `rate`.
+DEFAULT_RATE = 50.0
+# Default command time-out in s.  The original system has the same command time-out.
+DEFAULT_TIMEOUT = 0.5
+# Least distance in m of a wheel from the centre of the base, for the limit of the turning rate.
+# A wheel near the centre would otherwise allow a nearly infinite turning rate.
+MIN_LEVER = 0.05
 
 LIMITS = {
     "max_linear_velocity": "velocity",
@@ -43,10 +50,17 @@ NOISE = {
 
 
 class DriverSettingsReader:
-    """Reads ``driver`` and ``parameter_sets`` of a robot document.
+    """Reads the sections ``driver`` and ``parameter_sets`` of a robot document.
 
-    ``actuators`` are by their joints.  ``tolerance`` is the fraction by which a stated limit may
-    exceed the limit of the motors without a warning.
+    Parameters
+    ----------
+    document : the robot document.
+    reader : reader of the values of the document.
+    wheels : the wheels of the robot.
+    actuators : actuators of the robot, by the name of the joint.
+    tolerance : fraction by which a stated limit may exceed the limit of the motors without a
+        warning.
+    report : collects the diagnostics.
     """
 
     def __init__(
@@ -66,7 +80,10 @@ class DriverSettingsReader:
         self._report = report
 
     def driver(self) -> DriverSettings:
-        """Returns the driver settings: limits of the motors, or lower stated limits."""
+        """Returns the settings of the base driver.
+
+        Each limit of the twist is the lower of the stated limit and the limit of the motors.
+        """
         node = self._document.get("driver") or Node({}, self._document.span)
         rate = self._reader.quantity(node.get("rate"), "frequency", DEFAULT_RATE)
         timeout = self._reader.quantity(node.get("command_timeout"), "time", DEFAULT_TIMEOUT)
@@ -86,7 +103,10 @@ class DriverSettingsReader:
         )
 
     def _check_cycle(self, rate: float, timeout: float, node: Node) -> None:
-        """Checks the rate, and that a command is valid for at least one cycle."""
+        """Checks the rate and the command time-out of the base driver.
+
+        The command time-out must be at least one cycle of the base driver.
+        """
         entry = node.get("rate") or node.get("command_timeout") or node
         if rate > 0.0 and not MIN_RATE <= rate <= MAX_RATE:
             self._report.add(
@@ -104,7 +124,10 @@ class DriverSettingsReader:
             )
 
     def parameter_sets(self, driver: DriverSettings) -> tuple[ParameterSet, ...]:
-        """Returns the named sets: the settings of ``driver`` with the changes of each set."""
+        """Returns the named parameter sets of the robot.
+
+        A parameter set contains the settings of ``driver`` with some changed values.
+        """
         sets = entries(self._document.get("parameter_sets"))
         return tuple(self._parameter_set(name, entry, driver) for name, entry in sets.items())
 
@@ -135,7 +158,10 @@ class DriverSettingsReader:
         return ParameterSet(name, radii, replace(driver, noise=noise, **limits), node.where)
 
     def _motor_limits(self, radii: str | None) -> dict[str, float]:
-        """Returns the limits of the slowest motors, with the radii of this name."""
+        """Returns the limits of the twist that the slowest motors allow, by key.
+
+        ``radii``: name of the wheel radii, or ``None`` for the nominal radii.
+        """
         speed = turning_rate = math.inf
         acceleration = turning_acceleration = math.inf
         for wheel in self._wheels:
@@ -154,7 +180,7 @@ class DriverSettingsReader:
         return dict(zip(LIMITS, limits, strict=True))
 
     def _limit(self, node: Node | None, key: str, motor_limit: float) -> float:
-        """Returns the lower of the stated limit and that of the motors."""
+        """Returns the lower of the stated limit and the limit of the motors."""
         stated = self._reader.quantity(node, LIMITS[key], motor_limit)
         quantity = QUANTITIES[LIMITS[key]]
         if node is not None and stated <= 0:
@@ -172,10 +198,13 @@ class DriverSettingsReader:
     def _noise(
         self, node: Node | None, inherited: tuple[tuple[str, float], ...]
     ) -> tuple[tuple[str, float], ...]:
-        """Returns the inherited noise values with the changes of a `noise` section."""
+        """Returns the noise values of a `noise` section by name.
+
+        A value that the section does not contain is taken from ``inherited``.
+        """
         noise = dict(inherited)
         for key, entry in entries(node).items():
-            if key not in NOISE:  # The schema check has reported it.
+            if key not in NOISE:  # The schema check has reported the unknown key.
                 continue
             value = self._reader.quantity(entry, NOISE[key])
             if value > 0 or (value == 0 and key == "correlation"):

@@ -1,4 +1,7 @@
-"""Elaborates the instance tree of a robot to its model: links, joints, wheels, motors, buses."""
+"""Elaborates the tree of module instances of a robot to the model.
+
+The model contains the links, joints, wheels, motors and CAN buses of the robot.
+"""
 
 from __future__ import annotations
 
@@ -52,18 +55,18 @@ def elaborate(
     modules_are_valid: bool = True,
     lock: Lock | None = None,
 ) -> Robot | None:
-    """Resolves and elaborates a robot document; returns ``None`` if its tree is incomplete.
+    """Resolves and elaborates a robot document.
 
-    A robot is also returned if ``report`` has errors that do not concern its tree, such as
-    errors of its buses.
+    Returns the model of the robot.  Returns ``None`` if the links, joints or modules of the robot
+    have errors.  Errors of the CAN buses do not prevent a model.
 
     Parameters
     ----------
     base_dir : folder of the robot file.
-    files : gets the further files that are read, by their names in spans.
-    invalid_modules : modules that were removed from the document because they are invalid.
-    modules_are_valid : false if any value of the document's modules is invalid.
-    lock : ids of the last build.
+    files : the function adds each additional input file, by the name of the file in spans.
+    invalid_modules : names of the modules that were removed from the document because of errors.
+    modules_are_valid : false if any value in the section ``modules`` is invalid.
+    lock : node ids of the last build.
     """
     instance = resolver.resolve(document, invalid_modules)
     elaborator = _Elaborator(document, resolver, base_dir, report, files, lock or {})
@@ -84,17 +87,17 @@ class _Elaborator:
         self.resolver = resolver
         self.base_dir = base_dir
         self.files = files
-        # Diagnostics about the whole robot point at its name.
+        # A diagnostic about the whole robot is shown at the span of the robot's name.
         self.span = (document.get("name") or document).span
         self.lock = lock
         self.report = report
         self.scope = Scope(None, {}, resolver.library, report, None)
 
     def elaborate(self, robot: Instance, modules_are_valid: bool) -> Robot | None:
-        """Returns the model, or ``None`` if there are errors in the tree.
+        """Returns the model of the robot, or ``None`` if the modules have errors.
 
-        If modules are invalid or missing, the geometry is not checked, because it would be that
-        of another robot.  The buses are checked in either case.
+        If a module is invalid or missing, the geometry of the robot is not checked, because the
+        missing module would cause false errors.  The CAN buses are always checked.
         """
         parts = RobotParts([Link("base_link", "", None, (), (), self.span)])
         calibration = load_calibration(self.document, self.base_dir, self.report, self.files)
@@ -120,7 +123,7 @@ class _Elaborator:
         return self._make_robot(robot, parts, wheels, body, calibration, urdf_extensions)
 
     def _read_hardware(self, robot: Instance) -> dict[str, Hardware]:
-        """Returns the hardware of each leaf by its path, without that of invalid leaves."""
+        """Returns the hardware of each valid leaf module, by the path of the leaf."""
         hardware: dict[str, Hardware] = {}
         self.resolver.library.palette(self.report)
         for leaf in robot.leaves():
@@ -135,7 +138,10 @@ class _Elaborator:
     def _stand_on_ground(
         self, parts: RobotParts, hardware: dict[str, Hardware], calibration: Calibration | None
     ) -> None:
-        """Applies measured radii, and raises the robot so that its wheels touch z = 0."""
+        """Raises the robot so that the wheels touch the plane z = 0 of ``base_link``.
+
+        The measured wheel radii of the calibration are applied first.
+        """
         tree = JointTree(parts.links, parts.joints)
         if calibration is not None:
             measured_wheels = calibrate_wheels(calibration, parts.wheels, self.report)
@@ -148,9 +154,9 @@ class _Elaborator:
     def _load_wheels(
         self, parts: RobotParts, calibration: Calibration | None
     ) -> tuple[list[Wheel], Inertial]:
-        """Returns the wheels with their static loads, and the inertia of the whole robot.
+        """Returns the wheels with static loads, and the inertia of the whole robot.
 
-        Also sets the rest positions of springs.
+        The method also sets the rest positions of the springs.
         """
         tree = JointTree(parts.links, parts.joints)
         add_wheel_collisions(parts.links, parts.wheels, tree)
@@ -174,9 +180,13 @@ class _Elaborator:
         calibration: Calibration | None,
         urdf_extensions: tuple[str, ...],
     ) -> Robot | None:
-        """Reads driver and buses; returns the model, or ``None`` if its geometry has errors."""
+        """Reads the settings of the base driver and the CAN buses, and returns the model.
+
+        Returns ``None`` if the geometry of the robot has errors.
+        """
         geometry_is_valid = not self.report.has_errors
-        # A limit that is right for the nominal radius stays right for a smaller measured one.
+        # A limit that is valid for the nominal radius of a wheel is also accepted for a smaller
+        # measured radius.
         tolerance = 1e-6 if calibration is None else MAX_RADIUS_CHANGE
         settings_reader = DriverSettingsReader(
             self.document,
@@ -224,9 +234,9 @@ class _Elaborator:
         )
 
     def _check_buses(self, robot: Instance, parts: RobotParts) -> None:
-        """Reports errors of the buses of an incomplete robot.
+        """Reports the errors of the CAN buses of a robot with missing modules.
 
-        Warnings are dropped: missing modules cause most of them.
+        Warnings are dropped, because missing modules cause most warnings.
         """
         bus_report = Report()
         self._wiring(parts, bus_report).buses(robot, 1.0 / DEFAULT_RATE)

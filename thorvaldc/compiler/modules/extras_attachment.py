@@ -1,4 +1,7 @@
-"""Attaches the links and joints of extras (xacro files) to the robot's modules."""
+"""Attaches the links and joints of extras to the modules of a robot.
+
+An extra is a xacro file that the robot document names.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +27,18 @@ def add_extras(
     files: dict[str, Path],
     report: Report,
 ) -> tuple[str, ...]:
-    """Adds the document's ``extras`` to ``parts``; returns their further URDF elements.
+    """Adds the links, joints and meshes of the extras to ``parts``.
 
-    ``base_dir`` is the folder of the robot file.  ``files`` gets the files that were read.
+    Returns the other URDF elements of the extras as text.
+
+    Parameters
+    ----------
+    document : the robot document, which names the extras.
+    robot : the tree of module instances.
+    hardware : hardware of the leaf modules, by the path of the leaf.
+    parts : links and joints of the robot.
+    base_dir : folder of the robot file.
+    files : the function adds each file that was read, by the name of the file in spans.
     """
     extras = document.get("extras")
     if extras is None or not isinstance(extras.value, tuple):
@@ -37,7 +49,7 @@ def add_extras(
 
     def attach(reference: str | None) -> Attachment | None:
         if reference is None:
-            return Attachment(parts.links[1].name, Pose())  # the root module's first link
+            return Attachment(parts.links[1].name, Pose())  # First link of the root module.
         link_and_pose = finder.find(reference)
         return Attachment(*link_and_pose) if link_and_pose is not None else None
 
@@ -58,7 +70,7 @@ def add_extras(
 
 
 class _AttachmentFinder:
-    """Finds the link and pose that an extra is attached to."""
+    """Finds the link that an extra is attached to, and the pose of the extra in the link frame."""
 
     def __init__(
         self,
@@ -78,9 +90,10 @@ class _AttachmentFinder:
         }
 
     def find(self, reference: str) -> tuple[str, Pose] | None:
-        """Returns the link and the pose in it for `link`, `module` or `module.port`.
+        """Returns the name of the link, and the pose in the link frame, that a reference names.
 
-        For an assembly, this is its first module with links.
+        A reference has the form `link`, `module` or `module.port`.  A reference to an assembly
+        names the first module of the assembly that has links.
         """
         if reference in self.link_names:
             return reference, Pose()

@@ -1,7 +1,7 @@
-"""Computes the hardware of a module type with given parameter values.
+"""Computes the hardware of a module type for given parameter values.
 
-The result does not depend on the position of the module in the robot: nine equal drives are
-computed once.
+The hardware does not depend on the position of the module in the robot.  If a robot has nine
+equal drives, the hardware of the drive is computed once.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Collision, Tread, Visual
 from thorvaldc.model.spatial import Inertial, Pose, combine
 
-MAX_REPETITIONS = 1000  # of one part by its `for`
+MAX_REPETITIONS = 1000  # Largest number of copies of a part with the key `for`.
 
 
 def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | None:
-    """Returns the hardware of a leaf module; the result is cached by the parameter values.
+    """Returns the hardware of a leaf module.
 
-    Returns ``None`` if the value of a parameter is invalid (already reported).
+    The hardware is cached by the parameter values.  Returns ``None`` if the value of a parameter
+    is invalid.  The error of an invalid parameter value has already been reported.
     """
     key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.parameter_values())
     if any(value is INVALID for value in key):
         return None
     key = (*scope.library.palette().items(), *key)
     if key not in module.elaborated:
-        # The diagnostics are cached too: every use of the module repeats them.
+        # The diagnostics are cached, too, because each use of the module must report them.
         module_report = Report()
         outer_report, scope.report = scope.report, module_report
         try:
@@ -100,7 +101,7 @@ class _HardwareReader:
         )
 
     def _check_mount_link(self, mount: Node | None) -> None:
-        """Checks that the mount is on the first link, the root of the module's tree."""
+        """Checks that the mount is on the first link, which is the root of the module's links."""
         node = mount.get("link") if mount is not None else None
         link_names = self.values.link_names
         if node is not None and self.values.link_name(node) in link_names[1:]:
@@ -126,7 +127,7 @@ class _HardwareReader:
         return LinkPart(name, inertial, tuple(visuals), tuple(collisions), node.where)
 
     def _repetitions(self, part: Node) -> list[Scope]:
-        """Returns a scope for each combination of the loop variables in `for`."""
+        """Returns a scope for each combination of the loop variables in the key `for`."""
         loop = part.get("for")
         if loop is None or not isinstance(loop.value, dict):
             return [self.scope]
@@ -167,7 +168,10 @@ class _HardwareReader:
         )
 
     def _treads(self, node: Node | None, radius_names: Container[str]) -> Iterator[Tread]:
-        """Yields the rings of a wheel; each needs a radius of its name."""
+        """Yields the treads of a wheel.
+
+        Each tread needs an entry of the same name in `radii`.
+        """
         for name, entry in entries(node).items():
             if name not in radius_names:
                 self.report.add(

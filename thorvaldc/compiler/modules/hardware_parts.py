@@ -1,7 +1,7 @@
-"""The parts of a module with given parameter values: links, joints, motors, wheel, sensor.
+"""Data classes for the hardware of a module: links, joints, motors, wheel, sensor and battery.
 
-All values are in SI.  Names are those of the module document; ``RobotParts`` adds the prefix of
-the instance.
+All values are in SI units.  The names of links, joints and motors are the names in the module
+document.  ``RobotParts`` adds the name of the module instance as a prefix.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 
 class LinkPart(NamedTuple):
-    """A link of a module; ``inertial`` is ``None`` if it has no mass."""
+    """A link of a module.  ``inertial`` is ``None`` for a link without mass."""
 
     name: str
     inertial: Inertial | None
@@ -24,9 +24,10 @@ class LinkPart(NamedTuple):
 
 
 class JointPart(NamedTuple):
-    """A joint of a module; ``axis`` is a unit vector in the joint's frame.
+    """A joint of a module.
 
-    ``damping`` is the sum of the joint's own and its spring's; ``stiffness`` is 0 without spring.
+    ``axis`` is a unit vector in the joint frame.  ``damping`` is the damping of the joint plus the
+    damping of the spring.  ``stiffness`` is the stiffness of the spring, or 0 without a spring.
     """
 
     name: str
@@ -49,8 +50,9 @@ class JointPart(NamedTuple):
 class MotorPart(NamedTuple):
     """A motor with its gear.
 
-    ``motor_max_speed`` (rad/s) is the speed of the motor; the other limits apply at the joint.
-    ``armature`` is the rotor's inertia at the joint, kg m^2.
+    ``motor_max_speed`` is the maximum speed of the motor shaft (rad/s).  ``max_velocity``
+    (rad/s), ``max_acceleration`` (rad/s^2) and ``max_torque`` (N m) are limits at the joint.
+    ``armature`` is the inertia of the rotor as seen at the joint (kg m^2).
     """
 
     name: str
@@ -67,7 +69,11 @@ class MotorPart(NamedTuple):
 
 
 class WheelPart(NamedTuple):
-    """A wheel; ``radii`` are further radii by name, for tyres that roll on other surfaces."""
+    """A wheel.
+
+    ``radii`` contains additional radii by name.  The tyres of a double wheel have different radii
+    and roll on different surfaces.
+    """
 
     link: str
     radius: float
@@ -92,9 +98,9 @@ class BatteryPart(NamedTuple):
 
 
 class Hardware(NamedTuple):
-    """A module with the values of its parameters.
+    """The hardware of a module for given parameter values.
 
-    ``mount_pose`` is the pose of the mount in the first link.
+    ``mount_pose`` is the pose of the mount in the frame of the first link.
     """
 
     links: tuple[LinkPart, ...]

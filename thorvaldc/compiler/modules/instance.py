@@ -1,4 +1,4 @@
-"""A module instance: one use of a module type in a robot."""
+"""Defines the module instance, which is one use of a module type in a robot."""
 
 from __future__ import annotations
 
@@ -15,19 +15,23 @@ from thorvaldc.model.spatial import Pose
 
 @dataclass(eq=False)
 class Instance:
-    """One use of a module type, or the robot itself.
+    """A module instance, or the root of the tree of module instances.
+
+    The root represents the whole robot.
 
     Attributes
     ----------
-    path : dotted path, such as ``fl.steering``; the robot's is empty.
-    type : the module type; ``None`` for the robot.
+    path : dotted path of the module, such as ``fl.steering``.  The path of the root is empty.
+    type : the module type, or ``None`` for the root.
     scope : values of the module's parameters.
-    entry : the entry of the document that contains this part.
-    span : the entry of the robot file that this part belongs to.
-    can : the part's `can` section, its own or that of its assembly.
-    left_out : names of parts whose type is `none` or whose `when` is false.
-    failed : names of parts that could not be created; the report contains the errors.
-    mount : the link and pose that the part is mounted on.
+    entry : entry of the robot or assembly document that defines this instance.
+    span : span of the entry in the robot file that this instance belongs to.
+    parent : the assembly that contains this instance, or ``None`` for the root.
+    can : `can` section of this instance or of the assembly that contains the instance.
+    children : module instances that an assembly or the robot consists of, by name.
+    left_out : names of children whose type is `none` or whose condition `when` is false.
+    failed : names of children that could not be created because of reported errors.
+    mount : link and pose that this instance is mounted on.
     """
 
     path: str
@@ -48,9 +52,9 @@ class Instance:
 
     @property
     def is_mechanical(self) -> bool:
-        """Whether the part has links.
+        """True if the module instance has links.
 
-        A module whose mount is optional has links only if it is mounted.
+        A module with an optional mount has links only if the module is mounted.
         """
         if self.type is not None and self.is_leaf:
             mount = self.type.document.get("mount")
@@ -62,11 +66,11 @@ class Instance:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all parts could be created."""
+        """True if all module instances below this instance could be created."""
         return not self.failed and all(child.is_complete for child in self.children.values())
 
     def leaves(self) -> Iterator[Instance]:
-        """Yields the leaves in model order: file order, depth first."""
+        """Yields the leaf modules in the order of the file, depth first."""
         if self.is_leaf:
             yield self
         for child in self.children.values():
@@ -74,9 +78,14 @@ class Instance:
 
 
 class Mount(NamedTuple):
-    """The leaf and link that carry a part, and the pose of the mount in that link.
+    """The position where a module is mounted.
 
-    An empty ``link`` is the first link of the leaf.
+    Attributes
+    ----------
+    leaf : the leaf module that carries the mounted module.
+    link : name of the carrying link in the leaf module.  Empty for the first link.
+    pose : pose of the mount in the frame of the carrying link.
+    span : span of the `mount` entry.
     """
 
     leaf: Instance
@@ -86,7 +95,10 @@ class Mount(NamedTuple):
 
 
 def used_by(path: str, span: Span) -> Label:
-    """Returns a label for diagnostics in a module document: the robot's module that uses it."""
+    """Returns a label that names the robot's module which uses a module document.
+
+    The label is added to diagnostics about the module document.
+    """
     return Label(span, f"`{path.split('.', 1)[0]}` uses it")
 
 

@@ -13,7 +13,10 @@ from thorvaldc.model.spatial import Vec3, norm, scale
 
 
 def read_joints(values: ModuleValues) -> tuple[JointPart, ...]:
-    """Returns the joints that are present, and checks that they form a tree."""
+    """Returns the joints of a module, and checks that the joints and links form a tree.
+
+    Joints whose condition `when` is false are left out.
+    """
     joints = tuple(
         _JointReader(values, name, node).read()
         for name, node in values.module.section("joints").items()
@@ -24,7 +27,10 @@ def read_joints(values: ModuleValues) -> tuple[JointPart, ...]:
 
 
 def read_motors(values: ModuleValues, joints: tuple[JointPart, ...]) -> tuple[MotorPart, ...]:
-    """Returns the motors that are present, and checks the joints that they turn."""
+    """Returns the motors of a module, and checks the joint of each motor.
+
+    Motors whose condition `when` is false are left out.
+    """
     motors = tuple(
         _read_motor(values, name, node, joints)
         for name, node in values.module.section("motors").items()
@@ -35,7 +41,11 @@ def read_motors(values: ModuleValues, joints: tuple[JointPart, ...]) -> tuple[Mo
 
 
 class _JointReader:
-    """Reads one joint.  The quantities of a prismatic joint are linear, else rotational."""
+    """Reads one joint of a module document.
+
+    The limits of a prismatic joint are linear quantities, such as a length and a force.  The
+    limits of all other joints are rotational quantities, such as an angle and a torque.
+    """
 
     def __init__(self, values: ModuleValues, name: str, node: Node) -> None:
         self.values = values
@@ -122,7 +132,10 @@ class _JointReader:
 
 
 def _check_tree(joints: tuple[JointPart, ...], values: ModuleValues) -> None:
-    """Checks that every link but the first is the child of one joint, without cycles."""
+    """Checks that the links and joints of a module form a tree.
+
+    Every link except the first must be the child of exactly one joint.
+    """
     first_links = values.link_names[:1]
     parent_joints: dict[str, JointPart] = {}
     for joint in joints:
@@ -186,7 +199,8 @@ def _read_motor(
         min(stated_velocity, motor_max_speed / gear_ratio),
         values.positive(node, "max_acceleration", "angular_acceleration", 1.0),
         values.positive(node, "max_torque", "torque", 1.0),
-        # A gear multiplies torque by n and divides acceleration by n: the inertia grows by n^2.
+        # A gear with the ratio n multiplies the torque by n and divides the acceleration by n.
+        # The inertia of the rotor at the joint is therefore n^2 times the inertia of the rotor.
         rotor_inertia * gear_ratio * gear_ratio,
         node.where,
     )
@@ -195,7 +209,7 @@ def _read_motor(
 def _check_motors(
     motors: tuple[MotorPart, ...], joints: tuple[JointPart, ...], values: ModuleValues
 ) -> None:
-    """Checks that each motor turns a joint that can rotate, and that no other motor does."""
+    """Checks that each motor turns a rotating joint, and that no joint has two motors."""
     types = {joint.name: joint.type for joint in joints}
     first_motors: dict[str, MotorPart] = {}
     for motor in motors:

@@ -1,4 +1,4 @@
-"""Checks module types without a robot, with the defaults of their parameters."""
+"""Checks module types without a robot, with the default values of the parameters."""
 
 from __future__ import annotations
 
@@ -14,16 +14,20 @@ from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
-# A bus and a control cycle for checking a single device.
-BITRATE = 500_000  # bit/s
-CYCLE = 0.02  # s
+# The check of a single device uses a bus with this bit rate (bit/s) and control cycle (s).
+BITRATE = 500_000
+CYCLE = 0.02
 
 
 @dataclass
 class LibraryCheck:
-    """The module types of a library folder and the diagnostics about them.
+    """Result of the check of a library folder.
 
-    ``sources`` maps file names in ``report`` to files.
+    Attributes
+    ----------
+    names : names of the module types in the folder.
+    report : diagnostics about the module types.
+    sources : path of the module file for each file name in ``report``.
     """
 
     names: list[str] = field(default_factory=list)
@@ -32,7 +36,10 @@ class LibraryCheck:
 
 
 def check_library(folder: Path | None) -> LibraryCheck:
-    """Checks every module type of a folder; ``None``: of the built-in library."""
+    """Checks every module type of a library folder.
+
+    ``folder``: path of the library folder, or ``None`` for the built-in library.
+    """
     library = Library([(folder, str(folder))] if folder is not None else [])
     check = LibraryCheck(library.names_in(folder) if folder is not None else library.names())
     for name in check.names:
@@ -42,10 +49,11 @@ def check_library(folder: Path | None) -> LibraryCheck:
 
 
 def check_module(name: str, library: Library, report: Report) -> None:
-    """Loads a module type, expands it and computes its hardware; reports every error.
+    """Checks a module type and reports every error.
 
-    If a parameter has no default, only the document is checked: the parts depend on a value that
-    is not known.
+    The check expands the module type and computes the hardware with the default values of the
+    parameters.  If a parameter has no default value, only the document is checked against the
+    schema.
     """
     module = library.load(name, Node(name, Span(name)), report)
     if module is None:
@@ -69,7 +77,7 @@ def check_module(name: str, library: Library, report: Report) -> None:
         if can is not None:
             channels = leaf.type.document.get("channels")
             device = Device(leaf.path, part_name, can, channels, (), None, leaf.scope, span)
-            # Warnings are dropped: a device without a robot drives no motor.
+            # Warnings are dropped, because a device without a robot has no motors to drive.
             bus_report = Report()
             build_buses([device], [BusSpec("bus", BITRATE, span)], [], CYCLE, bus_report)
             for diagnostic in bus_report.errors:
@@ -79,11 +87,11 @@ def check_module(name: str, library: Library, report: Report) -> None:
 def _check_assembly_references(
     assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
 ) -> None:
-    """Checks that `ports`, `motors` and `can` of an assembly name existing parts."""
+    """Checks that the sections `ports`, `motors` and `can` of an assembly name existing parts."""
     references = resolver.references
     for section, find in (("ports", references.find_port), ("motors", references.find_motor)):
         for node in module.section(section).values():
-            # Parts that the defaults leave out may be present with other parameter values.
+            # A part that the default parameters leave out may exist with other parameter values.
             if str(node.value).partition(".")[0] not in assembly.left_out:
                 find(assembly, str(node.value), node)
     controller = module.document.get("can")

@@ -1,4 +1,4 @@
-"""Reads the parts of a module's links: shapes, colours and masses."""
+"""Reads the shapes, colours and masses of the links in a module document."""
 
 from __future__ import annotations
 
@@ -19,9 +19,14 @@ _COLOR = re.compile(r"#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?")
 
 
 class LinkShapeReader:
-    """Reads the parts of one module's links; ``meshes`` collects the meshes that they use.
+    """Reads the shapes, colours and masses of the links of one module.
 
-    Mesh files are relative to ``folder``, the folder of the module.
+    Attributes
+    ----------
+    folder : folder of the module.  Paths of mesh files are relative to the folder.
+    palette : colours by name.
+    report : collects the diagnostics.
+    meshes : meshes of all parts that were read, by file name.
     """
 
     def __init__(self, folder: Path, palette: dict[str, str], report: Report) -> None:
@@ -38,7 +43,7 @@ class LinkShapeReader:
         collisions: list[Collision],
         masses: list[Inertial],
     ) -> None:
-        """Adds the shape and the mass of a part to the lists of its link."""
+        """Reads a part of a link, and adds the shape and the mass to the lists of the link."""
         shape_node = part.get("shape")
         pose = scope.pose(part).clean()
         shape = self._shape(shape_node, scope) if shape_node is not None else None
@@ -52,9 +57,10 @@ class LinkShapeReader:
             masses.append(inertial.transformed(pose))
 
     def _inertial(self, part: Node, shape: Shape | None, scope: Scope) -> Inertial | None:
-        """Returns mass and inertia of a part in its own frame.
+        """Returns the mass and the inertia of a part in the frame of the part.
 
-        The inertia is stated, or that of a uniform solid of `inertia_shape` or the shape.
+        The inertia is the stated inertia, or the inertia of a uniform solid.  The shape of the
+        solid is `inertia_shape`, or else the shape of the part.
         """
         mass_node = part.get("mass")
         if mass_node is None:
@@ -134,7 +140,10 @@ class LinkShapeReader:
         return MeshShape(mesh.name, scope.vector(scale, "ratio", (1.0, 1.0, 1.0)))
 
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
-        """Returns the colour of "#rrggbb", "#rrggbbaa" or a name of the palette; 0 to 1 each."""
+        """Returns a colour as red, green, blue and alpha, each from 0 to 1.
+
+        A colour is written as "#rrggbb", as "#rrggbbaa" or as a name of the palette.
+        """
         text = scope.text(node, DEFAULT_COLOR) or DEFAULT_COLOR
         digits = self.palette.get(text, text)
         if _COLOR.fullmatch(digits):
@@ -152,11 +161,11 @@ class LinkShapeReader:
 
 
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
-    """Returns the inertia of a body of uniform density about its centre.
+    """Returns the inertia of a body of uniform density about the centre of the body.
 
-    The standard formulas of solid boxes, cylinders and spheres, for example in Meriam and
-    Kraige, Engineering Mechanics: Dynamics, table D/4.  A cylinder with a ``wall`` (m) is a tube.
-    A mesh has no inertia here.
+    The formulas for solid boxes, cylinders and spheres are, for example, in Meriam and Kraige,
+    Engineering Mechanics: Dynamics, table D/4.  A cylinder with a ``wall`` thickness (m) is a
+    tube.  The inertia of a mesh is not computed and is returned as 0.
     """
     if isinstance(shape, Box):
         x, y, z = shape.size

@@ -1,4 +1,4 @@
-"""Reads values of one module document: link names, sizes, conditions and properties."""
+"""Reads link names, sizes, conditions and properties from a module document."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from thorvaldc.model.robot import Scalar
 
 
 class ModuleValues:
-    """Values of a module document with the parameter values of ``scope``."""
+    """Reads the values of a module document.
+
+    Expressions in the document use the parameter values in ``scope``.
+    """
 
     def __init__(self, module: ModuleType, scope: Scope, report: Report) -> None:
         self.module = module
@@ -25,11 +28,14 @@ class ModuleValues:
         self.link_names = [name for name, node in links.items() if self.is_present(node)]
 
     def is_present(self, node: Node) -> bool:
-        """Evaluates the condition `when`; by default the part is present."""
+        """Returns the value of the condition `when`, or true if there is no condition."""
         return self.scope.boolean(node.get("when"), True)
 
     def link_name(self, node: Node | None) -> str:
-        """Returns the link that a key names; the first link if the key is missing or unknown."""
+        """Returns the name of the link in a node.
+
+        Returns the name of the first link if the node is missing.  An unknown link is reported.
+        """
         first = self.link_names[0] if self.link_names else ""
         if node is None:
             return first
@@ -46,7 +52,10 @@ class ModuleValues:
         return name or first
 
     def not_negative(self, node: Node, key: str, quantity: str) -> float:
-        """Returns a quantity in SI that is 0 or more; by default 0."""
+        """Returns the value of a key in SI units, and checks that the value is not negative.
+
+        Returns 0 if the key is missing or the value is negative.
+        """
         entry = node.get(key)
         value = self.scope.quantity(entry, quantity)
         if value < 0 and entry is not None:
@@ -58,7 +67,10 @@ class ModuleValues:
         return max(value, 0.0)
 
     def positive(self, node: Node, key: str, quantity: str, default: float) -> float:
-        """Returns a quantity in SI that is more than 0."""
+        """Returns the value of a key in SI units, and checks that the value is greater than 0.
+
+        Returns the default if the key is missing or the value is not valid.
+        """
         entry = node.get(key)
         value = self.scope.quantity(entry, quantity, default)
         if value > 0:
@@ -72,7 +84,10 @@ class ModuleValues:
         return default
 
     def scalar(self, node: Node) -> Scalar:
-        """Returns a value of any type; text with a unit becomes a number in SI."""
+        """Returns the value of a node as a boolean, a number or a text.
+
+        A text with a unit is converted to a number in SI units.
+        """
         value = self.scope.evaluate(node)
         if isinstance(value, str) and not node.quoted:
             with contextlib.suppress(UnitError):
@@ -80,5 +95,5 @@ class ModuleValues:
         return value if isinstance(value, bool | int | float | str) else 0.0
 
     def properties(self, node: Node | None) -> tuple[tuple[str, Scalar], ...]:
-        """Returns the names and values of a mapping; quantities are in SI."""
+        """Returns the names and values in a mapping.  Quantities are converted to SI units."""
         return tuple((key, self.scalar(value)) for key, value in entries(node).items())
