@@ -1,4 +1,4 @@
-"""Mounts the parts of assemblies: on ports of other parts, or freely on a part's surface."""
+"""Mounts modules on ports of other modules, or at any pose on the surface of another module."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from thorvaldc.model.spatial import Pose
 
 
 class Mounting:
-    """Reads the `mount` entries of parts."""
+    """Reads the `mount` entries of modules, and finds the root module of an assembly."""
 
     def __init__(self, references: References, report: Report) -> None:
         self.references = references
         self.report = report
 
     def root_of(self, assembly: Instance, node: Node) -> Instance | None:
-        """Returns the leaf that carries the other parts of an assembly: it has no `mount`.
+        """Returns the root module of an assembly, as a leaf of the tree of module instances.
 
-        Reports at ``node`` if there is none; ``None`` also if there are several.
+        The root module has no `mount` entry and carries the other modules of the assembly.
+        Returns ``None`` and reports an error if there is no root module or more than one.
         """
         roots = [
             child
@@ -33,7 +34,7 @@ class Mounting:
         name = f"`{assembly.path}`" if assembly.path else "the robot"
         if not roots:
             if not assembly.is_complete:
-                return None  # The part that could not be created may be the root.
+                return None  # A module that could not be created may be the root module.
             self.report.add(
                 "root-missing",
                 f"{name} has no root: every module is mounted on another, or there is none",
@@ -55,7 +56,7 @@ class Mounting:
         return None
 
     def mount_parts(self, assembly: Instance) -> None:
-        """Sets ``mount`` of all parts of an assembly that have a valid `mount` entry."""
+        """Sets the attribute ``mount`` of each module of an assembly with a valid `mount` entry."""
         for child in assembly.children.values():
             if not child.is_leaf:
                 self.mount_parts(child)
@@ -101,7 +102,10 @@ class Mounting:
     def _free_mount(
         self, inside: Instance, mounted_leaf: Instance, parent: Node, pose: Pose
     ) -> Mount | None:
-        """Reads a mount at any pose on a part that allows it by `free_mount`."""
+        """Reads a `mount` entry that names a module and a pose instead of a port.
+
+        The document of the carrying module must contain the key `free_mount`.
+        """
         reference = inside.scope.text(parent)
         part_and_rest = self.references.find(inside, reference, parent) if reference else None
         if part_and_rest is None:
@@ -138,7 +142,7 @@ class Mounting:
     def _check_kind(
         self, mounted_leaf: Instance, kind: str, reference: str, node: Node, port_section: Node
     ) -> None:
-        """Checks that the module fits a port of this kind."""
+        """Checks that a module can be mounted on a port of this kind."""
         if mounted_leaf.type is None or not kind:
             return
         mount = mounted_leaf.type.document.get("mount")
@@ -158,14 +162,17 @@ class Mounting:
     def check_no_cycle(self, robot: Instance) -> None:
         """Reports modules that are mounted on each other in a cycle.
 
-        A module with an invalid mount ends a chain: its own error is already reported.
+        A chain of mounts may end at a module with an invalid mount, because the invalid mount has
+        already been reported.
         """
-        # By leaf: true if its chain of mounts ends at the root.  Each leaf is visited once.
+        # The value for a leaf is true if the chain of mounts from the leaf ends.  The value is
+        # false if the chain is a cycle.  The loop visits each leaf once.
         chain_ends: dict[int, bool] = {}
         for leaf in robot.leaves():
             chain = [leaf]
             while id(chain[-1]) not in chain_ends and (mount := chain[-1].mount) is not None:
-                chain_ends[id(chain[-1])] = False  # A second visit in this chain is a cycle.
+                # If the loop visits a leaf twice in one chain, the chain is a cycle.
+                chain_ends[id(chain[-1])] = False
                 chain.append(mount.leaf)
             ends = chain_ends.get(id(chain[-1]), True)
             chain_ends.update((id(part), ends) for part in chain)

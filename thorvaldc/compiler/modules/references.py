@@ -1,4 +1,4 @@
-"""Finds the modules, ports and motors that dotted references name."""
+"""Finds the modules, ports and motors that dotted references such as ``fl.steering`` name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from thorvaldc.diagnostics import Report
 
 
 class References:
-    """Finds modules, ports and motors; reports unknown references at ``node``."""
+    """Finds the module, port or motor that a dotted reference names.
+
+    The argument ``inside`` of each method is the module instance that the reference starts from.
+    The argument ``reference`` contains names separated by dots, such as ``fl.steering``.  The
+    argument ``node`` is the node of the document that contains the reference.  An unknown
+    reference is reported at the span of ``node``.
+    """
 
     def __init__(self, report: Report) -> None:
         self.report = report
@@ -17,10 +23,10 @@ class References:
     def find(
         self, inside: Instance, reference: str, node: Node, *, optional: bool = False
     ) -> tuple[Instance, list[str]] | None:
-        """Returns the part that a dotted reference names, and the rest of the reference.
+        """Returns the module that a dotted reference names, and the unused names at the end.
 
-        Returns ``None`` if there is no such part.  If the reference is ``optional``, a part that
-        was left out is not reported.
+        Returns ``None`` if the first name of the reference is unknown.  If ``optional`` is true, a
+        reference to a module that was left out of the robot is not reported.
         """
         names = reference.split(".")
         part = inside
@@ -49,28 +55,31 @@ class References:
     def find_port(
         self, inside: Instance, reference: str, node: Node
     ) -> tuple[Instance, str] | None:
-        """Returns the leaf that has a port, and the port's name there."""
+        """Returns the leaf module that has the port, and the name of the port in the module."""
         return self._find_in_section(inside, reference, node, "ports", "port")
 
     def find_motor(
         self, inside: Instance, reference: str, node: Node
     ) -> tuple[Instance, str] | None:
-        """Returns the leaf that has a motor, and the motor's name there."""
+        """Returns the leaf module that has the motor, and the name of the motor in the module."""
         return self._find_in_section(inside, reference, node, "motors", "motor")
 
     def _find_in_section(
         self, inside: Instance, reference: str, node: Node, section: str, word: str
     ) -> tuple[Instance, str] | None:
-        """Finds an entry of a section; ``word`` is its name in messages.
+        """Finds an entry of the section `ports` or `motors` of a module.
 
-        An assembly's section maps names to references to its parts: these are followed to a leaf.
+        Each entry in a section of an assembly is a reference to a part of the assembly.  The
+        method follows the references until it finds a leaf module.  ``word``: the word ``port``
+        or ``motor`` for messages.
         """
         part_and_rest = self.find(inside, reference, node, optional=section == "motors")
         if part_and_rest is None:
             return None
         part, rest = part_and_rest
         if not rest and part.parent is not None and part.parent is not inside:
-            # A part and an entry of its assembly may have the same name: `fl.steering` is a motor.
+            # A part of an assembly and a motor of the assembly may have the same name.  Then
+            # `fl.steering` names the motor.
             name = reference.rpartition(".")[2]
             if part.parent.type is not None and name in part.parent.type.section(section):
                 part, rest = part.parent, [name]

@@ -1,8 +1,8 @@
-"""Resolves a robot document to a tree of module instances with their mounts.
+"""Resolves a robot document to a tree of module instances.
 
-The robot and its assemblies have the same form: named parts, each of a module type, mounted on
-each other's ports.  The leaves of the tree are modules with hardware.  Each leaf gets the leaf,
-link and pose that it is mounted on.
+A robot and an assembly both consist of named modules.  Each module has a module type and is
+mounted on a port of another module.  The leaves of the tree are modules with hardware.  The
+resolver finds for each leaf the link and the pose where the leaf is mounted.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from thorvaldc.compiler.modules.value_reader import INVALID, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
-MAX_DEPTH = 12  # nesting of assemblies
-MAX_MODULES = 5000  # per robot
+MAX_DEPTH = 12  # Greatest depth of nested assemblies.
+MAX_MODULES = 5000  # Greatest number of modules in a robot.
 
 
 class Resolver:
-    """Builds the instance tree of one robot document."""
+    """Builds the tree of module instances of one robot document."""
 
     def __init__(self, library: Library, report: Report) -> None:
         self.library = library
@@ -35,10 +35,12 @@ class Resolver:
         self._module_count = 0
 
     def resolve(self, document: Node, invalid_modules: Iterable[str] = ()) -> Instance:
-        """Returns the robot as an instance; parts whose mount is invalid have no mount.
+        """Returns the root of the tree of module instances.
 
-        ``invalid_modules`` are names of modules that were removed from the document because
-        their values are invalid (already reported).
+        A module instance with an invalid `mount` entry gets no mount.
+
+        ``invalid_modules``: names of the modules that were removed from the document because of
+        invalid values.  The errors have already been reported.
         """
         scope = Scope(None, {}, self.library, self.report, None)
         robot = Instance("", None, scope, document, document.span, None)
@@ -56,7 +58,10 @@ class Resolver:
         return robot
 
     def expand(self, parent: Instance, name: str, entry: Node) -> None:
-        """Adds a part to ``parent``, with the parts of its assemblies."""
+        """Adds a module to ``parent``.  If the module is an assembly, its modules are added, too.
+
+        ``name``: name of the module.  ``entry``: entry of the document that defines the module.
+        """
         self._add_part(parent, name, entry, entry.where, ())
         part = parent.children.get(name)
         if part is not None and not part.is_leaf:
@@ -69,7 +74,10 @@ class Resolver:
     def _add_part(
         self, parent: Instance, name: str, entry: Node, span: Span, types: tuple[str, ...]
     ) -> None:
-        """Adds the part of an entry; ``types`` are those of the assemblies around it."""
+        """Adds the module that an entry of a document defines.
+
+        ``types``: names of the module types of the assemblies that contain the module.
+        """
         if not parent.scope.boolean(entry.get("when"), True):
             parent.left_out.add(name)
             return
@@ -107,7 +115,10 @@ class Resolver:
     def _is_within_limits(
         self, module: ModuleType, type_node: Node, span: Span, types: tuple[str, ...]
     ) -> bool:
-        """Checks the nesting and the number of modules, so that expansion ends."""
+        """Checks the depth of nested assemblies and the number of modules.
+
+        Without the limits, the expansion of an assembly that contains itself would never end.
+        """
         if module.name in types or len(types) >= MAX_DEPTH:
             problem = f"assemblies are nested more than {MAX_DEPTH} deep"
             if module.name in types:
@@ -132,10 +143,14 @@ class Resolver:
         module: ModuleType,
         chosen_arguments: dict[str, tuple[Node, Scope]],
     ) -> dict[str, tuple[Node, Scope]]:
-        """Returns the parameter values of a part, each with the scope that it uses.
+        """Returns the parameter values of a module, each with the scope for expressions.
 
-        In order of priority: those of the module choice, `params` of the entry, `defaults` of
-        the robot (for its own modules), and the suggestions of the port that it is mounted on.
+        The sources of parameter values are, in order of priority:
+
+        1. the value of a `module` parameter that chooses the module,
+        2. `params` of the entry,
+        3. `defaults` of the robot document, for modules that are not in an assembly,
+        4. `suggests` of the port that the module is mounted on.
         """
         arguments = {k: (node, parent.scope) for k, node in entries(entry.get("params")).items()}
         arguments.update(chosen_arguments)
@@ -150,10 +165,10 @@ class Resolver:
         return arguments
 
     def _suggestions(self, parent: Instance, entry: Node) -> dict[str, Node]:
-        """Returns the parameter values that the port under an entry suggests.
+        """Returns the parameter values that a port suggests for the module mounted on the port.
 
-        The module with the port may follow later in the file, so the document is searched and
-        not the instances.
+        The method searches the document for the module with the port, because the module instance
+        may not exist yet.
         """
         mount = entry.get("mount")
         port = mount.get("port") if mount is not None and isinstance(mount.value, dict) else mount
@@ -170,7 +185,10 @@ class Resolver:
         return entries(port_section.get("suggests")) if port_section is not None else {}
 
     def _pass_can_on(self, assembly: Instance) -> None:
-        """Passes the assembly's `can` to the part that its module document names."""
+        """Passes the `can` section of an assembly to the module that is the CAN device.
+
+        The key `can` in the document of the assembly names the module.
+        """
         if assembly.type is None or assembly.can is None:
             return
         part_node = assembly.type.document.get("can")
@@ -191,7 +209,7 @@ class Resolver:
             self._pass_can_on(child)
 
     def _check_defaults(self, robot: Instance) -> None:
-        """Reports `defaults` that apply to no module."""
+        """Reports each entry of the section `defaults` that applies to no module of the robot."""
         types = [c.type for c in robot.children.values() if c.type is not None]
         categories = [module.category for module in types]
         for category, params in self._defaults.items():
@@ -217,7 +235,10 @@ class Resolver:
                     )
 
     def _check_devices(self, inside: Instance) -> None:
-        """Checks that only devices have `can` and `channels`, and that channels name motors."""
+        """Checks the sections `can` and `channels` of the modules.
+
+        Only a CAN device may have the sections.  Each channel must name an existing motor.
+        """
         for leaf in inside.leaves():
             if leaf.type is None:
                 continue

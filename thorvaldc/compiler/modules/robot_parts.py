@@ -1,4 +1,4 @@
-"""Collects links, joints and devices of a robot from the hardware of its module instances."""
+"""Collects the links, joints and devices of all modules of a robot."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Actuator, Battery, Joint, Link, Mesh, Sensor
 from thorvaldc.model.spatial import Pose, clean
 
-HEIGHT_TOLERANCE = 1e-3  # m; allowed error of a stated height above ground
+HEIGHT_TOLERANCE = 1e-3  # Allowed error of a stated height above the ground (m).
 
 
 @dataclass
 class RobotParts:
-    """Lists of the model's elements, in model order.
+    """Links, joints, actuators, wheels, sensors, batteries and meshes of a robot.
 
-    Names are ``<module>_<name>``, where ``<module>`` is the instance's path with ``_`` for ``.``.
+    The name of an element is ``<module>_<name>``.  ``<module>`` is the path of the module instance
+    with underscores instead of dots.  ``<name>`` is the name in the module document.
     """
 
     links: list[Link]
@@ -32,7 +33,10 @@ class RobotParts:
     meshes: dict[str, Mesh] = field(default_factory=dict)
 
     def add(self, leaf: Instance, hardware: Mapping[str, Hardware]) -> None:
-        """Adds all parts of a leaf; ``hardware`` is that of all leaves by their paths."""
+        """Adds all elements of a leaf module.
+
+        ``hardware`` contains the hardware of each leaf module, by the path of the leaf.
+        """
         part = hardware[leaf.path]
         prefix = name_prefix(leaf.path)
         for mesh in part.meshes:
@@ -68,14 +72,15 @@ class RobotParts:
         self.add_joints(leaf, part)
 
     def add_joints(self, leaf: Instance, hardware: Hardware) -> None:
-        """Adds the joints and motors of a leaf."""
+        """Adds the joints and motors of a leaf module."""
         prefix = name_prefix(leaf.path)
         motors = {motor.joint: motor for motor in hardware.motors}
-        limits: dict[str, tuple[float, float]] = {}  # of actuated joints: effort, velocity
+        # Effort (N m) and velocity (rad/s) limits of each joint with a motor.
+        limits: dict[str, tuple[float, float]] = {}
         for joint in hardware.joints:
             motor = motors.get(joint.name)
             effort, velocity = joint.effort, joint.velocity
-            if motor is not None:  # the lower limits of joint and motor
+            if motor is not None:  # The lower of the limits of the joint and the motor applies.
                 effort = min(motor.max_torque, math.inf if effort is None else effort)
                 velocity = min(motor.max_velocity, math.inf if velocity is None else velocity)
                 velocity = clean(velocity)
@@ -123,7 +128,10 @@ class RobotParts:
             )
 
     def check_names(self, report: Report) -> None:
-        """Reports links or joints of equal names: `a_b.c` and `a.b_c` have the same prefix."""
+        """Reports two links or two joints with the same name.
+
+        For example, the elements of the modules `a_b.c` and `a.b_c` have the same prefix `a_b_c`.
+        """
         for word, elements in (("link", self.links), ("joint", self.joints)):
             first_by_name: dict[str, Link | Joint] = {}
             for element in elements:
@@ -141,8 +149,9 @@ class RobotParts:
     def raise_root(self, height: float, hardware: Mapping[str, Hardware], report: Report) -> None:
         """Raises the root module by ``height`` (m), so that the wheels stand on the ground.
 
-        Reports if the resulting height differs from the one that the module states.  A robot
-        without wheels gets the stated height.
+        The module document may state the height of the root module above the ground.  A
+        difference from the stated height is reported.  The root module of a robot without wheels
+        is placed at the stated height.
         """
         for i, joint in enumerate(self.joints):
             if joint.parent != "base_link" or joint.type != "fixed" or not joint.module:
@@ -168,7 +177,7 @@ class RobotParts:
 
 
 def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> Joint:
-    """Returns the fixed joint between a leaf's first link and the link that carries it."""
+    """Returns the fixed joint between the carrying link and the first link of a leaf module."""
     part = hardware[leaf.path]
     prefix = name_prefix(leaf.path)
     child = f"{prefix}_{part.links[0].name}"

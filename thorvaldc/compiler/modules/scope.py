@@ -1,4 +1,7 @@
-"""Parameters and `let` values of a module: the names that its expressions may use."""
+"""Evaluates the parameters and the `let` values of a module.
+
+Expressions in the module document may use the names of the parameters and of the `let` values.
+"""
 
 from __future__ import annotations
 
@@ -24,25 +27,33 @@ from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 NONE = "none"
-MAX_CHAIN = 30  # length of a chain of names whose values need each other
-MAX_CHOICES = 12  # nesting of modules that parameters of other modules choose
+MAX_CHAIN = 30  # Greatest length of a chain of names in which each value needs the next value.
+MAX_CHOICES = 12  # Greatest depth of modules that are chosen by parameters of other modules.
 WHEEL_SIZES = ("radius", "width")
 
 
 def hint_of_known(word: str, known: list[str]) -> str:
-    """Returns a hint with the most similar known word, or with all known words."""
+    """Returns a hint about an unknown word.
+
+    The hint contains the most similar known word.  Without a similar word, the hint lists all
+    known words.
+    """
     all_words = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
     return did_you_mean(word, known) or all_words
 
 
 class ModuleChoice(Mapping[str, Any]):
-    """The value of a `module` parameter: a module type with arguments for its parameters.
+    """The value of a `module` parameter, which is a module type with arguments.
 
-    As a mapping, it contains the parameter values of the chosen module: `${wheel.radius}` reads
-    them.  If the module has no such parameter, `radius` and `width` are those of its `wheel`
-    section.
+    A ``ModuleChoice`` is a mapping of the parameter values of the chosen module.  An expression
+    such as `${wheel.radius}` reads a parameter value.  If the chosen module has no parameter
+    `radius` or `width`, the value is read from the section `wheel` of the module document.
 
-    ``written_in`` is the scope that expressions in the arguments use.
+    Attributes
+    ----------
+    module : the chosen module type.
+    params : arguments for the parameters of the chosen module, by name.
+    written_in : scope of the expressions in the arguments.
     """
 
     def __init__(self, module: ModuleType, params: dict[str, Node], written_in: Scope) -> None:
@@ -80,26 +91,29 @@ class ModuleChoice(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self.scope)
 
-    # Choices are equal if they are the same object: comparing values would evaluate all of them.
+    # Two choices are equal only if both are the same object.  A comparison of the parameter
+    # values would evaluate all parameters.
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
-        """A choice is true in an expression, even if the module has no parameters."""
+        """Returns true, so that a choice is true in an expression also without parameters."""
         return True
 
 
 class Scope(ValueReader):
-    """The names of one module; the value of a name is computed when it is first used.
+    """Names that expressions in a module document may use.
+
+    The value of a name is computed when an expression first uses the name.
 
     Parameters
     ----------
-    module : the module type, or ``None`` for a robot document, which has no names.
-    arguments : the parameter values that the user of the module sets, each with the scope that
-        its expression uses.
-    entry : where the module is used; diagnostics about missing parameters point there.
-        ``None``: missing parameters are not reported.
-    extra : further names and values, such as a loop variable.
+    module : the module type, or ``None`` for a robot document.  A robot document has no names.
+    arguments : parameter values that the user of the module sets, by the name of the parameter.
+        Each value has the scope for the expressions in the value.
+    entry : entry of the document that uses the module.  Missing parameters are reported at the
+        span of the entry.  ``None``: missing parameters are not reported.
+    extra : additional names and values, such as loop variables.
     """
 
     def __init__(
@@ -123,7 +137,7 @@ class Scope(ValueReader):
         self._in_evaluation: list[str] = []
 
     def with_names(self, extra: dict[str, Any]) -> Scope:
-        """Returns a copy with more names."""
+        """Returns a copy of the scope with additional names and values."""
         inner = Scope(self.module, self._arguments, self.library, self.report, self._entry, extra)
         inner._values = {**self._values, **extra}
         return inner
@@ -169,9 +183,9 @@ class Scope(ValueReader):
         return name in self._values or name in self._params or name in self._let
 
     def _let_value(self, node: Node) -> Any:
-        """Returns the value of a `let` entry, or of an element of its list.
+        """Returns the value of a `let` entry, or of an element in the list of a `let` entry.
 
-        Text with a unit is a quantity; its value is in SI.
+        A text with a unit is converted to a number in SI units.
         """
         if isinstance(node.value, tuple):
             elements = [self._let_value(element) for element in node.value]
@@ -189,7 +203,7 @@ class Scope(ValueReader):
         return tuple(self._value_of(name) for name in self._params)
 
     def check_arguments(self) -> None:
-        """Reports arguments for parameters that the module type does not have."""
+        """Reports arguments whose names are not parameters of the module type."""
         for name, (node, _) in self._arguments.items():
             if name not in self._params and self.module is not None:
                 self.report.add(
@@ -204,7 +218,7 @@ class Scope(ValueReader):
         if argument is not None:
             node, scope = argument
             value = scope._typed(node, declaration)
-            # An assembly may pass on a parameter that has no value: the default then applies.
+            # If an assembly passes on a parameter without a value, the default value applies.
             if value is not None or _kind(declaration) == "module":
                 return self._in_range(name, declaration, node, value)
         default = declaration.get("default")
@@ -221,11 +235,14 @@ class Scope(ValueReader):
         return self._in_range(name, declaration, default, value)
 
     def _typed(self, node: Node, declaration: Node, *, is_default: bool = False) -> Any:
-        """Returns the node's value with the declared type of the parameter."""
+        """Returns the value of a node, converted to the declared type of a parameter.
+
+        Returns ``INVALID`` and reports an error if the value does not have the declared type.
+        """
         kind = _kind(declaration)
         quantity = _text(declaration, "quantity") or "ratio"
         if node.value is None or (node.value == NONE and kind != "module"):
-            # Only a default may be `none`: expressions test for it.
+            # Only the default of a parameter may be `none`.  Expressions can test for `none`.
             if is_default:
                 return None
             self.report.add(
@@ -271,7 +288,10 @@ class Scope(ValueReader):
         return INVALID
 
     def _module(self, node: Node, declaration: Node) -> Any:
-        """Returns the ``ModuleChoice`` of a `module` parameter; ``None`` for `none`."""
+        """Returns the value of a `module` parameter as a ``ModuleChoice``.
+
+        Returns ``None`` if the value is `none`, and ``INVALID`` if the value has an error.
+        """
         params: dict[str, Node] = {}
         name_node: Node | None = node
         if isinstance(node.value, dict):
@@ -307,7 +327,10 @@ class Scope(ValueReader):
         return ModuleChoice(module, params, self)
 
     def _in_range(self, name: str, declaration: Node, node: Node, value: Any) -> Any:
-        """Returns the value, or ``INVALID`` if it is none of the choices or beyond a limit."""
+        """Returns the value of a parameter if the value is one of the choices and within limits.
+
+        Otherwise the method reports an error and returns ``INVALID``.
+        """
         if value is None or value is INVALID:
             return value
         choices = declaration.get("choices")
@@ -323,7 +346,7 @@ class Scope(ValueReader):
             if limit is not INVALID and sign * value < sign * limit:
                 limit_text = f"{limit:g}"
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
-                    limit_text = limit_node.value  # with its unit
+                    limit_text = limit_node.value  # The text of the limit with the unit.
                 self.report.add(
                     "param-range",
                     f"`{name}` is {describe_value(node, value)}; "

@@ -1,4 +1,8 @@
-"""Sources of commanded twists with their priorities, and locks that stop the lower ones."""
+"""Reads the sources of commanded twists and the twist locks of a robot document.
+
+Each source and each lock has a priority.  An active lock stops all sources of the same or a lower
+priority.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,8 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import TwistInput
 
-# Names, priorities and topics of the original system's multiplexer: a person overrides the
-# navigation, and a lock stops all sources of its own or lower priority.
+# The names, priorities and topics are those of the twist multiplexer in the original system.  The
+# joystick of a person has a higher priority than the autonomous navigation.
 DEFAULT_SOURCES = {"teleop_joy": 100, "auto_nav": 10}
 DEFAULT_LOCKS = {
     "safety_stop": (255, "safety_stop/lock"),
@@ -17,9 +21,9 @@ DEFAULT_LOCKS = {
 
 
 class TwistInputReader:
-    """Reads ``driver.twist_sources`` and ``driver.twist_locks`` of a robot document.
+    """Reads the sections ``driver.twist_sources`` and ``driver.twist_locks`` of a robot document.
 
-    Their entries change the default inputs or add further ones.
+    Each entry changes a default source or lock, or adds a new source or lock.
     """
 
     def __init__(self, document: Node, reader: ValueReader, report: Report) -> None:
@@ -28,7 +32,10 @@ class TwistInputReader:
         self._report = report
 
     def sources(self, command_timeout: float) -> tuple[TwistInput, ...]:
-        """Returns the sources; ``command_timeout`` (s) is their default time-out."""
+        """Returns the sources of commanded twists.
+
+        ``command_timeout``: default time-out of a source (s).
+        """
         sources = {
             name: TwistInput(name, _topic(name), priority, command_timeout)
             for name, priority in DEFAULT_SOURCES.items()
@@ -41,7 +48,7 @@ class TwistInputReader:
         return tuple(sources.values())
 
     def locks(self) -> tuple[TwistInput, ...]:
-        """Returns the locks; one with the time-out 0 keeps its last state."""
+        """Returns the twist locks.  A lock with a time-out of 0 s keeps the last received state."""
         locks = {
             name: TwistInput(name, topic, priority, 0.0)
             for name, (priority, topic) in DEFAULT_LOCKS.items()
@@ -70,9 +77,13 @@ class TwistInputReader:
         return TwistInput(default.name, topic_name, priority, timeout)
 
     def _check_priorities(self, sources: dict[str, TwistInput], stated: dict[str, Node]) -> None:
-        """Reports equal priorities: the order of the list would decide which source drives."""
+        """Reports two sources with the same priority.
+
+        With equal priorities, the order in the list would decide which source drives the robot.
+        """
         first_names: dict[int, str] = {}
-        # Default sources that the file does not name come first: their priorities are right.
+        # Default sources that the robot file does not name are checked first, because an error
+        # can only be corrected in the robot file.
         for name in [*(name for name in sources if name not in stated), *stated]:
             priority = sources[name].priority
             first = first_names.setdefault(priority, name)

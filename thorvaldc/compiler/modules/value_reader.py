@@ -1,8 +1,8 @@
-"""Reads values of a document: evaluates expressions and converts quantities to SI.
+"""Reads values of a document, evaluates expressions and converts quantities to SI units.
 
-Each method returns a value of the requested type for every input.  If the value is invalid, the
-method reports a diagnostic and returns the default, so that one run reports the errors of the
-whole document.
+Each method returns a value of the requested type.  If a value in the document is invalid, the
+method reports an error and returns the default value.  One run can therefore report all errors of
+a document.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.spatial import Pose, Vec3
 
-# Bounds of every number in SI, except 0.  Squares and products of such numbers do not overflow.
+# Bounds of the absolute value of every number in SI units, except 0.  Squares and products of
+# numbers within the bounds do not overflow.
 LARGEST = 1e12
 SMALLEST = 1e-15
 FULL_TURN = 2.0 * math.pi  # rad
 
 INVALID: Any = object()
-"""Replaces a value whose error is in the report."""
+"""Placeholder for an invalid value whose error has been reported."""
 
 
 class ReferenceCycleError(Exception):
@@ -31,24 +32,27 @@ class ReferenceCycleError(Exception):
 
 
 class InvalidNameError(Exception):
-    """An expression uses a name whose value is invalid; the report contains the error."""
+    """An expression uses a name whose value is invalid.
+
+    The error of the invalid value has already been reported.
+    """
 
 
 def entries(node: Node | None) -> dict[str, Node]:
-    """Returns the entries of a mapping; empty if the node is missing or is no mapping."""
+    """Returns the entries of a mapping node, or ``{}`` if the node is missing or no mapping."""
     return node.value if node is not None and isinstance(node.value, dict) else {}
 
 
 def items(node: Node | None) -> tuple[Node, ...]:
-    """Returns the elements of a list; empty if the node is missing or is no list."""
+    """Returns the elements of a list node, or ``()`` if the node is missing or no list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
 class ValueReader(Mapping[str, Any]):
-    """Reads scalars, quantities, vectors and poses.
+    """Reads scalars, quantities, vectors and poses of a document.
 
-    As a mapping, it contains the names that expressions may use: none here, in ``Scope`` those
-    of a module.
+    A ``ValueReader`` is a mapping of the names that expressions may use.  The mapping is empty in
+    this class.  In the subclass ``Scope``, the mapping contains the names of a module.
     """
 
     def __init__(self, report: Report) -> None:
@@ -64,14 +68,14 @@ class ValueReader(Mapping[str, Any]):
         return 0
 
     def value(self, node: Node) -> Any:
-        """Returns the value of the node, or of the expression in it.
+        """Returns the value of a node, or the value of the expression in the node.
 
-        Returns ``INVALID`` if there is an error.  ``None`` is the value of a module parameter
-        that is `none`.
+        Returns ``INVALID`` if there is an error.  Returns ``None`` for a module parameter with
+        the value `none`.
         """
         value = node.value
         if value is None:
-            return INVALID  # The schema check has reported it.
+            return INVALID  # The schema check has reported the invalid value.
         if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
             return value
         try:
@@ -85,12 +89,16 @@ class ValueReader(Mapping[str, Any]):
         return INVALID
 
     def evaluate(self, node: Node) -> Any:
-        """Returns the same as ``value``, but ``None`` in place of ``INVALID``."""
+        """Returns the value of a node, or ``None`` if the value is invalid."""
         value = self.value(node)
         return None if value is INVALID else value
 
     def quantity(self, node: Node | None, quantity: str, default: float = 0.0) -> float:
-        """Returns a quantity in SI; the default if the node is missing or invalid."""
+        """Returns a physical quantity in SI units.
+
+        Returns the default if the node is missing or invalid.  ``quantity``: kind of quantity,
+        such as ``length``.
+        """
         if node is None:
             return default
         return self._to_si(self.value(node), node, quantity, default)
@@ -153,7 +161,10 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def vector(self, node: Node | None, quantity: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
-        """Returns three quantities in SI: a list, or an expression whose value is a list."""
+        """Returns three physical quantities in SI units.
+
+        The node contains a list, or an expression with a list as its value.
+        """
         if node is None:
             return default
         if isinstance(node.value, str):
@@ -171,7 +182,7 @@ class ValueReader(Mapping[str, Any]):
         return (x, y, z)
 
     def pose(self, node: Node) -> Pose:
-        """Returns the pose of the keys `xyz` (m) and `rpy` (rad) of a mapping."""
+        """Returns the pose that the keys `xyz` (m) and `rpy` (rad) of a mapping describe."""
         return Pose.from_xyz_rpy(
             self.vector(node.get("xyz"), "length"), self.vector(node.get("rpy"), "angle")
         )
@@ -194,7 +205,10 @@ def describe_node(node: Node) -> str:
 
 
 def describe_value(node: Node, value: Any) -> str:
-    """Describes the content of a node, and its value if the content is an expression."""
+    """Describes the content of a node for a message.
+
+    The description of an expression includes the value of the expression.
+    """
     if isinstance(node.value, str) and "${" in node.value and isinstance(value, int | float):
         return f"{value:g} (`{node.value}`)"
     return describe_node(node)

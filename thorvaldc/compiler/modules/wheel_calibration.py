@@ -1,4 +1,4 @@
-"""Applies measured wheel radii and steering offsets from the calibration file of a robot."""
+"""Applies the measured wheel radii and steering offsets in the calibration file of a robot."""
 
 from __future__ import annotations
 
@@ -20,13 +20,19 @@ from thorvaldc.model.spatial import add, clean
 from thorvaldc.model.statics.joint_tree import JointTree
 
 MAX_RADIUS_CHANGE = 0.2
-"""Fraction by which a measured radius may differ from the module's: beyond, it is another wheel."""
+"""Fraction by which a measured radius may differ from the radius in the module document.
+
+A measured radius with a larger difference is probably the radius of another wheel.
+"""
 MAX_STEERING_OFFSET = math.radians(45.0)
-"""Larger offsets (rad) are errors of homing and not of calibration."""
+"""Largest plausible steering offset (rad).
+
+A larger steering offset is an error of the homing, which a calibration cannot correct.
+"""
 
 
 class Measured(NamedTuple):
-    """A measured value in SI, and where the calibration file states it."""
+    """A measured value in SI units, and the span of the value in the calibration file."""
 
     value: float
     span: Span
@@ -34,7 +40,15 @@ class Measured(NamedTuple):
 
 @dataclass
 class Calibration:
-    """Measured values by wheel.  ``names`` are the wheels of the file and their spans."""
+    """Content of a calibration file.
+
+    Attributes
+    ----------
+    names : span of the entry of each wheel, by the name of the wheel.
+    radii : measured radius (m) of each wheel, by the name of the wheel.
+    named_radii : measured radii (m) of each wheel, by the names of the wheel and of the radius.
+    steering_offsets : measured steering offset (rad) of each wheel, by the name of the wheel.
+    """
 
     names: dict[str, Span] = field(default_factory=dict)
     radii: dict[str, Measured] = field(default_factory=dict)
@@ -45,10 +59,17 @@ class Calibration:
 def load_calibration(
     document: Node, base_dir: Path, report: Report, files: dict[str, Path]
 ) -> Calibration | None:
-    """Reads the file that ``calibration`` of a robot document names.
+    """Reads the calibration file of a robot.
 
-    Returns ``None`` if the document names none, or if the file cannot be read (reported).
-    ``base_dir`` is the folder of the robot file; ``files`` gets the calibration file.
+    The entry ``calibration`` of the robot document names the calibration file.  Returns ``None``
+    if the document has no entry ``calibration``.  Returns ``None`` and reports an error if the
+    file cannot be read.
+
+    Parameters
+    ----------
+    document : the robot document.
+    base_dir : folder of the robot file.
+    files : the function adds the calibration file, by the name of the file in spans.
     """
     node = document.get("calibration")
     if node is None or not isinstance(node.value, str):
@@ -93,7 +114,7 @@ def load_calibration(
 
 
 def _check_robot(reader: ValueReader, calibration: Node, document: Node, report: Report) -> None:
-    """Checks that the calibration is that of this robot."""
+    """Checks that the calibration file and the robot document contain the same robot name."""
     measured_node, name_node = calibration.get("robot"), document.get("name")
     if measured_node is None or name_node is None:
         return
@@ -113,10 +134,10 @@ def _check_robot(reader: ValueReader, calibration: Node, document: Node, report:
 def calibrate_wheels(
     calibration: Calibration, wheels: list[PlacedWheel], report: Report
 ) -> list[PlacedWheel]:
-    """Returns the wheels with their measured radii.
+    """Returns the wheels with the measured radii.
 
-    A named radius that equals the module's ``radius`` belongs to the same tyre and gets the
-    same measured value.
+    A named radius that equals the nominal ``radius`` of the wheel belongs to the same tyre.  The
+    named radius is therefore replaced by the same measured radius.
     """
     known = [wheel.name for wheel in wheels]
     for name, span in calibration.names.items():
@@ -154,7 +175,10 @@ def _calibrate_wheel(calibration: Calibration, wheel: PlacedWheel, report: Repor
 
 
 def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Report) -> float:
-    """Returns the measured radius, or the nominal one if the measurement is not plausible."""
+    """Returns the measured radius (m), or the nominal radius if the measurement is not plausible.
+
+    A measured radius that is not plausible is reported.
+    """
     if abs(measured.value - nominal) <= MAX_RADIUS_CHANGE * nominal:
         return measured.value
     report.add(
@@ -174,10 +198,11 @@ def raise_axles(
     nominal_wheels: Sequence[PlacedWheel],
     measured_wheels: Sequence[PlacedWheel],
 ) -> None:
-    """Raises the axle of each wheel by the growth of its radius, in ``joints``.
+    """Raises the axle of each wheel by the difference of the measured and the nominal radius.
 
-    All wheels then still touch the ground.  In reality legs and frame give way by such
-    millimetres; a rigid model would stand on three wheels.
+    The function changes the poses of the spin joints in ``joints``.  All wheels of the model then
+    touch the ground.  The frame of a real robot bends by a few millimetres, so that all wheels
+    touch the ground.  A rigid model with different radii would stand on three wheels.
     """
     index = {joint.name: i for i, joint in enumerate(joints)}
     for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
@@ -186,7 +211,7 @@ def raise_axles(
         if growth == 0.0 or spin is None:
             continue
         axis = tree.pose[spin.child].rotate(spin.axis)
-        # A wheel that leans by the camber angle stands on a leaning circle: cos(camber).
+        # The height of the axle of a wheel with camber is radius * cos(camber angle).
         rise = growth * math.sqrt(max(1.0 - axis[2] * axis[2], 0.0))
         shift = tree.pose[spin.parent].inverse().rotate((0.0, 0.0, rise))
         i = index[spin.name]
@@ -200,7 +225,10 @@ def calibrate_steering(
     wheels: Sequence[Wheel],
     report: Report,
 ) -> None:
-    """Sets the encoder offsets of the steering motors in ``actuators``."""
+    """Sets the encoder offsets (rad) of the steering motors to the measured steering offsets.
+
+    The function replaces elements of ``actuators``.
+    """
     index = {actuator.joint: i for i, actuator in enumerate(actuators)}
     offset_by_joint: dict[str, Measured] = {}
     for wheel in wheels:
