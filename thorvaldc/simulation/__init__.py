@@ -1,6 +1,11 @@
 """Simulation of robots: runs and scenarios, and their results.
 
-``physics`` has the simulated bases, ``records`` reads and writes recorded runs, ``pictures`` draws
-plots, videos and web pages, ``bus`` simulates CAN devices, ``vectorised`` computes many robots
-at a time, ``gym`` has the Gymnasium environment.
+The subpackages:
+
+* ``physics``: simulated bases.
+* ``records``: reading and writing of recorded runs.
+* ``pictures``: plots, videos and web pages.
+* ``bus``: simulated CAN devices.
+* ``vectorised``: computations for many robots at a time.
+* ``gym``: Gymnasium environment.
 """

@@ -1,4 +1,4 @@
-"""The control loop of one simulated robot: its driver, and the measurements of each tick."""
+"""The control loop of one simulated robot, and the measurements of each tick."""
 
 from __future__ import annotations
 
@@ -30,14 +30,22 @@ def largest_component(twist: Twist) -> float:
 
 @dataclass(slots=True)
 class Sample:
-    """Measurements of a robot at one tick: time in s, twists in ``base_link``, poses in the world.
+    """Measurements of a simulated robot at one tick of its driver.
 
-    ``commanded`` is the twist of the script, ``limited`` the commanded twist after the
-    driver's limits and ramps, ``estimated`` the twist of the odometry and ``true`` the twist in
-    the simulated world.  ``pose_estimated`` begins at the true start pose; yaw is not wrapped.
-    With ideal joints the true values are the estimated ones.  ``posture`` completes the
-    true pose in 3D: height (m), roll and pitch (rad).  The covariances are those of a small
-    motion of ``base_link`` and of the estimated twist, both in ``base_link``.
+    ``time`` is in s.  Twists are expressed in ``base_link``, poses in the world frame.  The
+    yaw angles of the poses are not wrapped.  With ideal joints, the true pose and the true
+    twist are equal to the estimated pose and twist.
+
+    * ``commanded``: twist that the script requests.
+    * ``limited``: commanded twist after the limits and ramps of the driver.
+    * ``estimated``: twist that the odometry computes.
+    * ``true``: twist of the robot in the simulated world.
+    * ``pose_estimated``: pose that the odometry computes, from the true start pose on.
+    * ``pose_true``: pose of the robot in the simulated world.
+    * ``joints``: joint states that the driver read; ``None`` if the driver has no states.
+    * ``posture``: height (m), roll (rad) and pitch (rad) of the robot in the simulated world.
+    * ``pose_covariance``: covariance of a small motion of ``base_link``, in ``base_link``.
+    * ``twist_covariance``: covariance of the estimated twist, in ``base_link``.
     """
 
     time: float
@@ -56,9 +64,10 @@ class Sample:
 class ControlLoop:
     """Runs the driver of one robot along a manoeuvre and measures how the robot moves.
 
-    Path lengths in m and angles in rad accumulate from the start on: ``path_commanded``,
-    ``path_true``, ``path_estimated`` and ``yaw_true`` (not wrapped).  ``uprightness`` is the
-    least cosine of the tilt so far.
+    ``path_commanded``, ``path_true`` and ``path_estimated`` are the path lengths (m) since the
+    start of the run.  ``yaw_true`` is the true yaw angle (rad) since the start of the run and is
+    not wrapped.  ``uprightness`` is the smallest cosine of the tilt angle since the start of the
+    run.
     """
 
     def __init__(
@@ -97,7 +106,10 @@ class ControlLoop:
         return self.ticks / self.robot.driver.rate
 
     def tick(self, joints: JointStates | None = None) -> None:
-        """Runs one tick of the driver; ``joints`` as for ``BaseDriver.tick``."""
+        """Runs one tick of the driver.
+
+        ``joints`` are joint states that were already read, as for ``BaseDriver.tick``.
+        """
         now = self.next_time
         previous = self.driver.state
         self.driver.command(twist_at(self.manoeuvre, now), now)
@@ -126,7 +138,8 @@ class ControlLoop:
         pose = base.true_pose()
         turn = math.remainder(pose.yaw - self.pose_true.yaw, math.tau)
         self.yaw_true += turn
-        # The path between two ticks is taken as an arc; its chord is the measured distance.
+        # The robot is assumed to move along an arc between two ticks.  The distance between the
+        # two positions is the chord of the arc.
         chord = math.hypot(pose.x - self.pose_true.x, pose.y - self.pose_true.y)
         self.path_true += chord / se2.chord_over_arc(turn)
         self.pose_true = pose
@@ -161,11 +174,11 @@ class ControlLoop:
 
     @property
     def tipped(self) -> bool:
-        """The robot fell over at some time in the run."""
+        """True if the robot fell over during the run."""
         return self.uprightness < TIPPED
 
     def result(self) -> RobotResult:
-        """Returns the result of the run so far."""
+        """Returns the result of the robot from the start of the run to the last tick."""
         robot = self.robot
         odometry = self.driver.state.pose
         true, path = odometry, self.path_estimated

@@ -14,7 +14,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
 
 
 class Segment(NamedTuple):
-    """A twist from ``start`` (s) until the start of the next segment."""
+    """A commanded twist that holds from the time ``start`` (s) to the next segment's start."""
 
     start: float
     twist: Twist
@@ -26,7 +26,10 @@ _LARGEST = (math.inf, math.inf, math.inf)
 
 
 def twist_at(manoeuvre: Manoeuvre, time: float) -> Twist:
-    """Returns the commanded twist at ``time`` (s); zero before the first segment."""
+    """Returns the commanded twist of a manoeuvre at ``time`` (s).
+
+    The twist is zero before the first segment.
+    """
     following = bisect.bisect_right(manoeuvre, (time + 1e-9, _LARGEST))
     return manoeuvre[following - 1].twist if following else ZERO_TWIST
 
@@ -45,11 +48,11 @@ _TIME_STEP = 0.1
 
 
 def default_manoeuvre(robot: Robot) -> tuple[list[Segment], float]:
-    """Returns a manoeuvre of all parts that the robot can drive, and its duration (s).
+    """Returns the default manoeuvre of a robot and the duration of the manoeuvre (s).
 
-    The parts are forward, an arc, sideways and a turn on the spot.  A part is omitted if the
-    arrangement of the wheels or a steering limit does not allow it.  The manoeuvre ends with
-    a stop of ``STOP`` s.
+    The default manoeuvre has four parts: straight ahead, an arc, sideways, and a turn on the
+    spot.  A part is omitted if the arrangement of the wheels or a steering limit does not allow
+    the motion.  At the end the robot stands still for ``STOP`` s.
     """
     segments: list[Segment] = []
     time = 0.0
@@ -65,12 +68,13 @@ def default_manoeuvre(robot: Robot) -> tuple[list[Segment], float]:
 def fleet_manoeuvres(
     robots: Sequence[tuple[str, Robot, Pose2]],
 ) -> tuple[dict[str, list[Segment]], float]:
-    """Returns a manoeuvre per robot without collisions between them, and the duration (s).
+    """Returns a manoeuvre for each robot of a fleet, and the duration of the manoeuvres (s).
 
-    ``robots`` are names, robots and start poses in the world.  All robots drive the same
-    parts at the same times; a robot that cannot drive a part stands still.  The function
-    tries the whole default manoeuvre first, then simpler and shorter ones, and
-    returns the first in which the robots keep apart (``_keep_apart``).
+    ``robots`` has a tuple for each robot: name, robot, and start pose in the world.  All robots
+    drive the same parts of the default manoeuvre at the same times.  A robot that cannot drive
+    a part stands still during the part.  The function tries the whole default manoeuvre first,
+    and then simpler and shorter manoeuvres.  The function returns the first manoeuvres in which
+    the robots do not collide (``_keep_apart``).
     """
     if not robots:
         return {}, STOP
@@ -116,10 +120,10 @@ def _part_twist(name: str, settings: DriverSettings) -> Twist:
 
 
 def _is_possible(robot: Robot, twist: Twist) -> bool:
-    """Reports if the wheels allow the nonzero components of the twist.
+    """Returns true if the wheels allow all nonzero components of the twist.
 
-    A component that the twist does not have may be added: an axle behind ``base_link`` moves
-    ``base_link`` sideways in a turn.
+    The feasible twist may contain components that are zero in ``twist``.  For example, a robot
+    whose axle lies behind ``base_link`` moves ``base_link`` sideways in a turn.
     """
     calculator = for_robot(robot)
     allowed = calculator.feasible(twist)
@@ -137,10 +141,11 @@ def _keep_apart(
     manoeuvres: Mapping[str, Manoeuvre],
     duration: float,
 ) -> bool:
-    """Reports if no two robots come too close on their predicted paths.
+    """Returns true if all robots keep a safe distance from each other on the predicted paths.
 
-    Each robot is a disc around its wheels.  The discs must not touch; if they touch at the
-    start, the robots must not come more than 5 cm closer.
+    Each robot is approximated by a disc around the wheels of the robot.  Two discs must not
+    touch.  If two discs touch at the start already, the distance between the two robots must
+    not decrease by more than 5 cm.
     """
     paths: list[list[Pose2]] = []
     radii: list[float] = []

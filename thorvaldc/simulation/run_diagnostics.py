@@ -17,9 +17,9 @@ _START_DURATION = 0.5
 def report_run(
     loops: Sequence[ControlLoop], result: SimulationResult, report: Report, fastest_joint: str = ""
 ) -> None:
-    """Reports the problems of a finished run.
+    """Adds the problems of a finished run to ``report``.
 
-    ``fastest_joint`` describes the fastest joint of a simulation that diverged.
+    ``fastest_joint`` is a description of the fastest joint, for a simulation that diverged.
     """
     if result.diverged:
         cause = f": {fastest_joint}" if fastest_joint else ""
@@ -71,11 +71,12 @@ def _direction(loop: ControlLoop) -> str:
 
 
 def _is_axle_swing(loop: ControlLoop) -> bool:
-    """Detects that only the sideways swing of ``base_link`` beside a fixed axle is infeasible.
+    """Returns true if only the sideways motion of ``base_link`` in a turn is infeasible.
 
-    A turn (vx, 0, wz) about an axle that is not under ``base_link`` moves ``base_link``
-    sideways.  A user who commands a turn does not think of this vy, so it is no mistake.
-    The infeasible part is then perpendicular to the commanded velocity and has no yaw rate.
+    If a fixed axle is not under ``base_link``, a turn (vx, 0, wz) also moves ``base_link``
+    sideways.  The commanded twist with vy = 0 is then infeasible, but the user made no mistake.
+    In this case the infeasible part of the twist is perpendicular to the commanded velocity, and
+    the yaw rate of the infeasible part is zero.
     """
     commanded, infeasible = loop.infeasible_twist, loop.infeasible
     dot = commanded.vx * infeasible.vx + commanded.vy * infeasible.vy

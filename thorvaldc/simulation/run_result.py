@@ -1,4 +1,4 @@
-"""Results of simulation runs: path lengths, pose errors and tilt of each robot, and their table."""
+"""Results of simulation runs: path lengths, pose errors and tilt of each robot."""
 
 from __future__ import annotations
 
@@ -12,14 +12,22 @@ from thorvaldc.runtime.se2 import Pose2, Twist
 
 @dataclass(frozen=True, slots=True)
 class RobotResult:
-    """Result of one robot.  Lengths in m, angles in rad, poses relative to the start pose.
+    """Result of one robot in a simulation run.
 
-    ``path_commanded`` is the path length of ``base_link`` for the commanded twists after the
-    driver's limits and ramps, ``path_true`` its path length in the simulated world, and
-    ``path_odometry`` the path length estimated from the joints.  ``end_error`` is the distance
-    between the true and the estimated position at the end, ``yaw_error`` the difference of
-    the headings.  With ideal joints there is no independent truth: the true values are those
-    of the odometry.
+    Lengths are in m, angles in rad, masses in kg, and poses are relative to the start pose of
+    the robot.  With ideal joints no independent true motion exists, so that the true values are
+    equal to the values of the odometry.
+
+    * ``path_commanded``: path length of ``base_link`` for the commanded twists, after the limits
+      and ramps of the driver.
+    * ``path_true``: path length of ``base_link`` in the simulated world.
+    * ``path_odometry``: path length of ``base_link`` that the odometry computes.
+    * ``end_error``: distance between the true and the estimated position at the end of the run.
+    * ``yaw_error``: difference between the true and the estimated yaw at the end of the run.
+    * ``largest_tilt``: largest tilt angle of the robot during the run.
+    * ``infeasible``: largest part of a commanded twist that the wheels did not allow.
+    * ``unreachable``: names of the wheels that could not be steered to a commanded angle.
+    * ``tipped``: true if the robot fell over.
     """
 
     name: str
@@ -42,10 +50,14 @@ class RobotResult:
 
 @dataclass(frozen=True, slots=True)
 class SimulationResult:
-    """Result of a run: requested and simulated duration (s), and the results of the robots.
+    """Result of a simulation run with one or more robots.
 
-    ``physics`` is ``mujoco``, ``ideal`` (ideal joints) or ``record`` (a replayed record).
-    ``real_time_factor`` is simulated time over computing time.
+    * ``physics``: ``mujoco``, ``ideal`` (ideal joints) or ``record`` (a replayed record).
+    * ``duration``: requested duration of the run (s).
+    * ``simulated``: simulated duration of the run (s).
+    * ``real_time_factor``: simulated time divided by computing time.
+    * ``diverged``: true if the simulation diverged.
+    * ``robots``: result of each robot.
     """
 
     physics: str
@@ -56,7 +68,10 @@ class SimulationResult:
     robots: tuple[RobotResult, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the result as plain values; twists and poses become named mappings."""
+        """Returns the result as JSON values.
+
+        Twists and poses become mappings from component names to numbers.
+        """
         value = dataclasses.asdict(self)
         for robot_value, robot in zip(value["robots"], self.robots, strict=True):
             for key in ("pose_true", "pose_odometry", "infeasible"):
@@ -67,7 +82,10 @@ class SimulationResult:
 
 
 def result_table(results: Sequence[SimulationResult]) -> str:
-    """Returns a text table with a line per robot; lengths in m, mass in kg; `-` stands for nan."""
+    """Returns a text table with one line per robot.
+
+    Path lengths are in m, errors in mm and masses in kg.  A `-` replaces a value that is nan.
+    """
     lines = [
         (
             "robot",

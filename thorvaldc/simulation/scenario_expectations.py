@@ -1,4 +1,4 @@
-"""Expectations of a scenario: each metric against its bounds, and the result of the whole run."""
+"""Comparison of the metrics of a scenario run with the expectations of the scenario."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from thorvaldc.simulation.scenario_metrics import UNITS
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The result of one expectation for one robot; values in SI."""
+    """The result of one expectation for one robot.
+
+    ``value``, ``minimum`` and ``maximum`` are in SI units.
+    """
 
     robot: str
     metric: str
@@ -26,14 +29,14 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """The value is finite and within the bounds."""
+        """True if the value is finite and within the bounds."""
         above = self.minimum is None or self.value >= self.minimum
         below = self.maximum is None or self.value <= self.maximum
         return math.isfinite(self.value) and above and below
 
     @property
     def bounds(self) -> str:
-        """The bounds as text, such as ``at most 20 deg``."""
+        """Text of the bounds with their unit, such as ``at most 20 deg``."""
         unit = UNITS[self.metric]
         texts = []
         if self.minimum is not None:
@@ -44,7 +47,7 @@ class Check:
 
     @property
     def value_text(self) -> str:
-        """The value with its unit."""
+        """Text of the measured value with the unit."""
         return _with_unit(self.value, UNITS[self.metric])
 
 
@@ -56,10 +59,14 @@ def _with_unit(value: float, unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioResult:
-    """Result of a scenario: ``metrics`` by robot and name in SI, the ``checks``, and a hash.
+    """Result of a scenario run.
 
-    ``hash`` covers every number of every tick: runs that are equal to the last bit have
-    equal hashes.
+    * ``scenario``: name of the scenario.
+    * ``run``: result of the simulation run.
+    * ``metrics``: metrics in SI units, by robot name and metric name.
+    * ``checks``: result of each expectation for each robot.
+    * ``hash``: SHA-256 of every number of every tick.  Two runs with equal numbers to the last bit
+      have equal hashes.
     """
 
     scenario: str
@@ -70,16 +77,16 @@ class ScenarioResult:
 
     @property
     def completed(self) -> bool:
-        """The run reached its end, and no robot fell over."""
+        """True if the simulation did not diverge and no robot fell over."""
         return not self.run.diverged and not any(robot.tipped for robot in self.run.robots)
 
     @property
     def passed(self) -> bool:
-        """The run is complete and all expectations are met."""
+        """True if the run is complete and all expectations are met."""
         return self.completed and all(check.passed for check in self.checks)
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the result as plain values."""
+        """Returns the result of the scenario as JSON values."""
         checks = [
             {
                 "robot": check.robot,
@@ -103,7 +110,10 @@ class ScenarioResult:
 
 
 def check_expectation(robot: str, values: Mapping[str, float], expectation: Expectation) -> Check:
-    """Compares a metric of a robot with the bounds of an expectation."""
+    """Compares the metric of an expectation with the bounds of the expectation.
+
+    ``values`` are the metrics of the robot ``robot`` by name, in SI units.
+    """
     value = values[expectation.metric]
     return Check(
         robot, expectation.metric, value, expectation.least, expectation.most, expectation.span

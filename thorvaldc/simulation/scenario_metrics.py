@@ -34,10 +34,17 @@ _LEAST_PATH = 1e-3
 class ScenarioMetrics:
     """Accumulates the metrics of one robot over the ticks of a run.
 
-    Slip is the sliding velocity of the contact point of a driven wheel.  In the frame of
-    the steered wheel, with ground velocity (along, across) at the steering axis, wheel speed
-    w, radius r, and steering rate s of a contact that lies ``lateral`` and ``trail`` beside the
-    steering axis:  slip = (along - lateral s - r w, across + trail s).
+    Slip is the sliding velocity (m/s) of the contact point of a driven wheel.  The slip vector
+    in the frame of the steered wheel is::
+
+        slip = (along - lateral s - r w, across + trail s)
+
+    * ``along``, ``across``: ground velocity at the steering axis (m/s), along and across the
+      wheel.
+    * ``w``: wheel speed (rad/s).
+    * ``r``: wheel radius (m).
+    * ``s``: steering rate (rad/s).
+    * ``lateral``, ``trail``: offsets of the contact point from the steering axis (m).
     """
 
     def __init__(self, loop: ControlLoop, collisions: CollisionCounter) -> None:
@@ -49,7 +56,8 @@ class ScenarioMetrics:
         self._collisions = collisions
         wheels = BaseGeometry.from_robot(loop.robot).wheels
         self._rolling = [(i, w) for i, w in enumerate(wheels) if w.driven and not w.swivel]
-        # Per steered wheel the angles (rad) between which its joint is not at a limit.
+        # (index, lower, upper) of each steered wheel.  The steering joint counts as not at a limit
+        # between the angles lower and upper (rad).
         self._free_ranges = [
             (
                 i,
@@ -71,7 +79,10 @@ class ScenarioMetrics:
         self._at_limit = [False] * len(wheels)
 
     def update(self, twist: Twist) -> None:
-        """Adds the state of the scene after a tick; ``twist`` is the true twist."""
+        """Updates the metrics with the state of the scene after a tick.
+
+        ``twist`` is the true twist of the robot.
+        """
         data = self._base.scene.data
         now = self._loop.driver.state.time
         dt, self._time = now - self._time, now
@@ -101,7 +112,7 @@ class ScenarioMetrics:
         self._collisions.update()
 
     def values(self, result: RobotResult) -> dict[str, float]:
-        """Returns the metrics by name, in the order of ``UNITS``, at the end of a run."""
+        """Returns the metrics of the finished run by name, in the order of ``UNITS``."""
         path, estimated_path = result.path_true, result.path_odometry
         has_moved = estimated_path > _LEAST_PATH and path > _LEAST_PATH
         values = {

@@ -1,4 +1,4 @@
-"""The result of a scenario as text and as JUnit XML."""
+"""Formats the result of a scenario as text and as JUnit XML."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thorvaldc.simulation.scenario_expectations import ScenarioResult
 
 
 def scenario_text(result: ScenarioResult) -> str:
-    """Returns the table of the robots and a line for each expectation."""
+    """Returns a text with the result table of the robots and one line for each expectation."""
     run = result.run
     lines = [result_table([run])]
     for check in result.checks:
@@ -28,9 +28,10 @@ def scenario_text(result: ScenarioResult) -> str:
 
 
 def junit_report(result: ScenarioResult, errors: Sequence[str]) -> bytes:
-    """Returns JUnit XML with a test for the run itself and one for each expectation.
+    """Returns a JUnit XML report of a scenario run.
 
-    ``errors`` are the messages of a run that did not complete.
+    The report has one test case for the completion of the run and one test case for each
+    expectation.  ``errors`` are the error messages of a run that did not complete.
     """
     name = result.scenario
     test_count = len(result.checks) + 1

@@ -1,4 +1,4 @@
-"""Scenario runs: robots in their world, with injected faults, sensor noise and metrics."""
+"""Simulates a scenario with injected faults and sensor noise, and computes its metrics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thorvaldc.simulation.simulation_run import Simulation
 
 
 class ScenarioSimulation(Simulation):
-    """The robots of a scenario in its world."""
+    """A simulation of the robots and the world of a scenario."""
 
     def __init__(
         self,
@@ -30,16 +30,19 @@ class ScenarioSimulation(Simulation):
         files: Path | str | Mapping[str, bytes],
         parameters: str | None = None,
     ) -> None:
-        """``files`` are the outputs of the ``mjcf`` backend for ``scenario.fleet``.
+        """Loads the MuJoCo scene of the scenario.
 
-        ``parameters`` names the parameter set at the start.  Raises ``DiagnosticError`` if the
-        scene cannot be read, or if a robot has no such parameter set.
+        ``files`` are the outputs of the ``mjcf`` backend for ``scenario.fleet``.  ``parameters``
+        is the name of the parameter set that the drivers use at the start.  Raises
+        ``DiagnosticError`` if the scene cannot be read, or if a robot does not have the parameter
+        set ``parameters``.
         """
         super().__init__(scenario.fleet, files, parameters)
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()
-        # By robot: the start times (s) and names of the parameter sets in its script.
+        # By robot name: (start time in s, name of the parameter set) of each parameter change in
+        # the script.
         self._parameter_changes = {
             name: [(c.time, c.parameters) for c in commands if c.parameters]
             for name, commands in scenario.commands
@@ -51,10 +54,11 @@ class ScenarioSimulation(Simulation):
         recorders: Sequence[Recorder] = (),
         on_tick: TickCallback | None = None,
     ) -> ScenarioResult:
-        """Runs the scenario.  Problems and failed expectations go to ``report``.
+        """Runs the scenario and returns the result.
 
-        The ``recorders`` get every tick of every robot; this method does not close them.
-        Raises ``DiagnosticError`` if the run cannot start.
+        Problems and failed expectations are added to ``report``.  Each recorder in ``recorders``
+        receives every tick of every robot.  The caller closes the recorders.  Raises
+        ``DiagnosticError`` if the run cannot start.
         """
         scene = self.scene
         if scene is None:
@@ -104,10 +108,11 @@ class ScenarioSimulation(Simulation):
         return ScenarioResult(self.scenario.name, run, values, checks, run_hash.hexdigest())
 
     def _change_parameters(self, loop: ControlLoop) -> None:
-        """Switches to the parameter sets of the script.
+        """Switches the driver to another parameter set at the times of the script.
 
-        The driver applies a change at its next tick.  So the change is made after the last
-        tick before its time; a change at time 0 is made after the first tick.
+        The driver applies a parameter change at the next tick.  For this reason the function
+        requests the change after the last tick before the time of the change.  A change at time 0
+        is requested after the first tick.
         """
         previous, following = loop.driver.state.time, loop.next_time
         for start, parameters in self._parameter_changes.get(loop.name, ()):

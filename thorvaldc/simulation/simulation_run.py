@@ -1,4 +1,4 @@
-"""Simulation runs: a robot or a fleet drives in MuJoCo, or on ideal joints, and is measured."""
+"""Simulates runs of a robot or a fleet, in MuJoCo or with ideal joints."""
 
 from __future__ import annotations
 
@@ -29,14 +29,7 @@ from thorvaldc.simulation.vectorised.robot_groups import RobotGroups
 
 
 class Simulation:
-    """A robot, or a fleet in one scene, that can drive any number of runs.
-
-    With ``files`` (a build folder, or the outputs of the ``mjcf`` backend as
-    ``{path: bytes}``) the robots drive in MuJoCo, without them on ideal joints.
-    ``wheel_errors`` are errors of the wheels by the names of the robots; the drivers do not
-    know them.  With ``open_loop`` the drives apply a voltage and do not control their
-    speed.  On ideal joints either of the two selects ``RollingBase``, where no wheel slips.
-    """
+    """A simulation of a robot, or of a fleet in one scene, for any number of runs."""
 
     def __init__(
         self,
@@ -47,10 +40,21 @@ class Simulation:
         wheel_errors: Mapping[str, WheelErrors] | None = None,
         open_loop: bool = False,
     ) -> None:
-        """``parameters`` names the parameter set of the drivers.
+        """Loads the scene of the robots.
 
-        Raises ``DiagnosticError`` if the scene cannot be read, if it belongs to another
-        model, or if a robot has no such parameter set.
+        * ``files``: a build folder, or the outputs of the ``mjcf`` backend as ``{path: bytes}``.
+          With ``files`` the robots drive in MuJoCo.  Without ``files`` the robots have ideal
+          joints.
+        * ``parameters``: name of the parameter set of the drivers.
+        * ``wheel_errors``: errors of the wheels by robot name.  The drivers do not correct the
+          wheel errors.
+        * ``open_loop``: true if the drive motors apply a voltage without speed control.
+
+        A simulation with ideal joints uses ``RollingBase``, in which no wheel slips, for robots
+        with wheel errors or with ``open_loop``.
+
+        Raises ``DiagnosticError`` if the scene cannot be read, if the scene belongs to another
+        model, or if a robot does not have the parameter set ``parameters``.
         """
         if isinstance(model, Fleet):
             self.robots = [(p.name, p.robot) for p in model.placements]
@@ -77,12 +81,15 @@ class Simulation:
         report: Report | None = None,
         on_tick: TickCallback | None = None,
     ) -> SimulationResult:
-        """Drives for ``duration`` s, starting at rest, and returns the measurements.
+        """Simulates a run of ``duration`` s from rest and returns the result of the run.
 
-        ``motion`` is one twist, a manoeuvre for all robots, or a manoeuvre by robot.  The run
-        ends early if a robot falls over or the simulation diverges.  Both go to ``report``,
-        and so do twists that a robot cannot drive.  ``on_tick`` is called with the robot's
-        control loop after each of its ticks; ``ControlLoop.sample`` returns the measurements.
+        ``motion`` is one twist, a manoeuvre for all robots, or a mapping from robot names to
+        manoeuvres.  The run ends early if a robot falls over or the simulation diverges.  A fall,
+        a divergence and a commanded twist that a robot cannot drive are added to ``report``.
+
+        After each tick of a robot, ``on_tick`` is called with the control loop of the robot.
+        ``ControlLoop.sample`` then returns the measurements of the tick.
+
         Raises ``DiagnosticError`` if the run cannot start.
         """
         if not 0.0 < duration < math.inf:
@@ -95,8 +102,9 @@ class Simulation:
             )
             for name, robot in self.robots
         ]
-        # Robots may have different rates.  The heap has the time of each robot's next tick;
-        # robots with equal times run in the order of the model, so that runs are repeatable.
+        # The drivers of the robots may have different rates.  The heap contains the time of the
+        # next tick of each robot.  Robots with equal tick times run in the order of the model, so
+        # that runs are repeatable.
         schedule = [(loop.next_time, number) for number, loop in enumerate(loops)]
         groups = RobotGroups([loop.driver for loop in loops])
         joints: dict[int, JointStates] = {}
@@ -139,12 +147,16 @@ class Simulation:
         duration: float | None = None,
         on_tick: TickCallback | None = None,
     ) -> SimulationResult:
-        """Drives the default manoeuvre, for ``duration`` s or to its end."""
+        """Simulates the default manoeuvre and returns the result of the run.
+
+        The run lasts ``duration`` s, or until the end of the manoeuvre if ``duration`` is
+        ``None``.
+        """
         manoeuvres, end = self.demonstration()
         return self.run(duration or end, manoeuvres, report, on_tick)
 
     def demonstration(self) -> tuple[Mapping[str, Manoeuvre], float]:
-        """Returns the default manoeuvres by robot, and their duration in s."""
+        """Returns the default manoeuvres by robot name, and the duration of the manoeuvres (s)."""
         if len(self.robots) == 1:
             name, robot = self.robots[0]
             manoeuvre, end = default_manoeuvre(robot)
@@ -152,10 +164,10 @@ class Simulation:
         return fleet_manoeuvres([(name, robot, self.starts[name]) for name, robot in self.robots])
 
     def _report_radii(self, report: Report) -> None:
-        """Reports a parameter set whose wheel radii differ from those of the scene.
+        """Reports a parameter set whose wheel radii differ from the wheel radii of the scene.
 
-        The radii of the scene are fixed when it is built; a parameter set changes only
-        those that the driver assumes.
+        The wheel radii of the scene are fixed when the scene is built.  A parameter set changes
+        only the wheel radii that the driver assumes.
         """
         for name, robot in self.robots:
             if self.rails and any(wheel.treads for wheel in robot.wheels):
@@ -188,7 +200,10 @@ class Simulation:
 
 
 def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str) -> Manoeuvre:
-    """Returns the manoeuvre of a robot.  Raises ``DiagnosticError`` for numbers not finite."""
+    """Returns the manoeuvre of a robot.
+
+    Raises ``DiagnosticError`` if a start time or a twist is not finite.
+    """
     manoeuvre: Manoeuvre
     if isinstance(motion, Twist):
         manoeuvre = (Segment(0.0, motion),)
@@ -205,10 +220,10 @@ def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str) 
 
 
 def drive_build(build: Path, report: Report) -> SimulationResult | None:
-    """Drives the robots of a build folder through the default manoeuvre in MuJoCo.
+    """Simulates the default manoeuvre of the robots of a build folder in MuJoCo.
 
-    Reads only the generated ``model.json``, ``mjcf/`` and ``meshes/``.  Returns ``None`` if
-    the run cannot start; ``report`` has the reason.
+    The function reads only the generated ``model.json``, ``mjcf/`` and ``meshes/``.  If the run
+    cannot start, the function adds the reason to ``report`` and returns ``None``.
     """
     try:
         return Simulation(load_model(build), build).demonstrate(report)
