@@ -1,4 +1,4 @@
-"""Joint commands of an environment: actions as commands, and a calculator that passes them on."""
+"""Conversion of the actions of a Gymnasium environment to joint commands."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ Array = NDArray[np.float64]
 
 
 class JointActions:
-    """Converts actions of -1..1 to commands: speeds of driven, then angles of steered wheels."""
+    """Converts an action of a Gymnasium environment to joint commands.
+
+    The values of an action are in -1..1.  The first values are the speeds of the driven wheels,
+    and the other values are the angles of the steered wheels.
+    """
 
     def __init__(self, robot: Robot) -> None:
         n = len(robot.wheels)
         self.commands = JointCommands([0.0] * n, [0.0] * n)
-        # (wheel, largest speed in rad/s) and (wheel, scale, lower, upper in rad).
+        # ``driven`` has (wheel, largest speed in rad/s) for each driven wheel.  ``steered`` has
+        # (wheel, scale, lower limit, upper limit) in rad for each steered wheel.
         self.driven: list[tuple[int, float]] = []
         self.steered: list[tuple[int, float, float, float]] = []
         for i, wheel in enumerate(robot.wheels):
@@ -37,12 +42,12 @@ class JointActions:
                 self.steered.append((i, scale, lower, upper))
 
     def reset(self) -> None:
-        """Sets all commands to zero."""
+        """Sets all joint commands to zero."""
         n = len(self.commands.speeds)
         self.commands.speeds, self.commands.angles = [0.0] * n, [0.0] * n
 
     def set(self, action: Array) -> None:
-        """Sets the commands of an action."""
+        """Sets the joint commands to the values of an action."""
         speeds, angles = list(self.commands.speeds), list(self.commands.angles)
         values = action.tolist()
         for (i, largest), value in zip(self.driven, values, strict=False):
@@ -55,7 +60,10 @@ class JointActions:
 
 
 class DirectCommands(BaseCalculator):
-    """A calculator that returns given joint commands for every twist; odometry by ``odometer``."""
+    """A base calculator that returns the joint commands of an action for every twist.
+
+    The calculator ``odometer`` computes the odometry.
+    """
 
     name = "direct"
     summary = "joint commands of an environment"

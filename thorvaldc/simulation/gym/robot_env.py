@@ -1,8 +1,8 @@
 """Gymnasium environment of a robot in MuJoCo, for learning and closed-loop experiments.
 
-Needs the extra ``thorvaldc[gym]``.  ``RobotEnv`` takes a model and its MJCF files;
-``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")`` compiles
-a file first.
+This module requires the extra ``thorvaldc[gym]``.  ``RobotEnv`` loads a model and the MJCF files
+of the model.  To compile a robot file first, call
+``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")``.
 """
 
 from __future__ import annotations
@@ -53,11 +53,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A step, the argument of a reward function.
+    """One step of the environment, the argument of a reward function.
 
-    ``action`` is -1..1; ``before`` and ``after`` are samples of the robot; ``duration`` is in
-    s; ``collisions`` is the number of collisions that began in the step; ``terminated`` means
-    that the robot fell over or the simulation diverged.
+    * ``action``: values of the action, in -1..1.
+    * ``before``: sample of the robot before the step.
+    * ``after``: sample of the robot after the step.
+    * ``duration``: duration of the step (s).
+    * ``collisions``: number of collisions that began in the step.
+    * ``terminated``: true if the robot fell over or the simulation diverged.
     """
 
     action: Array
@@ -72,25 +75,40 @@ Reward = Callable[[Transition], float]
 
 
 class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
-    """One robot of a scene that follows actions of -1..1.
+    """A Gymnasium environment in which actions control one robot of a MuJoCo scene.
 
-    ``action="twist"``: vx, vy, wz over the driver's largest values, through the base driver with
-    its limits and ramps.  ``action="joints"``: the speed of each driven wheel over the largest
-    speed of its motor, then the angle of each steered wheel over the larger of its limits (over
-    pi without limits), in the order of ``Robot.wheels``; angles beyond a limit are clipped, and
-    the driver's calculator is bypassed.  Between two steps the driver ticks at its own rate;
-    an action takes effect at the driver's next tick and holds until the next step.
+    Action: all values are in -1..1.
 
-    An observation contains only what the robot itself can measure, in SI, in the order of
-    ``observation_names``: the twist of the odometry, its pose relative to the start, the speed of
-    each driven wheel and the angle of each steered wheel.  ``info`` has the ground truth: ``time``,
-    ``true_pose`` (x, y, yaw in the scene), ``true_twist``, ``tilt``, ``collisions`` so far, and
-    at the end the ``cause`` (``tipped``, ``diverged`` or ``time``).  Without a reward function the
-    reward is 0.
+    * With ``action="twist"`` the values are vx, vy and wz, each divided by the largest value that
+      the driver allows.  The base driver applies its limits and ramps to the twist.
+    * With ``action="joints"`` the first values are the speeds of the driven wheels, each divided
+      by the largest speed of the motor.  The other values are the angles of the steered wheels,
+      each divided by the larger steering limit, or by pi for a wheel without steering limits.  The
+      wheels are in the order of ``Robot.wheels``.  An angle beyond a steering limit is clipped.
+      The joint commands bypass the base calculator of the driver.
 
-    An episode is terminated when the robot falls over or the simulation diverges, and
-    truncated after ``duration``.  All random numbers (the start pose within ``spread``, the noise
-    of a scenario) depend only on the seed of ``reset``.
+    The driver ticks at a separate rate between two steps of the environment.  An action takes
+    effect at the next tick of the driver and holds until the next step.
+
+    Observation: the values are in SI units, in the order of ``observation_names``.  An observation
+    contains only values that the robot can measure.  The values are the twist of the odometry, the
+    pose of the odometry relative to the start, the speed of each driven wheel, and the angle of
+    each steered wheel.
+
+    Info: the mapping ``info`` contains the true state of the simulation.
+
+    * ``time``: time since the start of the episode (s).
+    * ``true_pose``: x (m), y (m) and yaw (rad) in the scene.
+    * ``true_twist``: vx, vy (m/s) and wz (rad/s).
+    * ``tilt``: largest tilt angle since the start of the episode (rad).
+    * ``collisions``: number of collisions since the start of the episode.
+    * ``cause``: reason for the end of the episode, ``tipped``, ``diverged`` or ``time``.
+
+    Reward: the value of the function ``reward``, or 0 without a reward function.
+
+    An episode is terminated when the robot falls over or the simulation diverges.  An episode is
+    truncated after ``duration``.  The random start pose and the noise of a scenario depend only on
+    the seed of ``reset``.
     """
 
     # Gymnasium requires this class attribute; each instance has its own with its rate.
@@ -111,21 +129,32 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 360),
     ) -> None:
-        """``files`` are a build folder, or the outputs of the ``mjcf`` backend for the model.
+        """Loads the MuJoCo scene of the environment.
 
-        ``robot`` names the robot that the actions control, by default the first; the others
-        follow the scenario's script.  ``rate`` (Hz) is the rate of the steps; a step is rounded
-        to a whole number of driver ticks.  ``duration`` (s) of 0 means that of the scenario, or
-        ``DURATION``.  ``spread`` is the largest random offset of the start pose, along the
-        robot's x and y (m) and in yaw (rad).  ``parameters`` names a parameter set.
+        * ``files``: a build folder, or the outputs of the ``mjcf`` backend for the model.
+        * ``robot``: name of the robot that the actions control.  The default is the first robot.
+          All other robots follow the script of the scenario.
+        * ``action``: kind of the actions, ``twist`` or ``joints``.
+        * ``rate``: number of steps per second (Hz).  The duration of a step is rounded to a whole
+          number of driver ticks.
+        * ``duration``: duration of an episode (s).  The value 0 selects the duration of the
+          scenario, or ``DURATION`` without a scenario.
+        * ``reward``: function that computes the reward of a step.
+        * ``spread``: largest random offset of the start pose, in x (m), y (m) and yaw (rad) of the
+          robot.
+        * ``parameters``: name of the parameter set of the driver.
+        * ``render_mode``: ``rgb_array``, or ``None`` for an environment without pictures.
+        * ``size``: width and height of a picture in pixels.
 
-        Raises ``DiagnosticError`` if the scene does not belong to the model, ``PictureError`` if
-        a render mode is set and MuJoCo cannot draw, ``ValueError`` for invalid arguments.
+        Raises ``DiagnosticError`` if the scene does not belong to the model.  Raises
+        ``PictureError`` if a render mode is set and MuJoCo cannot draw.  Raises ``ValueError`` if
+        an argument is invalid.
         """
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
         if render_mode is not None:
-            # Before MuJoCo is imported: it reads the choice of the backend only on import.
+            # MuJoCo reads the name of the OpenGL backend only during its import.  For this reason
+            # the backend is chosen before MuJoCo is imported.
             from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 
             choose_opengl_backend()
@@ -172,9 +201,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Starts an episode.
+        """Starts an episode and returns the first observation and ``info``.
 
-        ``options["offset"]`` (x, y in m, yaw in rad) replaces the random offset of the start.
+        ``options["offset"]`` (x in m, y in m, yaw in rad) replaces the random offset of the start
+        pose.
         """
         super().reset(seed=seed)
         random_offset = self.np_random.uniform(-1.0, 1.0, 3) * self.spread
@@ -222,7 +252,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> Any:
-        """Returns a picture, (height, width, 3) bytes; ``None`` without a render mode."""
+        """Returns a picture as an array of bytes with the shape (height, width, 3).
+
+        Returns ``None`` if the environment has no render mode.
+        """
         if self.render_mode is None:
             return None
         if self._drawing is None:
@@ -270,7 +303,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         return loop
 
     def _advance(self, end: float) -> None:
-        """Runs all control loops up to the time ``end`` (s)."""
+        """Runs the control loops of all robots until the time ``end`` (s)."""
         while not self.scene.diverged:
             loop = min(self._loops, key=lambda m: m.next_time)
             if loop.next_time > end + 1e-9:
@@ -279,7 +312,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             self._collisions.update()
 
     def _release(self) -> None:
-        """Restores the parts of the scene that injected faults changed."""
+        """Restores the values of the MuJoCo model that injected faults changed."""
         while self._bases:
             self._bases.pop().close()
 
@@ -322,7 +355,7 @@ def _check(
 
 
 def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the names of the values of an action and of an observation."""
+    """Returns the names of the action values and the names of the observation values."""
     speeds = [f"{w.name}_speed" for w in robot.wheels if w.driven]
     angles = [f"{w.name}_angle" for w in robot.wheels if w.steered]
     twist = ("vx", "vy", "wz")
@@ -331,7 +364,10 @@ def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 class _Drawing:
-    """Draws a scene from a copy that has its visual geoms; the camera follows the robots."""
+    """Draws pictures of a scene.
+
+    The pictures show a copy of the scene with visual geoms.  The camera follows the robots.
+    """
 
     def __init__(self, files: Path | str | Mapping[str, bytes], size: tuple[int, int]) -> None:
         from thorvaldc.simulation.pictures.render import View, picture_scene, renderer
@@ -341,7 +377,8 @@ class _Drawing:
         self._scene = picture_scene(files, size, self._view, quick=True)
         self._aspect = size[0] / size[1]
         self._boxes: BoundingBoxes = BoundingBoxes(self._scene)
-        # The renderer needs the extent of the scene; 20 m leave room for the motion.
+        # The renderer requires the extent of the scene.  A margin of 20 m leaves space for the
+        # motion of the robots.
         corners = self._boxes.corners(self._scene)
         corners = np.vstack([corners.min(axis=0) - 20.0, corners.max(axis=0) + 20.0])
         self._resources = ExitStack()
@@ -354,7 +391,8 @@ class _Drawing:
         self._scene.data.qpos[:] = scene.data.qpos
         self._scene.forward()
         camera = fit_camera(self._boxes.corners(self._scene), self._view, self._aspect)
-        # The distance never decreases: the camera keeps still while a robot turns or steers.
+        # The camera distance never decreases, so that the camera does not move while a robot turns
+        # or steers.
         self._distance = camera.distance = max(self._distance, camera.distance)
         self._renderer.update_scene(self._scene.data, camera)
         return self._renderer.render()

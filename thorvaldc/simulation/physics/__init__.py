@@ -1,1 +1,1 @@
-"""Simulated bases: ideal joints, rolling without slip, and MuJoCo with faults and noise."""
+"""Simulated bases: ideal joints, ideal rolling without slip, and MuJoCo."""

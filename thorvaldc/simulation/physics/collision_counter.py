@@ -1,4 +1,4 @@
-"""Counts collisions in a scene: all contacts except those of wheels with the ground."""
+"""Counts the collisions of the robots in a MuJoCo scene."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ DRIVABLE = ("ground", "rail", "kerb")
 
 
 class CollisionCounter:
-    """Counts the collisions of each robot in ``collisions``.
+    """Counts the collisions of each robot.
 
-    A wheel may touch the ground, rails and kerbs.  Every other contact of a robot is a
-    collision, also that of another part of the robot with the ground.  A contact that lasts
-    counts once.
+    ``collisions`` has the number of collisions by robot name.  A wheel may touch the ground,
+    rails and kerbs.  Every other contact of a robot is a collision.  For example, a contact of
+    the chassis with the ground is a collision.  A contact that lasts for several steps counts
+    once.
     """
 
     def __init__(self, scene: MujocoScene, robots: Mapping[str, Robot]) -> None:
@@ -30,10 +31,12 @@ class CollisionCounter:
         for name, robot in robots.items():
             prefix = robot.prefix
             owners[scene.index("body", prefix + robot.links[0].name, robot)] = name
-            # The body that the joint turns: MuJoCo may have fused the wheel's own link into it.
+            # MuJoCo may have fused the link of the wheel into another body.  For this reason the
+            # body is found by the spin joint of the wheel.
             joints = (scene.index("joint", prefix + w.spin_joint, robot) for w in robot.wheels)
             wheel_bodies |= {int(model.jnt_bodyid[joint]) for joint in joints}
-        # By geom: the robot that it belongs to (empty: the world), and its kind.
+        # The lists have one item for each geom of the scene.  ``_owner`` is the name of the robot
+        # with the geom, or an empty text for a geom of the world.
         self._owner: list[str] = []
         self._is_wheel: list[bool] = []
         self._is_drivable: list[bool] = []
@@ -47,7 +50,7 @@ class CollisionCounter:
         self._step = -1
 
     def update(self) -> None:
-        """Counts the contacts that began since the last call."""
+        """Counts the collisions that began since the last call of ``update``."""
         if self._scene.steps == self._step:
             return
         self._step = self._scene.steps

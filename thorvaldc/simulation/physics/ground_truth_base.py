@@ -9,27 +9,37 @@ from thorvaldc.runtime.se2 import Pose2, Twist
 
 
 class GroundTruthBase(BaseHandle):
-    """A simulated base that also returns the true motion, for measurements only.
+    """A simulated base that also returns the true motion of the robot.
 
-    The base driver uses ``BaseHandle`` alone.
+    The true motion serves only for measurements.  The base driver uses only the methods of
+    ``BaseHandle``.
     """
 
     @abc.abstractmethod
     def true_pose(self) -> Pose2:
-        """Returns the pose of ``base_link`` on the ground, in the world."""
+        """Returns the planar pose of ``base_link`` in the world frame."""
 
     @abc.abstractmethod
     def true_twist(self) -> Twist:
-        """Returns the velocity of ``base_link`` on the ground, in ``base_link``."""
+        """Returns the planar velocity of ``base_link``, expressed in ``base_link``."""
 
     def posture(self) -> tuple[float, float, float]:
-        """Returns the height of ``base_link`` over the ground plane (m), roll and pitch (rad)."""
+        """Returns the height (m), roll (rad) and pitch (rad) of ``base_link``.
+
+        The height is measured from the ground plane.
+        """
         return 0.0, 0.0, 0.0
 
     def uprightness(self) -> float:
-        """Returns the cosine of the robot's tilt: 1 upright, 0 on its side."""
+        """Returns the cosine of the tilt angle of the robot.
+
+        The cosine is 1 for an upright robot and 0 for a robot that lies on its side.
+        """
         return 1.0
 
     def leaning(self) -> str:
-        """Returns the direction of the largest lean, such as `to its left`; empty if unknown."""
+        """Returns the direction in which the robot leans, such as `to its left`.
+
+        The text is empty if the direction is unknown.
+        """
         return ""

@@ -1,4 +1,4 @@
-"""Friction and rolling resistance under each wheel: ground zones, and wheels on ice."""
+"""Sets the friction and rolling resistance of each wheel for ground zones and ice."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 class GroundZones:
-    """Sets the coefficients of each wheel by the zone under its centre.
+    """Sets the friction and rolling resistance of each wheel from the zone under the wheel.
 
-    If zones overlap, the last one counts; an active ``ice`` fault of the wheel overrides its
-    friction.  ``restore`` gives all wheels their own coefficients again.
+    The zone under the centre of the wheel determines the coefficients.  If zones overlap, the
+    last zone in the document determines the coefficients.  An active ``ice`` fault of a wheel
+    overrides the friction of the zone.
     """
 
     def __init__(
@@ -31,7 +32,10 @@ class GroundZones:
             self._wheels = [_WheelGround(robot, scene, i) for i in range(len(robot.wheels))]
 
     def update(self, now: float) -> None:
-        """Applies the coefficients at the wheels' positions and at the time ``now`` (s)."""
+        """Sets the coefficients of all wheels for the current positions of the wheels.
+
+        The ``ice`` faults that are active at the time ``now`` (s) apply.
+        """
         for wheel in self._wheels:
             friction = resistance = None
             if self._zones:
@@ -46,13 +50,16 @@ class GroundZones:
             wheel.apply(friction, resistance)
 
     def restore(self) -> None:
-        """Gives all wheels their own coefficients again."""
+        """Restores the original friction and rolling resistance of all wheels."""
         for wheel in self._wheels:
             wheel.apply(None, None)
 
 
 class _Rectangle:
-    """The rectangle of a zone with its sine and cosine computed once."""
+    """The rectangle of a ground zone.
+
+    The sine and cosine of the yaw angle are computed only once.
+    """
 
     def __init__(self, zone: Zone) -> None:
         self.zone = zone
@@ -62,7 +69,7 @@ class _Rectangle:
         self._half_x, self._half_y = (edge / 2 for edge in zone.size)
 
     def contains(self, x: float, y: float) -> bool:
-        """Reports if a point of the ground (m) is in the zone."""
+        """Returns true if the point (``x``, ``y``) in m is inside the zone."""
         dx, dy = x - self._x, y - self._y
         return (
             abs(self._cos * dx + self._sin * dy) <= self._half_x
@@ -71,17 +78,19 @@ class _Rectangle:
 
 
 class _WheelGround:
-    """The entries of MuJoCo's model that describe the contact of one wheel with the ground.
+    """The entries of the MuJoCo model that describe the contact of one wheel with the ground.
 
-    Rolling resistance is a friction loss (N m) of the wheel's joint: coefficient * load at
-    rest * radius.
+    Rolling resistance is modelled as a friction loss (N m) of the spin joint.  The friction loss
+    is the coefficient of rolling resistance times the wheel load at rest (N) times the wheel
+    radius (m).
     """
 
     def __init__(self, robot: Robot, scene: MujocoScene, number: int) -> None:
         wheel = robot.wheels[number]
         joint = scene.index("joint", robot.prefix + wheel.spin_joint, robot)
         model = scene.model
-        # The body that the joint turns: MuJoCo may have fused the wheel's own link into it.
+        # MuJoCo may have fused the link of the wheel into another body.  For this reason the body
+        # is found by the spin joint of the wheel.
         self._body = int(model.jnt_bodyid[joint])
         self._dof = int(model.jnt_dofadr[joint])
         first = int(model.body_geomadr[self._body])
@@ -99,17 +108,21 @@ class _WheelGround:
         self._applied: tuple[float | None, float | None] = (None, None)
 
     def position(self) -> tuple[float, float]:
-        """Returns the position (m) of the wheel at the last step."""
+        """Returns the position (x, y) in m of the wheel at the last simulation step."""
         x, y, _ = self._data.xpos[self._body].tolist()
         return x, y
 
     def apply(self, friction: float | None, resistance: float | None) -> None:
-        """Sets the coefficients; ``None`` means the wheel's own one."""
+        """Sets the coefficients of friction and rolling resistance of the wheel.
+
+        ``None`` selects the original coefficient of the wheel.
+        """
         if (friction, resistance) == self._applied:
             return
         self._applied = (friction, resistance)
         for geom, own in zip(self._geoms, self._own_frictions, strict=True):
-            # Torsional friction (m) is proportional to sliding friction (mu * width / 4).
+            # The torsional friction (m) is mu * width / 4.  The torsional friction is thus
+            # proportional to the sliding friction mu.
             ratio = 1.0 if friction is None else friction / own[0] if own[0] else 0.0
             self._model.geom_friction[geom, :2] = own[:2] * ratio
         added = 0.0 if resistance is None else resistance - self._own_resistance

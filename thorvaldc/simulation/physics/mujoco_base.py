@@ -1,4 +1,4 @@
-"""A base simulated in MuJoCo: connects the joints of a robot in a scene to a base driver."""
+"""The base of a robot that MuJoCo simulates."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ LONGEST_STEP = 0.2
 
 
 class MujocoBase(GroundTruthBase):
-    """The joints and the true motion of one robot in a scene.
+    """The joints and the true motion of one robot in a MuJoCo scene.
 
-    The names of its joints, actuators and bodies begin with ``prefix`` (default: the name
-    space of the robot and a slash).
+    Wheel errors: the scene contains the wheels without errors.  The errors are applied to the
+    values that the driver writes and reads.  A wheel with the true radius ratio * R, where R is
+    the radius in the model, rolls ratio * R * w at the wheel speed w.  A wheel with the radius R
+    rolls the same distance at the wheel speed ratio * w.  For this reason a commanded wheel speed
+    is multiplied by the ratio, and a measured wheel speed is divided by the ratio.
 
-    Wheel errors are applied between MuJoCo's joints and the driver, not in the scene: a wheel
-    whose true radius is ``ratio`` times the radius R of the model rolls ratio * R * w at the
-    reported speed w, exactly as a wheel of radius R that turns at ratio * w.  So commanded
-    speeds are multiplied by the ratio, and measured ones divided.
+    Open loop: with ``open_loop`` the drive motors apply a voltage without speed control.  The
+    torque of a DC motor at constant voltage falls linearly from the stall torque to zero at the
+    no-load speed.  The simulation takes the commanded speed u as the no-load speed::
 
-    With ``open_loop`` the drives apply a voltage and do not control their speed.  The torque
-    of a DC motor at constant voltage falls linearly from stall to no-load speed; here the
-    commanded speed u is the no-load speed:  torque = k (u - w),  k = max_torque / max_speed.
-    Wheels that work against each other then give way.
+        torque = k (u - w),  k = max_torque / max_speed
+
+    If two wheels work against each other, the torque of the drive motors lets both wheels follow
+    the motion of the robot.
     """
 
     def __init__(
@@ -42,7 +44,12 @@ class MujocoBase(GroundTruthBase):
         wheel_errors: WheelErrors | None = None,
         open_loop: bool = False,
     ) -> None:
-        """Raises ``DiagnosticError`` if the scene does not contain this robot."""
+        """Finds the joints, actuators and bodies of the robot in the scene.
+
+        The names of the joints, actuators and bodies begin with ``prefix``.  The default prefix is
+        the name space of the robot and a slash.  Raises ``DiagnosticError`` if the scene does not
+        contain the robot.
+        """
         if prefix is None:
             prefix = robot.prefix
         self.robot = robot
@@ -61,8 +68,9 @@ class MujocoBase(GroundTruthBase):
             )
         self._base = int(model.jnt_qposadr[free])
         self._base_velocity = int(model.jnt_dofadr[free])
-        # Joints: (wheel, index in qpos, index in qvel), counted from the free joint of the
-        # base, which all other joints of the robot follow.  Motors: (wheel, actuator).
+        # A joint is (wheel, index in qpos, index in qvel).  Both indices count from the free joint
+        # of the base, because the free joint is the first joint of the robot.  A motor is
+        # (wheel, actuator).
         self._spin: list[tuple[int, int, int]] = []
         self._steering: list[tuple[int, int, int]] = []
         self._drive_motors: list[tuple[int, int]] = []
@@ -98,7 +106,7 @@ class MujocoBase(GroundTruthBase):
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
         data, ratios, offsets = self.scene.data, self._ratios, self._offsets
-        # Reading single numbers from a list is several times faster than from an array.
+        # Reading a single number from a list is several times faster than from a numpy array.
         qpos, qvel = data.qpos[self._qpos].tolist(), data.qvel[self._qvel].tolist()
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
@@ -111,15 +119,22 @@ class MujocoBase(GroundTruthBase):
         return JointStates(self.scene.time, speeds, angles, rates, positions)
 
     def write(self, commands: JointCommands, now: float) -> None:
-        """Sets the set points of the servos, with feed-forward of their rates of change.
+        """Sets the set points of the servos and adds a feed-forward term.
 
-        A servo applies  torque = kp (s - q) - kv q',  with q the joint position and s the set
-        point, or for a drive the integral of the commanded speed.  While s moves at the rate
-        s', the joint follows at that rate with q = s - (kv/kp) s'.  Adding (kv/kp) s' to the
-        set point removes the lag kv/kp; for a drive, whose input is s', one adds (kv/kp) s''.
-        Motor controllers do the same.  Without it drives lag by 0.1 s and steering by 0.02 s:
-        while a robot turns into a curve, the wheels' speeds would belong to an earlier
-        motion than their directions.
+        A servo applies the torque::
+
+            torque = kp (s - q) - kv q'
+
+        Here q is the joint position and s is the position set point.  For a drive, s is the
+        integral of the commanded speed.  While the set point s changes at the constant rate s',
+        the joint follows at the same rate with the position q = s - (kv/kp) s'.  The joint lags
+        behind the set point by the time kv/kp.  The feed-forward term (kv/kp) s' on the set point
+        removes the lag.  The input of a drive servo is the speed s', so that the feed-forward term
+        of a drive is (kv/kp) s''.
+
+        Real motor controllers use the same feed-forward.  Without feed-forward, the drives lag by
+        0.1 s and the steering lags by 0.02 s.  While a robot turns into a curve, the wheel speeds
+        would then be later than the steering angles.
         """
         ctrl = self.scene.data.ctrl
         speeds, angles, ratios, offsets = (
@@ -143,17 +158,21 @@ class MujocoBase(GroundTruthBase):
             self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
 
     def expect_single_commands(self) -> None:
-        """Turns the feed-forward off: the time between commands is not known."""
+        """Disables the feed-forward term, because the time between two commands is not known."""
         self._drives = tuple((i, motor, 0.0) for i, motor, _ in self._drives)
         self._steerings = tuple((i, motor, 0.0) for i, motor, _ in self._steerings)
 
     def _lag(self, motor: int) -> float:
-        """Returns kv/kp (s) of a servo."""
+        """Returns the lag kv/kp (s) of the servo of a motor."""
         _, stiffness, damping = self.scene.model.actuator_biasprm[motor, :3].tolist()
         return damping / stiffness if stiffness else 0.0
 
     def _open_speed_loops(self) -> None:
-        """Replaces the drive servos by dampers -k w; ``write`` adds the torque k u."""
+        """Replaces the speed control of the drives by the characteristic of a DC motor.
+
+        Each drive servo becomes a damper with the torque -k w.  The method ``write`` adds the
+        torque k u of the commanded speed u.
+        """
         model = self.scene.model
         joints = {i: v for i, _, v in self._spin}
         for i, motor in self._drive_motors:
@@ -169,15 +188,16 @@ class MujocoBase(GroundTruthBase):
     # -- ground truth -----------------------------------------------------------------
 
     def true_pose(self) -> Pose2:
-        """Returns the pose of ``base_link`` in the world; yaw in -pi..pi."""
+        """Returns the planar pose of ``base_link`` in the world frame, with yaw in -pi..pi."""
         x, y, _, w, i, j, k = self._base_position()
         yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return Pose2(x, y, yaw)
 
     def place(self, pose: Pose2) -> None:
-        """Moves the robot to ``pose``; its height, roll, pitch and speeds do not change.
+        """Moves the robot to the planar pose ``pose``.
 
-        The new orientation is a rotation about the vertical times the present one.
+        The height, roll, pitch and velocities of the robot do not change.  The robot is rotated
+        about the vertical axis by the difference between the two yaw angles.
         """
         data, start = self.scene.data, self._base
         w, i, j, k = data.qpos[start + 3 : start + 7].tolist()
@@ -205,16 +225,17 @@ class MujocoBase(GroundTruthBase):
 
     def leaning(self) -> str:
         _, _, _, w, i, j, k = self._base_position()
-        # Vertical components of the robot's x and y axes.
+        # Vertical components of the x axis and the y axis of ``base_link``.
         x, y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
         if abs(x) > abs(y):
             return "forwards" if x < 0.0 else "backwards"
         return "to its left" if y < 0.0 else "to its right"
 
     def _base_position(self) -> list[float]:
-        """Returns x, y, z (m) and the quaternion wxyz.
+        """Returns the position x, y, z (m) and the quaternion wxyz of the base.
 
-        They come from ``qpos``: after a step MuJoCo's ``xpos`` is still that of its beginning.
+        The values are read from ``qpos``.  The array ``xpos`` of MuJoCo is not used, because
+        ``xpos`` after a step contains the positions at the beginning of the step.
         """
         position: list[float] = self.scene.data.qpos[self._base : self._base + 7].tolist()
         return position

@@ -1,6 +1,7 @@
-"""MuJoCo scenes: loads the MJCF files that the compiler generates, and steps the simulation.
+"""Loads the MJCF files that the compiler generates, and runs the simulation in MuJoCo.
 
-The MJCF has the contact and servo settings (``backends/mjcf.py``, ``docs/mjcf.md``).
+The MJCF files contain the settings of contacts and servos (``backends/mjcf.py``,
+``docs/mjcf.md``).
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ _DIVERGED_SPEED = 1e4
 
 
 def _ignore(message: str) -> None:
-    """Discards a warning of MuJoCo."""
+    """Discards a warning message of MuJoCo."""
 
 
 class MujocoScene:
-    """A compiled scene with one or more robots, and its simulated time.
+    """A MuJoCo scene with one or more robots, and the simulated time of the scene.
 
-    ``model`` and ``data`` are the objects of MuJoCo.  ``diverged`` is true after a step with
-    speeds that are not finite or absurdly large.
+    ``model`` is the ``MjModel`` of MuJoCo, and ``data`` is the ``MjData``.  ``diverged`` is true
+    after a step in which a joint speed is not finite, or the norm of all joint speeds is larger
+    than ``_DIVERGED_SPEED``.
     """
 
     def __init__(
@@ -42,13 +44,14 @@ class MujocoScene:
     ) -> None:
         """Loads the file ``scene`` from a build folder or from ``{path: bytes}``.
 
-        Without ``visuals`` MuJoCo discards visual geoms and fuses bodies that are fixed to
-        each other: the same physics in three quarters of the time, but there is nothing to
-        render, and fused links have no body.  ``prepare`` may change the ``MjSpec`` before it
-        is compiled.
+        If ``visuals`` is false, MuJoCo discards the visual geoms and fuses bodies that are fixed
+        to each other.  The physics is the same, and the simulation takes three quarters of the
+        time.  However, a scene without visual geoms cannot be rendered, and a fused link has no
+        body in the scene.  The function ``prepare`` may change the ``MjSpec`` of the scene before
+        MuJoCo compiles the ``MjSpec``.
 
-        Raises ``DiagnosticError`` (``simulation-scene``) if the file is missing or MuJoCo
-        cannot read it.
+        Raises ``DiagnosticError`` (``simulation-scene``) if the file is missing or MuJoCo cannot
+        read the file.
         """
         if isinstance(files, Mapping):
             self.model = _load_from_memory(files, scene, visuals, prepare)
@@ -59,12 +62,12 @@ class MujocoScene:
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
-        # MuJoCo would reset a diverged simulation to its start without an error.
+        # By default, MuJoCo resets a diverged simulation to the start without an error.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.reset()
 
     def reset(self) -> None:
-        """Resets the scene to the key frame ``home``, at time 0."""
+        """Resets the scene to the key frame ``home`` and the simulated time to 0."""
         key = self._mujoco.mj_name2id(self.model, self._mujoco.mjtObj.mjOBJ_KEY, HOME)
         if key >= 0:
             self._mujoco.mj_resetDataKeyframe(self.model, self.data, key)
@@ -75,19 +78,24 @@ class MujocoScene:
         self._mujoco.mj_forward(self.model, self.data)
 
     def forward(self) -> None:
-        """Updates poses, contacts and other derived values after a change of ``data.qpos``."""
+        """Computes the poses and contacts of the scene again after a change of ``data.qpos``."""
         self._mujoco.mj_forward(self.model, self.data)
 
     @property
     def time(self) -> float:
-        """Simulated time in s since the reset."""
+        """Simulated time (s) since the last reset."""
         return self.steps * self.timestep
 
     def advance(self, now: float) -> None:
-        """Runs the steps up to ``now`` (s, rounded) in one call; a past time has no effect."""
+        """Runs the simulation until the time ``now`` (s).
+
+        The time is rounded to a whole number of simulation steps.  All steps run in one call of
+        MuJoCo.  A time in the past has no effect.
+        """
         steps = round(now / self.timestep) - self.steps
         if steps > 0 and not self.diverged:
-            # MuJoCo prints warnings and writes a log file; `diverged` replaces them.
+            # MuJoCo prints warnings about a divergence and writes a log file.  The attribute
+            # `diverged` replaces the warnings.
             mujoco = self._mujoco
             user_warning = mujoco.get_mju_user_warning()
             mujoco.set_mju_user_warning(_ignore)
@@ -97,13 +105,13 @@ class MujocoScene:
                 mujoco.set_mju_user_warning(user_warning)
             self.steps += steps
             speeds = self.data.qvel
-            # A speed that is nan stays nan, so the last step of the call is enough;
-            # a comparison with nan is false, so `not <` detects it.
+            # A speed that becomes nan stays nan, so that a test after the last step is enough.  A
+            # comparison with nan is false, so that `not <` also detects nan.
             self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
 
     @property
     def fastest(self) -> str:
-        """Description of the fastest joint, or of a joint whose speed is not finite."""
+        """Text that describes the fastest joint, or a joint whose speed is not finite."""
         import numpy
 
         speeds = numpy.abs(self.data.qvel)
@@ -119,9 +127,10 @@ class MujocoScene:
         return f"the joint `{name}` moves at {speed:.3g} (SI)"
 
     def index(self, kind: str, name: str, robot: Robot) -> int:
-        """Returns MuJoCo's index of an object; ``kind`` is ``joint``, ``actuator``, ``body``, ...
+        """Returns the MuJoCo index of an object of the scene.
 
-        Raises ``DiagnosticError`` (``simulation-scene``) if the scene does not have it.
+        ``kind`` is the type of the object, such as ``joint``, ``actuator`` or ``body``.  Raises
+        ``DiagnosticError`` (``simulation-scene``) if the scene does not contain the object.
         """
         objects = self._mujoco.mjtObj
         index: int = self._mujoco.mj_name2id(
@@ -162,8 +171,9 @@ def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
 def _load_from_memory(
     files: Mapping[str, bytes], scene: str, visuals: bool, prepare: Prepare
 ) -> Any:
-    # MuJoCo identifies virtual files by their base names alone, and the robots of a fleet have
-    # files of equal base names.  So the files go to a temporary folder.
+    # MuJoCo identifies files in memory only by the last part of the file path.  The robots of a
+    # fleet have files with equal last parts.  For this reason the files are written to a temporary
+    # folder.
     with tempfile.TemporaryDirectory(prefix="thorvaldc_") as folder:
         for name, data in files.items():
             parts = PurePosixPath(name).parts

@@ -1,9 +1,10 @@
-"""A base of ideal joints on ideal ground: no wheel slips, and the drives give way.
+"""A simulated base on ideal ground, on which all wheels roll without slip.
 
-Method: the commanded joints rarely agree exactly, for instance with wrong wheel radii.  In each
-step the twist (vx, vy, wz) is the least-squares solution of the rolling and no-slip conditions of
-all wheels.  Then each joint is set to what this twist requires, so that the encoders
-agree exactly with the true motion and the true wheels, as a calibration assumes.
+The commanded joint motions of several wheels rarely fit to one motion of the robot, for example
+if the wheel radii in the model are wrong.  In each step, the true twist (vx, vy, wz) of the robot
+is the least-squares solution of the rolling and no-slip conditions of all wheels.  The base then
+sets each joint to the motion that the true twist requires.  The encoder readings thus agree
+exactly with the true motion and with the true wheels.  A calibration assumes this agreement.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ _LEAST_SPEED = 1e-3
 
 
 class RollingBase(SimBase, GroundTruthBase):
-    """Joints that give way: the robot moves as the commanded joints agree best.
+    """A simulated base whose wheels roll without slip.
 
-    A real drive without speed control behaves like this; a steering motor does not.
+    The twist of the robot is the best fit to the commanded joints, and all joints follow the
+    twist.  Real drive motors without speed control follow the motion of the robot in the same
+    way.  Real steering motors hold their angle instead.
     """
 
     def __init__(
@@ -39,7 +42,11 @@ class RollingBase(SimBase, GroundTruthBase):
         radii: Sequence[float] | None = None,
         start: float = 0.0,
     ) -> None:
-        """``radii`` (m) are the wheel radii before the errors; default: those of the model."""
+        """Creates the base at rest, at the time ``start`` (s).
+
+        ``radii`` are the wheel radii (m) without wheel errors.  The default is the wheel radii of
+        the model.
+        """
         super().__init__(robot, start)
         wheel_errors = wheel_errors or WheelErrors.none(robot)
         self._ratios, self._offsets = wheel_errors.radius_ratios, wheel_errors.steering_offsets
@@ -54,7 +61,8 @@ class RollingBase(SimBase, GroundTruthBase):
         n = len(self._true)
         self._pose = ORIGIN
         self._twist = ZERO_TWIST
-        # Encoder readings: position and speed of the drives, angle and rate of the steering.
+        # The encoder readings are the positions (rad) and speeds (rad/s) of the drives, and the
+        # angles (rad) and rates (rad/s) of the steering joints.
         self._encoder_positions = [0.0] * n
         self._encoder_speeds = [0.0] * n
         self._encoder_angles = [0.0] * n
@@ -89,8 +97,8 @@ class RollingBase(SimBase, GroundTruthBase):
                 true_angle = self._angles[i] + self._offsets[i]
                 direction = wheel.heading + wheel.sign * true_angle
                 if math.hypot(ux, uy) > _LEAST_SPEED:
-                    # Turn the wheel into its direction of motion, forwards or backwards,
-                    # whichever is nearer.
+                    # Turn the wheel into the direction of motion of the wheel, or into the
+                    # opposite direction if the opposite direction is nearer.
                     error = math.remainder(math.atan2(uy, ux) - direction, math.pi)
                     true_angle += wheel.sign * error
                 angle = true_angle - self._offsets[i]
@@ -105,13 +113,13 @@ class RollingBase(SimBase, GroundTruthBase):
                 self._encoder_speeds[i] = speed
 
     def _fitted_twist(self) -> Twist:
-        """Returns the twist that agrees best with the ideal joints.
+        """Returns the least-squares fit of the twist to the commanded joints.
 
-        Two conditions per wheel, linear in the twist, with the true angle and radius: the
-        speed across the wheel is zero, and for a driven wheel the speed along it is the
-        wheel speed times the radius; both corrected for a contact beside the steering axis.
-        The normal equations have a small weight on the identity, for robots with fewer
-        conditions than unknowns.
+        A wheel without swivel gives one or two conditions, linear in the twist.  The ground speed
+        across the wheel is zero.  For a driven wheel, the ground speed along the wheel is the
+        wheel speed times the true wheel radius.  Both conditions contain a correction for a
+        contact point that is not on the steering axis.  A robot may have fewer conditions than
+        unknowns, so that a small multiple of the identity is added to the normal equations.
         """
         a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
         for i, wheel in enumerate(self._true):

@@ -1,4 +1,7 @@
-"""Current rolling radii of wheels with several treads: the tyre, or a ring on a rail."""
+"""Finds the current rolling radius of wheels with several treads.
+
+A wheel with several treads rolls on the tyre on the ground, and on a ring on a rail.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,10 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
 class RollingRadii:
-    """Finds the tread that each wheel of a robot rolls on from the contacts of the scene."""
+    """Finds the tread on which each wheel of a robot rolls.
+
+    The contacts of the MuJoCo scene determine the tread.
+    """
 
     def __init__(self, robot: Robot, scene: MujocoScene) -> None:
         prefix = robot.prefix
@@ -25,7 +31,10 @@ class RollingRadii:
         ]
 
     def current(self) -> list[float]:
-        """Returns the radius (m) that each wheel rolls on; that of the tyre for one in the air."""
+        """Returns the current rolling radius (m) of each wheel.
+
+        The rolling radius of a wheel in the air is the radius of the tyre.
+        """
         touching = set(self._scene.data.contact.geom.ravel().tolist())
         radii = list(self._tyres)
         for geom, wheel, radius in self._treads:

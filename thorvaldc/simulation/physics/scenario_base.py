@@ -1,4 +1,4 @@
-"""A MuJoCo base with the injected faults, the sensor noise and the ground zones of a scenario."""
+"""A MuJoCo base with injected faults, sensor noise and ground zones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WHEEL_ERRORS = ("radius_error", "steering_offset")
 
 
 class _Readings:
-    """Joint states that noise and faults can change."""
+    """Joint states as lists, so that noise and injected faults can change the values."""
 
     def __init__(self, joints: JointStates) -> None:
         self.speeds = list(joints.speeds)
@@ -31,12 +31,13 @@ class _Readings:
 
 
 class ScenarioBase(MujocoBase):
-    """A base whose driver reads the joints with the noise and the active injected faults.
+    """A MuJoCo base with the injected faults and the sensor noise of a scenario.
 
-    ``true_joints`` are the joint states without either.  Wrong radii and steering offsets are
-    the ``WheelErrors`` of ``MujocoBase``; here they begin and end at the times of the
-    faults.  Faults of the scene (a motor that is lost, a wheel on ice) change MuJoCo's model;
-    ``close`` restores it.
+    The method ``read`` returns joint states with sensor noise and with the active injected
+    faults.  ``true_joints`` are the joint states without sensor noise and without injected
+    faults.  An injected fault with a wrong wheel radius or a wrong steering offset uses the
+    ``WheelErrors`` of ``MujocoBase`` while the fault is active.  A failed motor and a wheel on ice
+    are changes of the MuJoCo model.  The method ``close`` restores the MuJoCo model.
     """
 
     def __init__(
@@ -53,12 +54,14 @@ class ScenarioBase(MujocoBase):
         self._has_gyro = any(sensor.type == "imu" for sensor in robot.sensors)
         self._encoders = _encoders(robot) if noise is not None and noise.encoder_counts else ()
         self._wheel_index = {wheel.name: i for i, wheel in enumerate(robot.wheels)}
-        # Each robot of a scenario has its own random numbers, the same in every process:
-        # Python's hash() of a text differs between processes, sha256 does not.
+        # Each robot of a scenario has a separate random number generator.  The seed must be equal
+        # in every process.  The function hash() of a text differs between processes, but SHA-256
+        # does not.
         seed = f"{noise.seed if noise is not None else 0} {robot.namespace}"
         self._random = random.Random(hashlib.sha256(seed.encode()).digest())
         self._ground = GroundZones(robot, scene, zones, [f for f in faults if f.type == "ice"])
-        # By fault: (array, index, value) of the entries of MuJoCo's model to restore.
+        # By the number of the injected fault: (array, index, value) of each entry of the MuJoCo
+        # model that the end of the fault restores.
         self._saved: dict[int, list[tuple[Any, Any, Any]]] = {}
         self._frozen: dict[int, float] = {}
         self._no_errors = (self._ratios, self._offsets)
@@ -91,11 +94,11 @@ class ScenarioBase(MujocoBase):
         )
 
     def motors(self) -> list[int]:
-        """Returns MuJoCo's actuator indices of the robot."""
+        """Returns the MuJoCo indices of all actuators of the robot."""
         return [actuator for _, actuator in (*self._drive_motors, *self._steering_motors)]
 
     def close(self) -> None:
-        """Restores MuJoCo's model."""
+        """Removes all injected faults and ground zones from the MuJoCo model."""
         self._ground.restore()
         for number in list(self._saved):
             self._restore(number)
@@ -113,7 +116,11 @@ class ScenarioBase(MujocoBase):
         )
 
     def _disturb(self, readings: _Readings, now: float) -> None:
-        """Adds noise, rounds to encoder counts, and freezes the encoders of active faults."""
+        """Adds the sensor noise and the encoder faults to joint readings.
+
+        The function adds random noise, rounds the positions down to encoder counts, and repeats
+        the last reading of an encoder with an active ``encoder_frozen`` fault.
+        """
         noise, gauss = self._noise, self._random.gauss
         if noise is not None:
             for i in range(len(readings.speeds)):
@@ -141,7 +148,7 @@ class ScenarioBase(MujocoBase):
     # -- changes of the scene ---------------------------------------------------------
 
     def _switch(self, number: int, fault: WheelFault, active: bool) -> None:
-        """Starts or ends a fault of the scene."""
+        """Starts or ends an injected fault that changes the MuJoCo model."""
         if active and number not in self._saved:
             self._saved[number] = []
             if fault.type == "motor_lost":
@@ -160,7 +167,7 @@ class ScenarioBase(MujocoBase):
             array[index] = value
 
     def _disable_motor(self, number: int, wheel: int, motor: str) -> None:
-        """Sets the gains of the motor's servo to zero, so that the joint turns freely."""
+        """Sets the gains of the servo of a motor to zero, so that the joint turns freely."""
         model = self.scene.model
         motors = self._steering_motors if motor == "steering" else self._drive_motors
         for i, actuator in motors:
@@ -170,10 +177,11 @@ class ScenarioBase(MujocoBase):
                         self._set(number, array, (actuator, k), 0.0)
 
     def _reset_drive_set_point(self, wheel: int) -> None:
-        """Sets the position set point of a drive to the wheel's present position.
+        """Sets the position set point of a drive to the present position of the wheel.
 
-        The drive servos (``intvelocity``) integrate the commanded speed to a position.  While
-        the motor was lost, the wheel did not follow; without a reset it would catch up.
+        The drive servos (``intvelocity``) integrate the commanded speed to a position set point.
+        While the motor is lost, the wheel does not follow the set point.  Without a reset of the
+        set point, the wheel would catch up with the set point when the motor works again.
         """
         model, data = self.scene.model, self.scene.data
         addresses = {i: self._base + q for i, q, _ in self._spin}
@@ -190,7 +198,7 @@ def _is_noisy(noise: Noise) -> bool:
 def _encoders(robot: Robot) -> tuple[tuple[int, bool, float, float], ...]:
     """Returns (wheel, is_steering, rad per count, offset in rad) of each motor's encoder.
 
-    A quadrature encoder has four counts per pulse.  It sits on the motor, before the gear.
+    A quadrature encoder has four counts per pulse.  The encoder is on the motor side of the gear.
     """
     encoders = []
     for i, wheel in enumerate(robot.wheels):

@@ -1,4 +1,4 @@
-"""A base of ideal joints: no mass and no ground, only the limits of the joints."""
+"""A simulated base with ideal joints, without mass and without ground."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ MAX_STEP = 0.5
 
 
 class SimBase(BaseHandle):
-    """Joints that follow their commands within their limits.
+    """A simulated base whose joints follow the commands within the limits of the joints.
 
-    Wheel speeds change by at most the maximum acceleration, steering angles by at most the
-    maximum steering rate.  ``read`` advances the joints to its time.  Wheels without a motor
-    stay at 0.
+    The maximum acceleration limits the change of the wheel speeds.  The maximum steering rate
+    limits the change of the steering angles.  A call ``read(now)`` moves the joints from the time
+    of the last call to the time ``now``.  A wheel without a motor does not turn.
     """
 
     def __init__(self, robot: Robot, start: float = 0.0) -> None:
@@ -51,7 +51,8 @@ class SimBase(BaseHandle):
                 start = self._speeds[i]
                 step = wheel.max_acceleration * dt
                 end = min(max(goal, start - step), start + step)
-                # Position: the integral of a ramp for `ramp` s, then of constant speed.
+                # The speed changes linearly for `ramp` s and is then constant.  The position is the
+                # integral of the speed.
                 ramp = min(abs(end - start) / wheel.max_acceleration, dt)
                 self._positions[i] += (start + end) / 2.0 * ramp + end * (dt - ramp)
                 self._speeds[i] = end

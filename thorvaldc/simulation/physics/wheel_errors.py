@@ -1,4 +1,8 @@
-"""Errors of a simulated robot's wheels that its model and its driver do not know."""
+"""Radius errors and steering offsets of the wheels of a simulated robot.
+
+The model of the robot does not contain the wheel errors, and the driver does not correct the wheel
+errors.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +16,11 @@ from thorvaldc.model import Robot
 
 @dataclass(frozen=True, slots=True)
 class WheelErrors:
-    """Errors of a simulated robot's wheels, in the order of ``Robot.wheels``.
+    """Errors of the wheels of a simulated robot, in the order of ``Robot.wheels``.
 
-    ``radius_ratios``: true radius over the radius in the model.
-    ``steering_offsets`` (rad): true position of the steering joint minus the position that
-    the base reports (the encoder reading plus the encoder offset of the model).
+    * ``radius_ratios``: true wheel radius divided by the wheel radius in the model.
+    * ``steering_offsets``: true angle of the steering joint minus the angle that the base reports
+      (rad).  The base reports the encoder reading plus the encoder offset of the model.
     """
 
     radius_ratios: tuple[float, ...]
@@ -24,7 +28,7 @@ class WheelErrors:
 
     @staticmethod
     def none(robot: Robot) -> WheelErrors:
-        """Returns the errors of a robot that agrees with its model."""
+        """Returns radius ratios of 1 and steering offsets of 0 for all wheels."""
         n = len(robot.wheels)
         return WheelErrors((1.0,) * n, (0.0,) * n)
 
@@ -34,10 +38,11 @@ class WheelErrors:
         radius_ratios: Mapping[str, float] | None = None,
         steering_offsets: Mapping[str, float] | None = None,
     ) -> WheelErrors:
-        """Returns the errors given by wheel name; all other wheels have none.
+        """Returns the wheel errors for radius ratios and steering offsets by wheel name.
 
-        Raises ``DiagnosticError`` (``hidden-error``) if the robot has no such wheel, if a wheel
-        with an offset is not steered, or if a value is out of range.
+        A wheel that is not named has no error.  Raises ``DiagnosticError`` (``hidden-error``) if
+        the robot does not have a named wheel, if a wheel with a steering offset is not steered, or
+        if a value is out of range.
         """
         ratios, offsets = radius_ratios or {}, steering_offsets or {}
         names = [wheel.name for wheel in robot.wheels]
