@@ -1,16 +1,18 @@
-"""EstimatorOptions of the robot's twist from its joint states, with rejection of faulty wheels.
+"""Estimator of the robot's twist from its joint states, with rejection of faulty wheels.
 
-Steps of an estimate (``twist_fit`` derives the equations):
+The estimator works in these steps (``twist_fit`` derives the equations):
 
-1. An unweighted least-squares fit predicts the velocity of each wheel's contact.
-2. One Gauss-Newton step with weights from these velocities is within a few percent of the maximum
-   likelihood; ``EstimatorOptions.polish`` adds further steps.
-3. A chi-square test compares each wheel with the others.
-4. If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
+1.  An unweighted least-squares fit predicts the velocity of each wheel's contact.
+2.  One Gauss-Newton step computes the weighted fit, with weights from the predicted velocities.
+   Its result is within a few percent of the maximum likelihood.  ``EstimatorOptions.polish`` adds
+   more steps.
+3.  A chi-square test compares each wheel with the other wheels.
+4.  If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
 
-Side slip is measured as 0 on every wheel that cannot swivel, and the rolling speed on every
-wheel with an encoder.  A steering joint that turns moves a contact beside or behind its axis, which
-the measurements include.  A gyro (``JointStates.yaw_rate``) adds one row.
+Every wheel that does not swivel gives the measurement that its side slip is 0.  Every wheel with an
+encoder measures its rolling speed.  If the contact of a wheel lies beside or behind its steering
+axis, a turning steering joint moves the contact.  The measurements include this motion.  A gyro
+(``JointStates.yaw_rate``) adds one measurement.
 """
 
 from __future__ import annotations
@@ -49,21 +51,31 @@ from thorvaldc.runtime.se2 import Cov3, Twist
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
 _MIN_PROBABILITY = 0.6
-"""Least probability of a hypothesis to name its wheels: clearly more likely than all others."""
+"""Least probability of a hypothesis whose wheels are reported as faulty.
+
+Such a hypothesis is clearly more likely than all other hypotheses.
+"""
 _UNBOUNDED = "the joint states are out of all bounds"
 RANK_TOLERANCE = 1e-8
-"""Least determinant of the scaled normal matrix at rank 3, over the cube of its mean eigenvalue."""
+"""Least determinant of the scaled normal matrix at rank 3.
+
+The determinant is divided by the cube of the mean eigenvalue.
+"""
 
 
 class TwistEstimate(NamedTuple):
-    """A twist with its covariance (of vx, vy, wz, in SI) and the state of the wheels.
+    """An estimated twist with its covariance and the results of the wheel tests.
 
-    ``rank`` is the number of directions of the twist that the joints determine, 0 to 3.
-    Below 3, a prior determines the others: the robot stands still, with its top speed as the
-    standard deviation.  ``chi_squares`` has one entry per wheel if the calculator tests wheels:
-    the disagreement with the other wheels, chi-square with two degrees of freedom (one for a
-    passive wheel; 0 for a wheel without test).  ``dropped``: indices of the wheels that are left
-    out, wholly or in part, because they slip, stall or have a wrong steering angle.
+    - ``twist``: estimated twist of ``base_link``.
+    - ``covariance``: covariance of vx, vy and wz, in SI units.
+    - ``rank``: number of directions of the twist that the joints determine, 0 to 3.  For the other
+      directions, the estimator assumes that the robot stands still.  The standard deviation of this
+      assumption is the top speed.
+    - ``chi_squares``: for each wheel, the chi-square of its disagreement with the other wheels.  It
+      has two degrees of freedom, or one for a passive wheel.  It is 0 for a wheel without a test.
+      The tuple is empty if the calculator does not test wheels.
+    - ``dropped``: indices of the wheels of which one or all measurements are left out.  These
+      wheels slip, stall or have a wrong steering angle.
     """
 
     twist: Twist
@@ -77,9 +89,11 @@ class TwistEstimate(NamedTuple):
 class EstimatorOptions:
     """Options of the estimator.
 
-    ``gate``: share of the ticks in which a healthy robot may lose a wheel.
-    ``faulty``: the largest number of wheels to leave out, 0 (test only) to 2.
-    ``polish``: number of further Gauss-Newton steps, towards maximum likelihood.
+    - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
+    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2.  With 0, wheels are only
+      tested.
+    - ``polish``: number of additional Gauss-Newton steps.  They bring the estimate closer to the
+      maximum-likelihood estimate.
     """
 
     gate: float = 0.008
@@ -96,16 +110,18 @@ class EstimatorOptions:
 
 
 class TwistEstimator:
-    """Weighted least-squares estimator of the twist; see the module for its steps.
+    """Weighted least-squares estimator of the twist.  The module documentation lists its steps.
 
-    Of a faulty wheel, only the wrong row is left out: a slipping wheel still measures its
-    direction.  If no hypothesis explains the misfit, all wheels are used and the covariance
-    grows with the misfit.
+    Only the wrong measurement of a faulty wheel is left out: a slipping wheel still measures its
+    direction.  If no hypothesis explains the misfit, the estimator uses all wheels and increases
+    the covariance with the misfit.
 
-    ``wheels``: the wheels that do not swivel.  ``gates``: for each, the D beyond which it is
-    suspect.  ``inverse``: upper half of the inverse of the unweighted normal matrix, and its rank,
-    if steering does not change them.  ``prior``: information on velocity and yaw rate for
-    a rank below 3.
+    - ``wheels``: constants of the wheels that do not swivel.
+    - ``gates``: for each of these wheels, the chi-square D above which the wheel is suspect.
+    - ``inverse``: upper half of the inverse of the unweighted normal matrix, and the rank of this
+      matrix.  ``None`` if the matrix depends on the steering angles.
+    - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
+      estimator uses it if the rank is below 3.
     """
 
     def __init__(
@@ -140,8 +156,8 @@ class TwistEstimator:
         top_speed = geometry.max_wheel_speed
         self.length2 = geometry.length**2
         self.prior = (1.0 / top_speed**2, self.length2 / top_speed**2)
-        # The rate of false alarms, shared out over the wheels, as quantiles of chi-square with
-        # 2 and 1 degrees of freedom.
+        # The permitted rate of false alarms is divided equally among the wheels.  The gates are the
+        # corresponding quantiles of chi-square with 2 and 1 degrees of freedom.
         share = self.options.gate / max(len(wheels), 1)
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
@@ -150,10 +166,14 @@ class TwistEstimator:
         self.inverse = self._constant_inverse()
 
     def check(self, states: JointStates) -> None:
-        """Raises ``ValueError`` for a wrong number of wheels, ``NotFiniteError`` for NaN or inf."""
+        """Checks joint states.
+
+        Raises ``ValueError`` if the number of wheels is wrong.  Raises ``NotFiniteError`` if a
+        value is NaN or infinite.
+        """
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
-        # One sum is finite if all values are, and faster than a test of each value.
+        # The sum is finite if all values are finite.  One sum is faster than a test of each value.
         total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates)
         positions = states.positions
         if positions is None:
@@ -180,10 +200,10 @@ class TwistEstimator:
         raise NotFiniteError(_UNBOUNDED)
 
     def estimate(self, states: JointStates) -> TwistEstimate:
-        """Returns the twist that agrees best with the joints, with its covariance and rank.
+        """Returns the twist that agrees best with the joint states, with its covariance and rank.
 
-        Raises ``NotFiniteError`` for joint states that are not finite numbers, or so large
-        that the result is not finite.
+        Raises ``NotFiniteError`` if a joint state is not a finite number, or so large that the
+        result is not finite.
         """
         self.check(states)
         try:
@@ -207,17 +227,21 @@ class TwistEstimator:
         return self._result(fit, tests, rank)
 
     def least_squares(self, states: JointStates) -> Twist:
-        """Returns the twist of the unweighted least-squares fit.  Raises as ``check``."""
+        """Returns the twist of the unweighted least-squares fit.
+
+        Raises the same errors as ``check``.
+        """
         self.check(states)
         (vx, vy, wz), _ = self._unweighted_fit(self._measurements(states), states.yaw_rate)
         xm, ym = self._centre
         return Twist(vx + ym * wz, vy - xm * wz, wz)
 
     def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:
-        """Returns, per wheel, how fast its contact slides over the ground at this twist.
+        """Returns the slip velocity of each wheel's contact over the ground, for a given twist.
 
-        In m/s, along the wheel's direction and to its left.  A wheel that spins in mud slips
-        backwards.  The slip along is 0 for a wheel without encoder; both are 0 for a caster.
+        Each entry is the slip velocity (m/s) along the wheel's direction and to the left of the
+        wheel.  A wheel that spins in mud slips backwards.  The slip along the wheel is 0 for a
+        wheel without encoder.  Both values are 0 for a caster.
         """
         slips = [(0.0, 0.0)] * self._n
         vx, vy, wz = twist
@@ -244,7 +268,8 @@ class TwistEstimator:
                 direction = heading + sign * angles[i]
                 cos, sin = cosine(direction), sine(direction)
                 if trail or lateral:
-                    # The contact moves about the steering axis: with the angle, and with its rate.
+                    # The contact moves about the steering axis.  Its position depends on the
+                    # steering angle, and its velocity on the steering rate.
                     x += (cos - c) * trail - (sin - s) * lateral
                     y += (sin - s) * trail + (cos - c) * lateral
                     turning = sign * states.angle_rates[i]
@@ -277,9 +302,10 @@ class TwistEstimator:
     def _solve(
         self, equations: NormalEquations, yaw_rate: float | None
     ) -> tuple[tuple[float, float, float], int]:
-        """Solves the unweighted normal equations; returns the twist and the rank.
+        """Solves the unweighted normal equations.  Returns the twist and the rank.
 
-        Angular velocities are scaled by ``length`` to m/s, so that the eigenvalues compare.
+        The rank is counted with the yaw rate multiplied by ``length``, so that all eigenvalues have
+        the same unit.
         """
         a11, a12, a13, a22, a23, a33, b1, b2, b3 = equations
         k = self.length2
@@ -295,7 +321,8 @@ class TwistEstimator:
         rank = 3
         if det <= RANK_TOLERANCE * k * mean * mean * mean:
             rank = self._count_rank(a11, a12, a13, a22, a23, a33)
-            # Regularises the system.  Its rows have weight 1, so that `prior` does not fit here.
+            # The small diagonal makes the system solvable.  `prior` is not used here, because all
+            # rows have weight 1 instead of the inverse variance.
             weak = 1e-6 * max(mean, 1.0)
             a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * k
         return solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3), rank
@@ -313,10 +340,12 @@ class TwistEstimator:
     def _constant_inverse(
         self,
     ) -> tuple[tuple[float, float, float, float, float, float], int] | None:
-        """Inverse of the unweighted normal matrix and its rank; ``None`` if steering changes them.
+        """Returns the inverse of the unweighted normal matrix, and the rank of this matrix.
 
-        With an encoder and no offset from its axis, a steered wheel measures both components of
-        the contact's velocity: L'L + T'T = H'H for any direction.
+        Returns ``None`` if the matrix depends on the steering angles.  The matrix is independent of
+        the steering angle of a wheel if the wheel has an encoder and no offset from its steering
+        axis.  Such a wheel measures both components of the contact's velocity, and L'L + T'T = H'H
+        for any direction.
         """
         if any(w.steered and (not w.flags & USE_ROLL or w.trail or w.lateral) for w in self.wheels):
             return None
@@ -344,7 +373,11 @@ class TwistEstimator:
         yaw_rate: float | None,
         rank: int,
     ) -> TwistEstimate:
-        """Returns the estimate without the faulty wheels, or with all if nothing explains it."""
+        """Returns the estimate without the faulty wheels.
+
+        If no hypothesis explains the misfit, the estimate uses all wheels and has a larger
+        covariance.
+        """
         steps = 1 + self.options.polish
 
         def refit(some: list[Measurement], previous: Fit, steps: int = steps) -> Fit:
@@ -363,7 +396,8 @@ class TwistEstimator:
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
             freedom = rows + (yaw_rate is not None) - rank
-            # Reduced chi-square: the noise is as much larger than assumed.
+            # The reduced chi-square is the factor by which the measured variance exceeds the
+            # assumed variance.
             growth = max(1.0, misfit(fit) / max(freedom, 1))
             return self._result(fit, tests, rank, growth)
         best = hypotheses[0]
@@ -381,9 +415,10 @@ class TwistEstimator:
         growth: float = 1.0,
         dropped: tuple[int, ...] = (),
     ) -> TwistEstimate:
-        """Returns the estimate at ``base_link``; ``growth`` multiplies the covariance.
+        """Returns the estimate at ``base_link``.  Its covariance is multiplied by ``growth``.
 
-        From the centroid at (xm, ym): xi' = A xi, P' = A P A', A = [1 0 ym; 0 1 -xm; 0 0 1].
+        The fit is about the centroid (xm, ym).  The twist of ``base_link`` is xi' = A xi and its
+        covariance is P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
         """
         vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
         xm, ym = self._centre

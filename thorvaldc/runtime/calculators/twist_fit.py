@@ -1,31 +1,35 @@
-"""Weighted least-squares fit of a twist to the wheel measurements, and tests of each wheel.
+"""Weighted least-squares fit of a twist to the wheel measurements, and a test of each wheel.
 
-A twist xi = (vx, vy, wz) moves the contact of a wheel at (x, y) with the velocity
+If the robot moves with the twist xi = (vx, vy, wz), the contact of a wheel at (x, y) moves with the
+velocity
 
     u = H xi,   H = [1  0  -y]
                     [0  1   x]
 
-A wheel with the rolling direction d = (c, s) and the normal n = (-s, c) measures u twice:
+A wheel with the rolling direction d = (c, s) and the normal n = (-s, c) gives two measurements of
+u:
 
     L xi = z_L,   L = d' H = [ c,  s,  s x - c y]   rolling: the encoder's speed
     T xi = z_T,   T = n' H = [-s,  c,  c x + s y]   no side slip: 0
 
-with independent errors that grow with the speed a = |u| of the contact:
+The errors of both measurements are independent and grow with the speed a = |u| of the contact:
 
     sigma_L^2 = (speed_ratio a)^2 + speed_floor^2
     sigma_T^2 = (angle a)^2 + slip_floor^2
 
-a is *predicted* from a first estimate.  With the measured speed, a stalled encoder would
-report 0 m/s with a very small variance and dominate the fit.
+The speed a is *predicted* by a first estimate of the twist.  If the *measured* speed were used, a
+stalled encoder would report 0 m/s with a very small variance and dominate the fit.
 
-The information of one wheel about u, with w = 1 / sigma^2, and the normal equations are
+With the weights w = 1 / sigma^2, the information matrix W of one wheel about u and the normal
+equations are
 
     W = w_L d d' + w_T n n' = w_T 1 + (w_L - w_T) d d'
     M = sum H' W H + prior,   b = sum H' W m,   m = z_L d + z_T n
     xi = M^-1 b,   covariance P = M^-1
 
-Positions are relative to the centroid of the wheels, which keeps M well conditioned.  All of it
-runs in every tick of the driver: plain Python on plain numbers, written out by component.
+Positions are relative to the centroid of the wheels, which keeps M well conditioned.  The fit runs
+in every tick of the driver.  For speed, the code uses plain Python numbers and computes each
+component of a matrix separately.
 """
 
 from __future__ import annotations
@@ -35,26 +39,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-# Flags of a measurement: which of its rows L (roll) and T (side) the fit uses, and which are tested
-# against the other wheels.  A rejected wheel is not used but still tested, so that its chi-square
-# stays known.  A skidding wheel is used but not tested.
+# Flags of a measurement.  USE_ROLL and USE_SIDE: the fit uses the row L (rolling) or T (side slip).
+# TEST_ROLL and TEST_SIDE: the row is tested against the other wheels.  A rejected wheel is not
+# used, but it is still tested to determine its chi-square.  A skidding wheel is used, but not
+# tested.
 USE_ROLL, USE_SIDE, TEST_ROLL, TEST_SIDE = 1, 2, 4, 8
 SIDE_ONLY = USE_SIDE | TEST_SIDE
 ROLL_AND_SIDE = USE_ROLL | TEST_ROLL | SIDE_ONLY
 
 Measurement = tuple[int, float, float, float, float, float, float, bool, bool]
-"""(flags, c, s, x, y, z_L, z_T, steered, skids): rolling direction (c, s), position of the contact
-(m, from the centroid), speed of the contact along and across the wheel (m/s), whether a motor
-steers the wheel, whether it skids in turns."""
+"""(flags, c, s, x, y, z_L, z_T, steered, skids).
+
+- ``c``, ``s``: rolling direction of the wheel.
+- ``x``, ``y``: position of the contact, relative to the centroid (m).
+- ``z_L``, ``z_T``: measured speed of the contact along and across the wheel (m/s).
+- ``steered``: ``True`` if a motor steers the wheel.
+- ``skids``: ``True`` if the wheel skids in turns.
+"""
 
 WeightedMeasurement = tuple[int, float, float, float, float, float, float, float, float]
-"""(flags, c, s, x, y, m_x, m_y, sigma_L^2, sigma_T^2): a measurement linearised about a predicted
-twist, with the measured velocity m of the contact (m/s) and its variances (m^2/s^2)."""
+"""(flags, c, s, x, y, m_x, m_y, sigma_L^2, sigma_T^2).
+
+A measurement that is linearised about a predicted twist.  (m_x, m_y) is the measured velocity of
+the contact (m/s). sigma_L^2 and sigma_T^2 are the variances along and across the wheel (m^2/s^2).
+"""
 
 NoiseSquares = tuple[float, float, float, float, float, float]
 
 STILL = 2.5e-13
-"""(0.5e-6 m/s)^2: at lower speeds rounding errors decide the direction of motion."""
+"""(0.5e-6 m/s)^2.  At lower speeds, rounding errors determine the direction of motion."""
 UNTESTABLE = 1e-6
 """Least share of a measurement's variance that its residual must keep for a test."""
 
@@ -63,12 +76,16 @@ UNTESTABLE = 1e-6
 class Noise:
     """Standard deviations of the wheels' measurement errors.
 
-    ``speed_ratio``: of a wheel's speed, relative.  ``angle``: of a wheel's direction, rad.
-    ``speed_floor`` and ``slip_floor``: of the speed along and across a wheel at rest, m/s.
-    ``skid_ratio``: of the speed, relative, for wheels that must skid in turns.
-    ``gyro``: of a measured yaw rate, rad/s.
-    ``correlation`` (s): time constant of the errors, as those of ground and tyres last longer than
-    a tick; 0: independent from tick to tick.  It affects covariances of poses, not of twists.
+    - ``speed_ratio``: standard deviation of the wheel speed, relative to the speed.
+    - ``angle``: standard deviation of the wheel's direction, rad.
+    - ``speed_floor``: standard deviation of the speed along a wheel at rest, m/s.
+    - ``slip_floor``: standard deviation of the speed across a wheel at rest, m/s.
+    - ``skid_ratio``: standard deviation of the speed of wheels that skid in turns, relative to the
+      speed.
+    - ``gyro``: standard deviation of the measured yaw rate, rad/s.
+    - ``correlation``: time constant of the errors, s.  With 0, the errors of two ticks are
+      independent.  Errors from ground and tyres last longer than a tick.  The time constant affects
+      the covariances of poses, but not of twists.
     """
 
     speed_ratio: float = 0.01
@@ -88,7 +105,7 @@ class Noise:
 
     @property
     def squares(self) -> NoiseSquares:
-        """The variances, in the order of the fields and without ``correlation``."""
+        """Variances in the order of the fields, without ``correlation``."""
         return (
             _bounded_square(self.speed_ratio),
             _bounded_square(self.angle),
@@ -100,9 +117,9 @@ class Noise:
 
 
 def _bounded_square(noise: float) -> float:
-    """Returns the square of ``noise`` between 1e-12 and 1e12.
+    """Returns the square of ``noise``, which is first limited to 1e-12 to 1e12.
 
-    In these bounds, products and quotients of squares neither overflow nor vanish.
+    Within these limits, products and quotients of squares neither overflow nor underflow.
     """
     return min(max(noise, 1e-12), 1e12) ** 2
 
@@ -110,9 +127,13 @@ def _bounded_square(noise: float) -> float:
 class WheelConstants(NamedTuple):
     """Constants of a wheel that does not swivel.
 
-    ``number``: among the robot's wheels.  ``cos``, ``sin``, ``x``, ``y``: rolling direction and
-    position of the contact (m, from the centroid) with the steering joint at 0.  ``radius`` (m)
-    is 0 without encoder.
+    - ``number``: index of the wheel in the robot.
+    - ``cos``, ``sin``: rolling direction of the wheel at the steering angle 0.
+    - ``x``, ``y``: position of the contact at the steering angle 0, relative to the centroid (m).
+    - ``radius``: wheel radius (m). 0 for a wheel without encoder.
+    - ``flags``: flags of the wheel's measurements.
+    - ``steered``: ``True`` if a motor steers the wheel.
+    - ``skids``: ``True`` if the wheel skids in turns.
     """
 
     number: int
@@ -131,7 +152,10 @@ class WheelConstants(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A twist about the centroid, the upper half of its covariance P, and the measurements used."""
+    """A fitted twist about the centroid, with its covariance and the measurements of all wheels.
+
+    ``p11`` to ``p33`` are the upper half of the covariance matrix P.
+    """
 
     vx: float
     vy: float
@@ -154,15 +178,17 @@ def fit_twist(
     prior: tuple[float, float],
     yaw_rate: float | None,
 ) -> Fit:
-    """Computes one Gauss-Newton step from the predicted twist (vx, vy, wz).
+    """Computes one Gauss-Newton step of the weighted fit, from a predicted twist.
 
-    ``noise``: ``Noise.squares``.  ``prior``: information on velocity and yaw rate, about a robot
-    at rest.  ``yaw_rate`` (rad/s): of a gyro.
+    - ``vx``, ``vy``, ``wz``: predicted twist about the centroid.
+    - ``noise``: variances from ``Noise.squares``.
+    - ``prior``: prior information (inverse variances) that the velocity and the yaw rate are 0.
+    - ``yaw_rate``: yaw rate (rad/s) that a gyro measures.  ``None`` without a gyro.
 
-    A steered wheel measures its direction with an error.  Linearised about the *measured*
-    direction, that error would shorten the speed by its cosine.  So L and T are taken about the
-    *predicted* direction u / a.  With n the normal of the measured direction, the wheel then
-    measures z_T = -a asin(n . u / a): the arc between the two directions.
+    The measured direction of a steered wheel has an error.  If L and T used the *measured*
+    direction, this error would reduce the measured speed by its cosine.  L and T therefore use the
+    *predicted* direction u / a.  The wheel then measures z_T = -a asin(n . u / a), where n is the
+    normal of the measured direction.  This is the length of the arc between the two directions.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
@@ -185,11 +211,12 @@ def fit_twist(
         v_l, v_t = ratio2 * v2 + floor2, angle2 * v2 + slip2
         if steered:
             t2 = across * across
-            # Within 30 deg of the measured direction: further away the wheel is wrong.
+            # The predicted direction is used only within 30 deg of the measured direction.  A
+            # larger difference means that the wheel is faulty.
             if t2 < 0.25 * a2 - STILL:
                 k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
                 c, s = ux / k, uy / k
-                # a asin(across / a), to third order.
+                # Series of a asin(across / a) to third order.
                 z_t -= across * (1.0 + t2 / (6.0 * a2))
         elif skids:
             if skid_variance == 0.0:
@@ -202,7 +229,7 @@ def fit_twist(
         if flags != ROLL_AND_SIDE:
             w_t = w_t if flags & USE_SIDE else 0.0
             k = 1.0 / v_l - w_t if flags & USE_ROLL else -w_t
-        # W = w_t 1 + k d d'; then H' W and H' W H.
+        # W = w_t 1 + k d d', then the products H' W and H' W H.
         kc = k * c
         w11, w12, w22 = w_t + kc * c, kc * s, w_t + k * s * s
         tx, ty = w12 * x - w11 * y, w22 * x - w12 * y
@@ -243,7 +270,8 @@ def _mean_square_roll(
 ) -> float:
     """Returns the mean square rolling speed (m^2/s^2) of the skidding wheels.
 
-    Coulomb friction does not depend on the sliding speed, so all skidding wheels have one variance.
+    All skidding wheels have the same variance, because Coulomb friction does not depend on the
+    sliding speed.
     """
     rolls = [
         c * (vx - wz * y) + s * (vy + wz * x)
@@ -254,25 +282,25 @@ def _mean_square_roll(
 
 
 def chi_squares(fit: Fit) -> list[float]:
-    """Returns D of each measurement: how badly the wheel disagrees with the other wheels.
+    """Returns the chi-square D of each wheel: its disagreement with the other wheels.
 
-    The residual r = m - H xi of a wheel that the fit uses has the covariance S = R - H P H'
-    (R: covariance of the measurement).  The fit follows the error of each wheel in use, which
-    makes r smaller.
-    For a wheel that the fit leaves out, S = R + H P H'.  Then
+    The residual of a wheel is r = m - H xi.  If the fit uses the wheel, the residual has the
+    covariance S = R - H P H', where R is the covariance of the measurement.  The minus sign appears
+    because the fit follows the error of every wheel that it uses, which makes the residual smaller.
+    If the fit does not use the wheel, S = R + H P H'. The statistic
 
         D = r' S^-1 r
 
-    is chi-square distributed with 2 degrees of freedom, or 1 for a wheel without encoder.  For
-    a wheel in use, D is also the decrease of the misfit of all wheels when this wheel is left out.
-    D is 0 if no other measurement is redundant with this one.
+    is chi-square distributed with 2 degrees of freedom, or with 1 for a wheel without encoder.  If
+    the fit uses the wheel, D is also the decrease of the total misfit when this wheel is left out.
+    D is 0 if the other wheels give no redundant measurement for this wheel.
     """
     vx, vy, wz, p11, p12, p13, p22, p23, p33, measurements = fit
     result: list[float] = []
     for measurement in measurements:
         flags, c, s, x, y, mx, my, v_l, v_t = measurement
         if flags == ROLL_AND_SIDE:
-            # R = v_t 1 + (v_l - v_t) d d'
+            # Covariance of the measurement: R = v_t 1 + (v_l - v_t) d d'.
             k = v_l - v_t
             kc = k * c
             s11 = v_t + kc * c - p11 - y * (y * p33 - 2.0 * p13)
@@ -288,10 +316,12 @@ def chi_squares(fit: Fit) -> list[float]:
 
 
 class Comparison(NamedTuple):
-    """Disagreement of one wheel with the others.
+    """Disagreement of one wheel with the other wheels.
 
-    ``chi_square``: D of the wheel; ``roll`` and ``side``: D of its speed along and across alone.
-    ``redundant``: the other wheels determine the twist without this one.
+    - ``chi_square``: chi-square D of both measurements of the wheel.
+    - ``roll``: chi-square D of the speed along the wheel alone.
+    - ``side``: chi-square D of the speed across the wheel alone.
+    - ``redundant``: ``True`` if the other wheels determine the twist without this wheel.
     """
 
     chi_square: float
@@ -301,13 +331,14 @@ class Comparison(NamedTuple):
 
 
 def compare_with_others(fit: Fit, measurement: WeightedMeasurement) -> Comparison:
-    """Computes D of a measurement and of its two parts, as in ``chi_squares``.
+    """Computes the chi-square D of a wheel, and of its two measurements separately.
 
-    Works in the wheel's frame (along, across), where R is diagonal.
+    ``chi_squares`` explains D. The computation uses the wheel's frame (along, across), in which R
+    is diagonal.
     """
     vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
     flags, c, s, x, y, mx, my, v_l, v_t = measurement
-    # H P H' in base_link, then its diagonal in the wheel's frame.
+    # H P H' in base_link, and its diagonal elements in the wheel's frame.
     u11 = p11 + y * (y * p33 - 2.0 * p13)
     u12 = p12 + x * p13 - y * (p23 + x * p33)
     u22 = p22 + x * (x * p33 + 2.0 * p23)
@@ -330,14 +361,15 @@ def compare_with_others(fit: Fit, measurement: WeightedMeasurement) -> Compariso
     if det > UNTESTABLE * v_l * v_t:
         both = (s_t * r_l * r_l - 2.0 * s_lt * r_l * r_t + s_l * r_t * r_t) / det
         return Comparison(both, roll, side, True)
-    # S has rank 1: the others determine one direction of u, and r lies in that direction.
+    # S has rank 1, because the other wheels determine only one direction of u.  The residual r lies
+    # in this direction.
     scale = s_l / v_l + s_t / v_t
     both = (r_l * r_l / v_l + r_t * r_t / v_t) / scale if scale > UNTESTABLE else 0.0
     return Comparison(both, roll, side, False)
 
 
 def misfit(fit: Fit) -> float:
-    """Returns the sum of the squared residuals of all rows in use, each over its variance."""
+    """Returns the misfit: the sum of squared residuals over their variances, of all used rows."""
     vx, vy, wz = fit[:3]
     total = 0.0
     for flags, c, s, x, y, mx, my, v_l, v_t in fit.measurements:
@@ -350,7 +382,7 @@ def misfit(fit: Fit) -> float:
 
 
 class NormalEquations(NamedTuple):
-    """Upper half of a symmetric matrix A, and the right-hand side b, of A xi = b."""
+    """Normal equations A xi = b with a symmetric matrix A, stored as the upper half of A and b."""
 
     a11: float
     a12: float
@@ -364,7 +396,10 @@ class NormalEquations(NamedTuple):
 
 
 def unweighted_normal_equations(measurements: Sequence[Measurement]) -> NormalEquations:
-    """Sums up L'L, T'T, L'z_L and T'z_T of all rows in use, with equal weights."""
+    """Returns the normal equations of all used rows with equal weights.
+
+    The matrix is the sum of L'L and T'T. The right-hand side is the sum of L'z_L and T'z_T.
+    """
     a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
     for flags, c, s, x, y, z_l, z_t, _, _ in measurements:
         if flags & USE_ROLL:
