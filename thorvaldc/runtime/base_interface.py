@@ -9,13 +9,19 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class JointStates:
-    """Measured joint states, one entry per wheel in the order of ``Robot.wheels``.
+    """Measured joint states, with one entry per wheel in the order of ``Robot.wheels``.
 
-    ``time`` (s): of the measurement.  Spin joints: ``speeds`` (rad/s) and ``positions`` (rad,
-    not wrapped; ``None``: not measured).  Steering joints: ``angles`` (rad) and ``angle_rates``
-    (rad/s).  Entries of joints without encoder (a wheel without motor, a wheel without steering)
-    are 0 and unused.  ``yaw_rate`` (rad/s): of a gyro in ``base_link``, if the robot has one.
-    Angles are calibrated: the encoder's reading plus ``Actuator.encoder_offset``.
+    - ``time``: time of the measurement, s.
+    - ``speeds``: wheel speeds, rad/s.
+    - ``angles``: steering angles, rad.  The angles are calibrated: a steering angle is the
+      encoder's reading plus ``Actuator.encoder_offset``.
+    - ``angle_rates``: steering rates, rad/s.
+    - ``positions``: positions of the spin joints, rad, not wrapped.  ``None`` if the base does not
+      measure them.
+    - ``yaw_rate``: yaw rate of ``base_link``, rad/s, measured by a gyro.  ``None`` without a gyro.
+
+    A joint without encoder has the value 0, which is not used.  Examples are the spin joint of a
+    wheel without motor and the steering joint of a wheel without steering.
     """
 
     time: float
@@ -28,7 +34,11 @@ class JointStates:
 
 @dataclass(slots=True)
 class JointCommands:
-    """Joint commands, one entry per wheel: spin speed (rad/s), steering angle (rad)."""
+    """Joint commands, with one entry per wheel in the order of ``Robot.wheels``.
+
+    - ``speeds``: wheel speeds, rad/s.
+    - ``angles``: steering angles, rad.
+    """
 
     speeds: Sequence[float]
     angles: Sequence[float]
@@ -37,30 +47,37 @@ class JointCommands:
 class BaseHandle(abc.ABC):
     """The joints of one robot, with the same interface for simulated and real robots.
 
-    ``now`` is a monotonic time in s from the driver; a simulated base advances to it.
+    The parameter ``now`` of the methods is the monotonic time of the driver in s.  A simulated base
+    advances its simulation to ``now``.
     """
 
     @property
     def hold_reason(self) -> str:
-        """Reason why the base follows no commands now (homing, a fault); empty: it follows them."""
+        """Reason why the base does not follow commands now, such as homing or a fault.
+
+        Empty if the base follows commands.
+        """
         return ""
 
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
-        """Returns the joint states at ``now``; NaN for unknown values."""
+        """Returns the joint states at ``now``.  Unknown values are NaN."""
 
     @abc.abstractmethod
     def write(self, commands: JointCommands, now: float) -> None:
-        """Sets the commands of the joints from ``now`` on."""
+        """Sets the commands that the joints follow from ``now`` on."""
 
     def expect_single_commands(self) -> None:
-        """Announces that ``write`` is called on every change of a single joint's command.
+        """Tells the base that ``write`` will be called on every change of a single joint's command.
 
-        The times of these calls are irregular.  The base cannot derive rates of set points from
-        them.
+        The times of these calls are irregular.  The base therefore cannot derive the rates of set
+        points from successive commands.
         """
         return
 
     def close(self) -> None:
-        """Releases the resources of the base.  It no longer follows the last commands."""
+        """Releases the resources of the base.
+
+        A closed base no longer follows the last commands.
+        """
         return

@@ -1,7 +1,7 @@
-"""The base driver: a control loop for any base, simulated or real.
+"""The base driver: a control loop for a simulated or real base.
 
-One tick: read the joints, integrate the odometry, limit and ramp the commanded twist, compute
-joint commands, write them.
+In each tick, the driver reads the joints, integrates the odometry, limits and ramps the commanded
+twist, computes the joint commands, and writes the joint commands to the base.
 """
 
 from __future__ import annotations
@@ -20,18 +20,20 @@ from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import Ramp
 
 MAX_TWIST = 1e9
-"""Twists (m/s, rad/s) from this size on are rejected as errors."""
+"""Twists with components (m/s, rad/s) whose absolute sum reaches this limit are rejected."""
 _TIME_TOLERANCE = 1e-9
-"""Rounding error (s) of times that a time-out tolerates."""
+"""Tolerance (s) of a time-out for rounding errors."""
 
 
 class DriveMode(enum.Enum):
     """Mode of the driver.
 
-    ``IDLE``: no commanded motion.  ``DRIVING``: the robot follows a command.
-    ``TIMED_OUT``: the last command is too old; the robot ramps to zero or stands.
-    ``FAULT``: the joint states are unusable; the robot ramps to zero.
-    ``HELD``: the base follows no commands and stops the robot itself.
+    - ``IDLE``: no motion is commanded.
+    - ``DRIVING``: the robot follows a command.
+    - ``TIMED_OUT``: the last command is older than the command timeout.  The robot ramps its twist
+      down to zero and stands.
+    - ``FAULT``: the joint states are unusable.  The robot ramps its twist down to zero.
+    - ``HELD``: the base does not follow commands and stops the robot itself.
     """
 
     IDLE = "idle"
@@ -43,14 +45,20 @@ class DriveMode(enum.Enum):
 
 @dataclass(slots=True)
 class DriverState:
-    """Result of a tick; ``time`` in s, twists of ``base_link``, poses in the odometry frame.
+    """Result of a tick of the driver.
 
-    ``commanded_twist``: of the command in force.  ``infeasible``: the part of it that the fixed
-    wheels do not allow.  ``ramped``: the feasible part within the limits and the ramp.
-    ``command``: the joint commands for it.  ``odometry``: the mean twist since the previous tick.
-    ``pose``: its integral, with ``pose_covariance`` of a small motion in ``base_link``.
-    ``fault``: reason of the mode ``FAULT``.  ``hold_reason``: reason of the mode ``HELD``.  Both
-    are empty otherwise.
+    - ``time``: time of the tick, s.
+    - ``mode``: mode of the driver.
+    - ``commanded_twist``: twist of the active command.
+    - ``ramped``: feasible part of the commanded twist, after the speed limits and the ramp.
+    - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
+    - ``command``: joint commands for ``ramped``.  ``None`` before the first tick.
+    - ``joints``: last usable joint states.  ``None`` before the first measurement.
+    - ``odometry``: estimate of the mean twist since the previous tick.
+    - ``pose``: pose of ``base_link`` in the odometry frame.
+    - ``pose_covariance``: covariance of ``pose``, expressed as a small motion in ``base_link``.
+    - ``fault``: reason of the mode ``FAULT``, else empty.
+    - ``hold_reason``: reason of the mode ``HELD``, else empty.
     """
 
     time: float
@@ -68,7 +76,7 @@ class DriverState:
 
 
 class BaseDriver:
-    """Control loop of a robot's base: watchdog, limits, ramp, calculator, odometry.
+    """Control loop of a robot's base: watchdog, limits, ramp, calculator and odometry.
 
     The caller calls ``tick(now)`` at ``rate`` Hz with a monotonic time.  The driver reads no other
     clock, so a simulation is repeatable.
@@ -82,9 +90,11 @@ class BaseDriver:
         settings: DriverSettings | None = None,
         parameters: str | None = None,
     ) -> None:
-        """``parameters`` names the initial parameter set; ``None``: the ordinary values.
+        """Creates a driver for ``robot``.
 
-        Raises ``DiagnosticError`` for an unknown set and for an unsuitable calculator.
+        ``parameters`` is the name of the initial parameter set.  ``None`` selects the ordinary
+        values of the robot file.  Raises ``DiagnosticError`` if the parameter set is unknown or the
+        calculator cannot drive the robot.
         """
         self.robot = robot
         self.base = base
@@ -115,10 +125,10 @@ class BaseDriver:
         )
 
     def command(self, twist: Twist, now: float) -> bool:
-        """Follows ``twist`` from ``now`` on, for at most the command timeout.
+        """Commands ``twist`` from ``now`` on, for at most the command timeout.
 
-        Returns ``False`` for a twist or a time that is not finite or too large; the previous
-        twist then stays in force until it times out.
+        Returns ``False`` if the twist or the time is not finite or too large.  The previous command
+        then stays active until its timeout.
         """
         if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
             return False
@@ -127,13 +137,16 @@ class BaseDriver:
         return True
 
     def commanded_twist(self, now: float) -> Twist:
-        """Returns the twist of the command in force at ``now``; zero if it is too old."""
+        """Returns the twist of the command that is active at ``now``.
+
+        The twist is zero if the command is older than the command timeout.
+        """
         timed_out = now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE
         return ZERO_TWIST if timed_out else self._commanded_twist
 
     @property
     def settings(self) -> DriverSettings:
-        """The settings in force."""
+        """Settings of the active parameters."""
         return self.parameters.settings
 
     @property
@@ -141,11 +154,12 @@ class BaseDriver:
         return self.settings.max_linear_velocity, self.settings.max_angular_velocity
 
     def use(self, parameters: str | None) -> None:
-        """Switches to a parameter set of the robot file; ``None``: to the ordinary values.
+        """Switches to a parameter set of the robot file.  ``None`` selects the ordinary values.
 
-        The change takes effect after the odometry of the next tick: the motion up to that time is
-        measured with the previous radii, and the pose stays.  Raises ``DiagnosticError`` for
-        an unknown set, and then changes nothing.
+        The change takes effect in the next tick, after the odometry update.  The motion up to this
+        update is computed with the previous wheel radii, and the pose does not jump.  Raises
+        ``DiagnosticError`` if the parameter set is unknown.  The parameters are unchanged after
+        this error.
         """
         self._stage(Parameters.from_robot(self.robot, parameters))
 
@@ -156,12 +170,15 @@ class BaseDriver:
         noise: Mapping[str, float] | None = None,
         **limits: float,
     ) -> None:
-        """Changes parameters: radii (m) by wheel, noise by name, limits such as
-        ``max_linear_velocity`` (SI).
+        """Changes single parameters.
 
-        Applies all changes in one step, at the same time as ``use``; parameters that are not named
-        keep their values.  Raises ``ParameterError`` for an unknown name or an invalid value,
-        and then changes nothing.
+        - ``radii``: wheel radii (m) by wheel name.
+        - ``noise``: standard deviations of the measurement errors by name, see ``Noise``.
+        - ``limits``: limits in SI units by name, such as ``max_linear_velocity``.
+
+        Parameters that are not named keep their values.  All changes take effect together in the
+        next tick, after the odometry update.  Raises ``ParameterError`` if a name is unknown or a
+        value is invalid.  The parameters are unchanged after this error.
         """
         current = self._staged[0] if self._staged is not None else self.parameters
         self._stage(current.changed(self.robot, radii, noise, limits))
@@ -180,18 +197,20 @@ class BaseDriver:
             self._ramp.settings = self.settings
 
     def reset_pose(self, pose: Pose2 = ORIGIN) -> None:
-        """Sets the odometry pose, with a covariance of zero."""
+        """Sets the pose of the odometry and resets its covariance to zero."""
         self.odometry.reset(pose)
         self.state.pose = self.odometry.pose
         self.state.pose_covariance = self.odometry.covariance
 
     def tick(self, now: float, joints: JointStates | None = None) -> DriverState:
-        """Runs one cycle and returns its result; does nothing if ``now`` has not advanced.
+        """Runs one control cycle and returns its result.
 
-        ``joints``: joint states at ``now``, if the caller has already read them.
+        Returns the previous result if ``now`` has not advanced.  ``joints`` contains the joint
+        states at ``now`` if the caller has already read them.
 
-        Without usable joint states, and after more than ``LONGEST_INTERVAL`` without them, the
-        motion is unknown: the pose stays and its covariance grows by the largest possible motion.
+        The motion of the robot is unknown while joint states are unusable, and during an interval
+        of more than ``LONGEST_INTERVAL`` without joint states.  The pose then does not change, and
+        its covariance grows by the largest possible motion.
         """
         state = self.state
         first = not math.isfinite(state.time)
@@ -214,10 +233,11 @@ class BaseDriver:
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
         if hold_reason:
-            # The base stops the robot; afterwards the ramp starts from rest.
+            # While the base does not follow commands, it stops the robot itself.  Afterwards the
+            # ramp starts from rest.
             self._ramp.restart(ZERO_TWIST)
         if fault:
-            # The motion of the wheels is unknown: ramp down without feedback.
+            # The motion of the wheels is unknown.  The ramp to zero uses no measurement.
             command = self.calculator.command(self._ramped(ZERO_TWIST, period), None, period)
         else:
             if first_joints or hold_reason:
@@ -246,7 +266,7 @@ class BaseDriver:
     # -- parts of a tick ----------------------------------------------------------
 
     def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist]:
-        """Returns the mode of this tick and the commanded twist that it follows."""
+        """Returns the mode of this tick, and the commanded twist of this mode."""
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST
         if fault:
@@ -260,7 +280,7 @@ class BaseDriver:
         return DriveMode.DRIVING, self._commanded_twist
 
     def _limited(self, twist: Twist) -> Twist:
-        """Scales the whole twist to the robot's limits of speed."""
+        """Scales the twist so that it does not exceed the robot's speed limits."""
         settings = self.settings
         scale, speed = 1.0, twist.speed
         if speed > settings.max_linear_velocity:
@@ -270,7 +290,10 @@ class BaseDriver:
         return twist.scaled(scale) if scale < 1.0 else twist
 
     def _ramped(self, goal: Twist, dt: float) -> Twist:
-        """Moves the ramp one step towards ``goal``, or towards rest if a wheel must turn around."""
+        """Moves the ramp one step towards ``goal``.
+
+        If a wheel must turn around, the ramp moves towards zero instead.
+        """
         last, ramp = self.state.command, self._ramp
         if last is not None:
             if last.must_stop != self._stopping:

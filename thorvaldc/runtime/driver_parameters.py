@@ -1,4 +1,4 @@
-"""Parameters that can change while a robot drives: wheel radii, limits, noise."""
+"""Parameters that can change while a robot drives: wheel radii, limits and noise."""
 
 from __future__ import annotations
 
@@ -20,22 +20,26 @@ LIMITS = (
     "max_angular_acceleration",
 )
 LARGEST_RADIUS = 5.0
-"""Largest valid radius (m); a larger value is probably in another unit."""
+"""Largest valid wheel radius (m).  A larger value is probably in another unit."""
 _NOISE = tuple(field.name for field in dataclasses.fields(Noise))
 
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Wheel radii (m) in the order of ``Robot.wheels``, and settings with limits and noise."""
+    """Parameters of a driver.
+
+    - ``radii``: wheel radii (m) in the order of ``Robot.wheels``.
+    - ``settings``: settings of the driver, with its limits and noise.
+    """
 
     radii: tuple[float, ...]
     settings: DriverSettings
 
     @staticmethod
     def from_robot(robot: Robot, name: str | None = None) -> Parameters:
-        """Returns a parameter set of the robot file; ``None``: its ordinary values.
+        """Returns a parameter set of the robot file.  ``None`` selects the ordinary values.
 
-        Raises ``DiagnosticError`` (``parameter-set-unknown``).
+        Raises ``DiagnosticError`` (``parameter-set-unknown``) if the robot file has no such set.
         """
         if name is None:
             return Parameters(tuple(w.radius for w in robot.wheels), robot.driver)
@@ -64,9 +68,13 @@ class Parameters:
         noise: Mapping[str, float] | None = None,
         limits: Mapping[str, float] | None = None,
     ) -> Parameters:
-        """Returns changed parameters: radii (m) by wheel, noise and limits by name, in SI.
+        """Returns a copy of the parameters with changed values.
 
-        Raises ``ParameterError`` for an unknown name or an invalid value.
+        - ``radii``: wheel radii (m) by wheel name.
+        - ``noise``: standard deviations of the measurement errors by name, see ``Noise``.
+        - ``limits``: limits in SI units by name.
+
+        Raises ``ParameterError`` if a name is unknown or a value is invalid.
         """
         wheels = [w.name for w in robot.wheels]
         new_radii = list(self.radii)

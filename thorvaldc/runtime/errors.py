@@ -4,8 +4,14 @@ from __future__ import annotations
 
 
 class NotFiniteError(ValueError):
-    """A twist or a joint state contains a NaN or an infinity; nothing changed."""
+    """A twist or a joint state contains a NaN or an infinity.
+
+    The function that raises this error changes nothing.
+    """
 
 
 class ParameterError(ValueError):
-    """The name or the value of a parameter is invalid; nothing changed."""
+    """The name or the value of a parameter is invalid.
+
+    The function that raises this error changes nothing.
+    """

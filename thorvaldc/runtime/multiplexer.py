@@ -1,4 +1,4 @@
-"""Selection of one of several sources of commanded twists, with the rules of ROS's twist_mux."""
+"""Selects one of several sources of commanded twists, with the rules of the ROS node twist_mux."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _TIME_TOLERANCE = 1e-9
-"""Rounding error (s) of times that a time-out tolerates."""
+"""Tolerance (s) of a time-out for rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The selected source (empty: none), its twist, and the time (s) of its publication.
+    """The selected source and its twist.
 
-    ``locks``: names of the active locks.  Without a source the twist is zero.
+    - ``source``: name of the selected source.  Empty if no source is selected.
+    - ``twist``: twist of the selected source.  Zero if no source is selected.
+    - ``time``: time (s) at which the source published the twist.
+    - ``locks``: names of the active locks.
     """
 
     source: str
@@ -31,7 +34,7 @@ class Selection:
 
 
 class _Input:
-    """A source or a lock, with its last value and the time of that."""
+    """A source or a lock, with its last published value and the time of the publication."""
 
     def __init__(self, settings: TwistInput) -> None:
         self.settings = settings
@@ -40,27 +43,35 @@ class _Input:
         self.time = -math.inf
 
     def is_silent(self, now: float) -> bool:
-        """Checks whether the last publication is older than the time-out (0: no time-out)."""
+        """Checks whether the last publication is older than the time-out.
+
+        A time-out of 0 means that the input has no time-out.
+        """
         timeout = self.settings.timeout
         return timeout > 0.0 and now - self.time > timeout + _TIME_TOLERANCE
 
 
 class Multiplexer:
-    """Sources with priorities and time-outs, and locks, in front of a driver.
+    """Twist sources with priorities and time-outs, and locks that block sources.
 
-    The robot follows the source of the highest priority whose last publication is not older than
-    its time-out.  An active lock blocks the sources below its priority.  A lock with a time-out
-    is also active while its last publication is older than that, and before its first one.
-    (ROS's twist_mux has the same rules, except that here a lock stops the robot immediately
-    and not after the driver's time-out.)
+    The robot follows the source with the highest priority among the sources whose last twist is not
+    older than the source's time-out.  An active lock blocks all sources with a lower priority than
+    the lock.  A lock is active while its published state is ``True``.  A lock with a time-out is
+    also active before its first publication, and while its last publication is older than the
+    time-out.
 
-    Times are in s and monotonic; the multiplexer reads no clock.
+    These rules are the rules of the ROS node twist_mux, with one exception.  A lock of this
+    multiplexer stops the robot immediately, and a lock of twist_mux stops the robot after the
+    driver's time-out.
+
+    All times are monotonic and in s.  The multiplexer does not read a clock.
     """
 
     def __init__(self, sources: Iterable[TwistInput], locks: Iterable[TwistInput]) -> None:
         self._sources = {s.name: _Input(s) for s in sources}
         self._locks = {lock.name: _Input(lock) for lock in locks}
-        # By descending priority; of equal priorities the first one wins, as in twist_mux.
+        # Sources in the order of descending priority.  Of two sources with the same priority, the
+        # first source wins, as in twist_mux.
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
         self._last_time: float | None = None
 
@@ -78,11 +89,11 @@ class Multiplexer:
         return tuple(self._locks)
 
     def publish(self, source: str, twist: Twist, now: float) -> bool:
-        """Publishes a source's twist at ``now``; it is valid for the time-out of the source.
+        """Publishes a twist of a source at ``now``.  The twist is valid for the source's time-out.
 
-        Returns ``False`` for a twist or a time that is not finite or too large; the previous twist
-        of the source then stays valid until it times out.  Raises ``ParameterError`` for
-        an unknown source.
+        Returns ``False`` if the twist or the time is not finite or too large.  The previous twist
+        of the source then stays valid until its time-out.  Raises ``ParameterError`` if the source
+        is unknown.
         """
         publisher = self._find("source of twists", source, self._sources)
         if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
@@ -91,12 +102,15 @@ class Multiplexer:
         return True
 
     def lock(self, name: str, locked: bool, now: float) -> None:
-        """Publishes the state of a lock.  Raises ``ParameterError`` for an unknown lock."""
+        """Publishes the state of a lock.
+
+        Raises ``ParameterError`` if the lock is unknown.
+        """
         publisher = self._find("lock", name, self._locks)
         publisher.locked, publisher.time = locked, now
 
     def active_locks(self, now: float) -> tuple[str, ...]:
-        """Returns the names of the active locks."""
+        """Returns the names of the locks that are active at ``now``."""
         return tuple(
             name for name, lock in self._locks.items() if lock.locked or lock.is_silent(now)
         )
@@ -113,10 +127,12 @@ class Multiplexer:
         return Selection("", ZERO_TWIST, now, locks)
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
-        """Commands the selected twist; the driver's own time-out and limits stay in force.
+        """Selects a source and sends its twist to ``driver`` as a command.
 
-        If no source is selected any more, the robot stops: with an active lock immediately, on the
-        driver's ramp; otherwise when the driver's command times out.
+        The time-out and the limits of the driver still apply.  If no source is selected after a
+        source has driven the robot, the robot stops.  With an active lock, the robot stops
+        immediately on the driver's ramp.  Without an active lock, the robot stops when the driver's
+        command times out.
         """
         selection = self.select(now)
         if selection.source:

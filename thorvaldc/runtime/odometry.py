@@ -1,4 +1,4 @@
-"""Wheel odometry: from joint states to the twist and the pose, with covariances."""
+"""Wheel odometry: computes the twist and the pose from joint states, with covariances."""
 
 from __future__ import annotations
 
@@ -11,19 +11,24 @@ from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
 
 LONGEST_INTERVAL = 0.5
-"""Interval (s) between joint states above which the motion in between is unknown."""
+"""Longest interval (s) between joint states over which the motion is integrated."""
 _LOW_RANK_CORRELATION = 10.0
-"""Time constant (s) of errors in directions of motion that no wheel measures."""
+"""Time constant (s) of the errors in directions of motion that no wheel measures."""
 
 
 class Odometry:
     """Integrates the twist estimates of a calculator to a pose.
 
-    ``estimate``: the mean twist of the last interval.  ``pose``: of ``base_link`` in the odometry
-    frame.  ``covariance``: of the pose, as a small motion in ``base_link``; it grows while joint
-    states are missing.  ``covariance_at_joints``: the covariance at the last joint states,
-    ``joints``.  ``calculator`` may be exchanged between two updates; the pose stays.
-    ``top_speeds`` (m/s, rad/s): bound of the motion while joint states are missing.
+    - ``estimate``: estimate of the mean twist in the last interval.
+    - ``pose``: pose of ``base_link`` in the odometry frame.
+    - ``covariance``: covariance of the pose, expressed as a small motion in ``base_link``.  The
+      covariance grows while joint states are missing.
+    - ``joints``: last joint states.  ``None`` before the first update.
+    - ``covariance_at_joints``: covariance of the pose at the time of ``joints``.
+    - ``calculator``: base calculator.  It can be replaced between two updates without a change of
+      the pose.
+    - ``top_speeds``: largest possible speed (m/s) and yaw rate (rad/s) while joint states are
+      missing.
     """
 
     def __init__(self, calculator: BaseCalculator, top_speeds: tuple[float, float]) -> None:
@@ -37,18 +42,21 @@ class Odometry:
         self._time = -math.inf
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
-        """Sets the pose, with a covariance of zero."""
+        """Sets the pose and resets its covariance to zero."""
         self.pose = pose
         self.covariance = self.covariance_at_joints = ZERO_COV
 
     def update(self, joints: JointStates, now: float) -> None:
         """Integrates the motion up to the joint states read at ``now`` (s, monotonic).
 
-        Between two joint states the robot moves with their mean twist.  After more than
-        ``LONGEST_INTERVAL``, and if the time of the joints decreases, the motion is unknown: the
-        pose stays and its covariance grows by the largest possible motion.  Joint states
-        with the same time again count as missing.  Raises ``ValueError``
-        (``NotFiniteError`` for a NaN) for unusable joint states, and then changes nothing.
+        Between two joint states the robot is assumed to move with the mean twist.  The motion is
+        unknown if the interval is longer than ``LONGEST_INTERVAL`` or if the time of the joint
+        states decreases.  The pose then does not change, and its covariance grows by the largest
+        possible motion.  If the time of the joint states has not changed, the joint states count as
+        missing.
+
+        Raises ``ValueError`` if the joint states are unusable, and ``NotFiniteError`` if a value is
+        NaN. The odometry is unchanged after these errors.
         """
         previous = self.joints
         if previous is None:
@@ -79,7 +87,7 @@ class Odometry:
         self.store(joints, now, estimate, pose, covariance)
 
     def mark_missing(self, now: float) -> None:
-        """Increases the covariance, because there are no joint states at ``now``."""
+        """Increases the covariance of the pose because the joint states at ``now`` are missing."""
         if self.joints is not None:
             self.covariance = self._unknown_motion(now - self._time)
 
@@ -99,7 +107,10 @@ class Odometry:
         self._time = now
 
     def _unknown_motion(self, time: float) -> Cov3:
-        """Returns the covariance after ``time`` s of unknown motion within the top speeds."""
+        """Returns the covariance of the pose after ``time`` s of unknown motion.
+
+        The motion is bounded by the top speeds.
+        """
         way = (self.top_speeds[0] * time) ** 2
         turn = (self.top_speeds[1] * time) ** 2
         (a, b, c), (_, d, e), (_, _, f) = self.covariance_at_joints
@@ -109,11 +120,13 @@ class Odometry:
 def _mean_states(start: JointStates, end: JointStates, dt: float) -> JointStates:
     """Returns the mean joint states of an interval.
 
-    Wheel speeds are differences of the positions, if the base measures positions.
+    If the base measures positions, the wheel speeds are computed from the differences of the
+    positions.
 
-    Each angle contributes to two intervals, with half of its error to each.  The error of a sum
-    over many intervals is then as large as with an independent error of full size in each
-    interval, which is what the covariance of the pose assumes.
+    The measured angles at the start and the end of the interval are averaged.  Each measured angle
+    therefore affects two intervals, with half of its error in each interval.  The error of a sum
+    over many intervals is the same as with independent errors of full size in each interval.  The
+    covariance of the pose assumes such independent errors.
     """
     if start.positions is not None and end.positions is not None:
         speeds = [(b - a) / dt for a, b in zip(start.positions, end.positions, strict=True)]

@@ -1,6 +1,6 @@
-"""A run of a robot on its buses from start to end: driver, loop, signals, verdict and summary.
+"""A complete run of a robot on its buses, from the start to the shutdown and the summary.
 
-The command ``thorvaldc run`` uses it, and so can a Python program::
+The command ``thorvaldc run`` uses ``RunSession``.  A Python program can use it, too::
 
     interfaces = open_interfaces("socketcan:can0", robot)
     session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), duration=10.0)
@@ -38,10 +38,11 @@ UNTESTED = (
 
 
 class RunSession:
-    """A robot, its runner and its control channel, from the start to the shutdown.
+    """A run of a robot, with its runner and its control channel.
 
-    ``twist`` is commanded while no other source drives.  ``duration`` (s) counts from the moment
-    when the robot is ready.  ``channel`` is the name of the control channel; empty: none.
+    - ``twist``: twist that the session commands while no source of the control channel drives.
+    - ``duration``: duration of the run in s, from the time when the robot is ready.
+    - ``channel``: name of the control channel.  Empty for a run without a control channel.
     """
 
     def __init__(
@@ -56,12 +57,17 @@ class RunSession:
         threaded: bool = True,
         paced: bool = False,
     ) -> None:
-        """Takes the CAN interfaces of the robot's buses by name and closes them at the end.
+        """Prepares the run with the CAN interfaces of the robot's buses.
 
-        ``threaded``: received frames are read in a thread per bus; ``False`` for a simulated
-        robot in this process.  ``paced``: the loop waits so that virtual time follows the clock.
-        Raises ``DiagnosticError``, and ``OSError`` if the control channel is in use; the
-        interfaces are closed then.
+        - ``interfaces``: CAN interface of each bus, by the name of the bus.
+        - ``threaded``: if ``True``, a thread for each bus reads the received frames.  ``False`` for
+          a simulated robot in this process.
+        - ``paced``: if ``True``, the loop waits so that virtual time does not run faster than real
+          time.
+
+        The session closes the interfaces at the end of the run.  Raises ``DiagnosticError`` if the
+        base cannot be created, and ``OSError`` if the control channel is in use.  The interfaces
+        are closed after these errors.
         """
         self.robot = robot
         self.twist = twist
@@ -85,17 +91,18 @@ class RunSession:
 
     @property
     def elapsed(self) -> float:
-        """Time since the start in s, of the first bus's clock."""
+        """Time since the start of the session in s, by the clock of the first bus."""
         return self.runner.clock.now - self.start_time
 
     def run(self, watch: Watch | None = None) -> Diagnostic | None:
-        """Runs until the duration is over, a fault ends the run, or SIGINT or SIGTERM arrives.
+        """Runs the robot until the end of the run, then stops it and closes the interfaces.
 
-        Brings the robot to rest and closes the interfaces.  Calls ``watch`` after each cycle.
-        Returns the diagnostic of the fault that ended the run, ``None`` for an orderly end.
+        The run ends after its duration, after a fault, or at the signal SIGINT or SIGTERM.
+        ``watch`` is called after each cycle.  Returns the diagnostic of the fault that ended the
+        run, or ``None`` if no fault ended the run.
         """
-        # A pause of the garbage collector is a pause of the robot: the collector does not look at
-        # the objects that exist now.
+        # A pause of the garbage collector delays the control loop. gc.freeze excludes all present
+        # objects from later collections.
         gc.collect()
         gc.freeze()
         gc.enable()
@@ -105,7 +112,7 @@ class RunSession:
                 diagnostic = self._verdict()
                 self.runner.shutdown()
             except BaseException:
-                # Nothing is sent any more: the drives stop by their own time-outs.
+                # No frame is sent any more.  The drives stop by their own time-outs.
                 self.runner.base.close()
                 raise
             finally:
@@ -113,7 +120,10 @@ class RunSession:
         return diagnostic
 
     def request_stop(self) -> None:
-        """Ends the run after the present cycle; may be called from a signal handler."""
+        """Ends the run after the present cycle.
+
+        A signal handler may call this method.
+        """
         self.stop_requested = True
 
     @contextmanager
@@ -132,7 +142,10 @@ class RunSession:
                 signal.signal(number, handler)
 
     def _feed(self, driver: BaseDriver, now: float) -> None:
-        """Commands the twist of the control channel; the session's twist if no source drives."""
+        """Commands the twist of the control channel.
+
+        If no source of the control channel drives, the twist of the session is commanded.
+        """
         selection = self.control.feed(driver, now)
         is_free = not selection.source and not selection.locks
         if self.twist is not None and is_free and self.runner.ready and self.runner.base.armed:
@@ -145,8 +158,8 @@ class RunSession:
         if self.stop_requested:
             return True
         if runner.state in (BaseState.FAULT, BaseState.ESTOP):
-            # An operator at the control channel can reset a fault; a run without an operator,
-            # with a lost bus or with a robot that never became ready ends.
+            # An operator at the control channel can reset a fault, so an attended run continues.  A
+            # run ends if no operator attends it, if a bus is lost, or if the robot was never ready.
             unattended = self.twist is not None or self.duration < math.inf
             bus_lost = any(c.receiver.lost for c in runner.base.connections)
             return unattended or bus_lost or not runner.base.state_machine.was_ready
@@ -165,7 +178,7 @@ class RunSession:
         return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)
 
     def status_line(self) -> str:
-        """Returns state, twist, pose, battery and timing in one line."""
+        """Returns a line of text with the state, twist, pose, battery and timing."""
         runner = self.runner
         state = runner.driver.state
         twist, pose = state.odometry.twist, state.pose
@@ -186,7 +199,10 @@ class RunSession:
         return "  ".join(parts)
 
     def summary(self) -> dict[str, Any]:
-        """Returns the run as plain values, in SI; the pose is relative to the start."""
+        """Returns a summary of the run as plain values in SI units.
+
+        The pose is relative to the start of the run.
+        """
         runner = self.runner
         state_machine, timing = runner.base.state_machine, runner.timing
         pose = runner.driver.state.pose

@@ -1,7 +1,8 @@
-"""The control loop of a robot on its buses, and the services that a running robot offers.
+"""The control loop of a robot on its buses, and the services of a running robot.
 
-Deadlines are absolute: the loop sleeps until start, start + T, start + 2T and so on.  So errors do
-not add up.  A cycle that takes too long skips deadlines; the loop continues at the next one:
+The loop starts its cycles at absolute deadlines: start, start + T, start + 2T and so on.  Timing
+errors therefore do not accumulate.  If a cycle takes longer than the period T, the loop skips the
+missed deadlines and continues at the next deadline:
 
     deadlines   |--------|--------|--------|--------|
     work        [##]     [################]         [##]
@@ -33,21 +34,29 @@ from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST
 
 Feed = Callable[[BaseDriver, float], object]
-"""Called first in each cycle with the driver and the time (s); it may command a twist.
+"""Function that is called at the start of each cycle with the driver and the time (s).
 
-``Multiplexer.feed`` is such a function.
+The function may command a twist.  ``Multiplexer.feed`` is such a function.
 """
 Watch = Callable[["BaseRunner", DriverState], None]
-"""Called after each cycle."""
+"""Function that is called after each cycle with the runner and the state of the driver."""
 T = TypeVar("T")
 
 
 class RequestRefused(ValueError):
-    """A service was refused and changed nothing; the message is the reason."""
+    """A service of the robot refused a request and changed nothing.
+
+    The message contains the reason.
+    """
 
 
 class StateChange(NamedTuple):
-    """A change of the base's state: time (s), new state, and the reason of FAULT or ESTOP."""
+    """A change of the state of the base.
+
+    - ``time``: time of the change, s.
+    - ``state``: new state.
+    - ``reason``: reason of the states FAULT and ESTOP.
+    """
 
     time: float
     state: BaseState
@@ -56,11 +65,13 @@ class StateChange(NamedTuple):
 
 @dataclass(slots=True)
 class Timing:
-    """How precisely the loop keeps its deadlines.  All times in s.
+    """Statistics of the timing of the control loop.
 
-    ``overruns`` counts cycles that ended after the next deadline, ``skipped`` the deadlines that
-    were left out because of them.  ``latest`` is the longest delay between a deadline and the start
-    of its cycle, ``longest`` the longest duration of a cycle.
+    - ``cycles``: number of cycles.
+    - ``overruns``: number of cycles that ended after the next deadline.
+    - ``skipped``: number of deadlines that the loop skipped because of overruns.
+    - ``latest``: longest delay (s) between a deadline and the start of its cycle.
+    - ``longest``: longest duration (s) of a cycle.
     """
 
     cycles: int = 0
@@ -69,15 +80,19 @@ class Timing:
     latest: float = 0.0
     longest: float = 0.0
     starts: list[float] = field(default_factory=list)
-    """Start times of the cycles; recorded with ``keep_starts``."""
+    """Start times (s) of the cycles.  Recorded only with ``keep_starts``."""
 
 
 class BaseRunner:
-    """A running robot: its ``base`` on the buses, its ``driver``, and its services.
+    """A running robot with its base on the buses, its driver and its services.
 
-    Everything happens in the thread that calls ``cycle`` or ``run``.  Services raise
-    ``RequestRefused``; other threads use ``submit``.  ``clock`` is the CAN interface of the first
-    bus: in a simulation its time is virtual.
+    All work happens in the thread that calls ``cycle`` or ``run``.  Other threads use ``submit`` to
+    call a service.  A service raises ``RequestRefused`` if it cannot be executed.
+
+    - ``base``: base on the buses.
+    - ``driver``: base driver.
+    - ``clock``: CAN interface of the first bus, which measures the time.  In a simulation, this
+      time is virtual.
     """
 
     def __init__(
@@ -89,7 +104,12 @@ class BaseRunner:
         parameters: str | None = None,
         keep_starts: bool = False,
     ) -> None:
-        """``parameters``: the parameter set to start with.  Raises ``DiagnosticError``."""
+        """Creates the driver of the robot.
+
+        ``parameters`` is the name of the initial parameter set.  ``None`` selects the ordinary
+        values of the robot file.  Raises ``DiagnosticError`` if the parameter set is unknown or the
+        calculator cannot drive the robot.
+        """
         self.robot = robot
         self.base = base
         self.clock = clock
@@ -99,7 +119,10 @@ class BaseRunner:
         self.changes: list[StateChange] = []
         self.feed: Feed | None = None
         self.pace: Callable[[float], None] | None = None
-        """Called with the time (s) of each cycle before it; it can slow down virtual time."""
+        """Function that is called before each cycle with the time (s) of the cycle.
+
+        The function can wait in order to slow down virtual time.
+        """
         self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = (
             queue.SimpleQueue()
         )
@@ -116,11 +139,15 @@ class BaseRunner:
 
     @property
     def ready(self) -> bool:
-        """``True`` where the robot follows commands."""
+        """``True`` if the robot follows commands."""
         return self.state.drives and not self.base.state_machine.ending
 
     def cycle(self, now: float) -> DriverState:
-        """Runs one control cycle: services, command, measurement, driver, frames, state."""
+        """Runs one control cycle at the time ``now`` (s) and returns the state of the driver.
+
+        A cycle executes the requested services, selects the commanded twist, reads the joints,
+        sends the joint commands, and updates the state of the base.
+        """
         self._run_requests()
         if self.feed is not None:
             self.feed(self.driver, now)
@@ -130,7 +157,8 @@ class BaseRunner:
         stale = state.mode is not DriveMode.DRIVING
         self.base.state_machine.note_motion(now, not self.base.standing, stale)
         if self.ready and not self._was_ready:
-            # Motions of the joints during homing moved the odometry, but not the robot.
+            # During homing, the odometry measured motions of the joints although the robot did not
+            # move.
             self._was_ready = True
             self.driver.reset_pose()
         return state
@@ -142,9 +170,10 @@ class BaseRunner:
         watch: Watch | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        """Runs cycles at absolute deadlines, up to the time ``until`` (s) or until ``stop()``.
+        """Runs cycles at absolute deadlines, until ``until`` (s) or until ``stop()`` returns
+        ``True``.
 
-        Nothing is sent outside of cycles.
+        The loop sends frames only during cycles.
         """
         clock, timing, period = self.clock, self.timing, self.period
         deadline = self._deadline if self._deadline is not None else clock.now
@@ -175,8 +204,9 @@ class BaseRunner:
     def shutdown(self) -> None:
         """Stops the robot, switches the motors off, and closes the CAN interfaces.
 
-        Quick stop, torque off, NMT pre-operational.  Takes until the robot stands, at most
-        ``Times.stop``.
+        The runner sends a quick stop, then switches the torque off, then sends the NMT command that
+        puts all nodes into the state pre-operational.  The method returns when the robot stands, at
+        the latest after ``Times.stop``.
         """
         state_machine = self.base.state_machine
         state_machine.end()
@@ -184,7 +214,8 @@ class BaseRunner:
         try:
             limit = self.clock.now + state_machine.times.stop
             self._deadline = None
-            # At least two cycles: the first sends the commands, the second reads the reports.
+            # The loop runs at least two cycles: the first sends the commands, the second reads the
+            # reports.
             earliest = self.clock.now + 2.5 * self.period
             self.run(limit, stop=lambda: state_machine.ended and self.clock.now > earliest)
             if state_machine.may_send:
@@ -203,7 +234,11 @@ class BaseRunner:
     # -- services ----------------------------------------------------------------------------------
 
     def submit(self, service: Callable[[], T]) -> Future[T]:
-        """Lets the loop's thread run a service in its next cycle.  Any thread may call this."""
+        """Requests that the thread of the loop runs ``service`` in its next cycle.
+
+        Any thread may call this method.  The returned future contains the result or the exception
+        of the service.
+        """
         future: Future[T] = Future()
         self._requests.put((future, service))
         return future
@@ -222,30 +257,36 @@ class BaseRunner:
                 future.set_exception(error)
 
     def safety_stop(self, engaged: bool = True) -> None:
-        """Stops all motors and switches them off; ``False`` releases the stop.
+        """Stops all motors and switches them off.  ``False`` releases the stop.
 
-        To drive again, ``reset`` is necessary.  A stop in software is not a safety function.
+        After the release, the service ``reset`` must be called before the robot can drive again.  A
+        stop in software is not a safety function.
         """
         self.base.state_machine.safety_stop(engaged)
 
     def reset(self) -> None:
-        """Leaves FAULT or ESTOP.
+        """Leaves the state FAULT or ESTOP.
 
-        Requires that the safety stop is released and that no motion is commanded.
+        Raises ``RequestRefused`` unless the safety stop is released and no motion is commanded.
         """
         now = self.clock.now
         commanded = self.driver.commanded_twist(now) != ZERO_TWIST
         _raise_if(self.base.state_machine.reset(now, commanded))
 
     def home_steering(self) -> None:
-        """Homes every steering again.  The steerings turn."""
+        """Starts the homing of all steering joints again.
+
+        The steering joints turn during homing.
+        """
         _raise_if(self.base.state_machine.home(self.clock.now))
 
     def set_home_count_current_position_zero(self, node: str = "") -> None:
-        """Makes the present steering angle 0 from the next homing on, of one node or of all.
+        """Sets the zero of the steering angles to the present angles, of one or all controllers.
 
-        The controllers store it.  Requires controllers that count from a home switch, and a
-        standing robot.
+        ``node`` is the name of a motor controller.  An empty name selects all motor controllers.
+        The controllers store the new zero, and they use it from the next homing on.  Raises
+        ``RequestRefused`` if the robot moves, if a controller is not homed, or if no selected
+        controller counts from a home switch.
         """
         self._require_standing()
         frames = 0
@@ -260,7 +301,7 @@ class BaseRunner:
             raise RequestRefused("none of these controllers counts from a home switch")
 
     def reset_odometry(self) -> None:
-        """Sets the pose to the origin."""
+        """Sets the pose of the odometry to the origin."""
         self.driver.reset_pose(ORIGIN)
 
     def set_drive_parameters(
@@ -270,9 +311,14 @@ class BaseRunner:
         radii: Mapping[str, float] | None = None,
         limits: Mapping[str, float] | None = None,
     ) -> None:
-        """Changes to a parameter set of the robot file, or changes wheel radii (m) and limits (SI).
+        """Switches to a parameter set of the robot file, or changes single parameters.
 
-        Applies all changes between two cycles, or none.
+        - ``parameters``: name of a parameter set.  ``None`` selects the ordinary values.
+        - ``radii``: wheel radii (m) by wheel name.
+        - ``limits``: limits in SI units by name.
+
+        All changes take effect between the same two cycles.  Raises ``RequestRefused`` if a name is
+        unknown or a value is invalid.  No value is changed then.
         """
         try:
             if radii or limits:
@@ -283,9 +329,13 @@ class BaseRunner:
             raise RequestRefused(str(error)) from None
 
     def setup_motor_controller(self, node: str, setting: str, value: float) -> None:
-        """Writes a setting of a motor controller, in the controller's units.
+        """Writes a setting of a motor controller.
 
-        ``setting`` is a name in the controller's frame of settings.  Requires a standing robot.
+        - ``node``: name of the motor controller.  An empty name selects all motor controllers.
+        - ``setting``: name of a value that the settings frame of the motor controller can change.
+        - ``value``: new value in the unit of the motor controller.
+
+        Raises ``RequestRefused`` if the robot moves, or if a name or the value is invalid.
         """
         self._require_standing()
         for connection, controller in self._controllers(node):
@@ -297,12 +347,15 @@ class BaseRunner:
                 raise RequestRefused(reason) from None
 
     def mute_devices(self, muted: bool = True) -> None:
-        """Stops relaying frames to foreign devices; ``False`` starts it again."""
+        """Stops relaying frames to foreign devices.  ``False`` resumes relaying."""
         for connection in self.base.connections:
             connection.relay.mute(muted)
 
     def set_output(self, board: str, output: str, on: bool) -> None:
-        """Switches an output of an IO board."""
+        """Switches an output of an IO board on or off.
+
+        Raises ``RequestRefused`` if the board or the output is unknown.
+        """
         for connection in self.base.connections:
             for io_board in connection.boards:
                 if io_board.node.name == board:
@@ -318,13 +371,17 @@ class BaseRunner:
         raise RequestRefused(f"there is no IO board `{board}`{known}")
 
     def send_to_device(self, cob_id: int, data: bytes, bus: str = "") -> None:
-        """Relays a frame to a foreign device, where the robot file allows it."""
+        """Relays a frame to a foreign device.  An empty ``bus`` selects the first bus.
+
+        Raises ``RequestRefused`` if the bus is unknown or the relay drops the frame, for example
+        because the robot file does not allow it.
+        """
         connection = self._connection(bus)
         reason = connection.relay.offer(CanFrame(cob_id, data), self.clock.now)
         _raise_if(f"{cob_id:#05x}: {reason}" if reason else "")
 
     def from_devices(self, bus: str = "") -> list[RelayedFrame]:
-        """Returns the frames of foreign devices since the last call."""
+        """Returns the frames that foreign devices have sent since the last call."""
         return self._connection(bus).relay.received()
 
     # -- state -----------------------------------------------------------------------------------
@@ -334,11 +391,14 @@ class BaseRunner:
         return [board for connection in self.base.connections for board in connection.boards]
 
     def batteries(self) -> dict[str, BatteryState]:
-        """Returns the batteries by the names of their nodes."""
+        """Returns the states of the batteries by the name of the battery's node."""
         return {b.node.name: b.state for c in self.base.connections for b in c.batteries}
 
     def warnings(self) -> list[str]:
-        """Returns warnings for the operator; none of them stops the robot."""
+        """Returns warnings for the operator.
+
+        The warnings do not stop the robot.
+        """
         now = self.clock.now
         warnings = [
             f"{battery.node.name}: {battery.warning}"
@@ -351,7 +411,10 @@ class BaseRunner:
         return warnings
 
     def relay_drops(self) -> dict[str, int]:
-        """Returns the number of frames that were not relayed, by ``0x240 too often``."""
+        """Returns the number of dropped frames for each CAN id and reason.
+
+        An example of a key is ``0x240 too often``.
+        """
         return {
             f"{cob_id:#05x} {reason}": number
             for connection in self.base.connections
@@ -361,7 +424,11 @@ class BaseRunner:
     # -- inside --------------------------------------------------------------------------------
 
     def _controllers(self, node: str) -> Sequence[tuple[BusConnection, MotorController]]:
-        """Returns the controllers of this name, or all for an empty name, with their buses."""
+        """Returns the motor controllers with the name ``node``, each with its bus connection.
+
+        An empty name selects all motor controllers.  Raises ``RequestRefused`` if the name is
+        unknown.
+        """
         every = [(c, controller) for c in self.base.connections for controller in c.controllers]
         matching = [
             (c, controller) for c, controller in every if node in ("", controller.node.name)
@@ -383,6 +450,6 @@ class BaseRunner:
 
 
 def _raise_if(reason: str) -> None:
-    """Raises ``RequestRefused`` where there is a reason."""
+    """Raises ``RequestRefused`` if ``reason`` is not empty."""
     if reason:
         raise RequestRefused(reason)

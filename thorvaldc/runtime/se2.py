@@ -1,17 +1,18 @@
-"""Planar motion on SE(2): twists, poses, their exact integration and covariances.
+"""Planar motion on SE(2): twists, poses, exact integration of twists, and covariances.
 
-A twist is a velocity of ``base_link`` in its own frame.  A pose is that of ``base_link`` in the
-odometry frame.  Covariances have the order x, y, yaw (or vx, vy, wz).  The covariance of a pose
-is that of a small motion in ``base_link`` (a right perturbation), so it does not depend on
-the position of the robot.
+A twist is the velocity of ``base_link`` in its own frame.  A pose is the position and yaw of
+``base_link`` in the odometry frame.  Covariances have the order x, y, yaw (or vx, vy, wz).  The
+covariance of a pose describes a small motion in ``base_link`` (a right perturbation), so it does
+not depend on the position of the robot.
 
-Exponential map: a robot that moves with a constant twist for dt turns by a = wz dt.  In the frame
-of its start, its velocity is R(wz t) v, whose integral over 0 <= t <= dt is
+Exponential map: a robot that moves with a constant twist for the time dt turns by the angle a = wz
+dt.  In the frame at the start of the motion, the velocity of the robot at the time t is R(wz t) v.
+The integral of this velocity over 0 <= t <= dt is
 
     [ sin a / a       -(1 - cos a) / a ]
     [ (1 - cos a) / a   sin a / a      ]  v dt
 
-Taylor series replace the quotients near a = 0.
+Near a = 0, Taylor series replace the quotients.
 """
 
 from __future__ import annotations
@@ -26,7 +27,12 @@ ZERO_COV: Cov3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Twist(NamedTuple):
-    """Velocity of ``base_link`` in its own frame: m/s forward, m/s to the left, rad/s."""
+    """Velocity of ``base_link`` in its own frame.
+
+    - ``vx``: forward speed, m/s.
+    - ``vy``: speed to the left, m/s.
+    - ``wz``: yaw rate, rad/s.
+    """
 
     vx: float
     vy: float
@@ -41,19 +47,23 @@ class Twist(NamedTuple):
 
     @property
     def speed(self) -> float:
-        """Speed of the origin, m/s."""
+        """Speed of the origin of ``base_link``, m/s."""
         return math.hypot(self.vx, self.vy)
 
 
 class Pose2(NamedTuple):
-    """Position in m and yaw in rad; yaw is not wrapped, so it counts full turns."""
+    """Position and yaw of a frame in the plane.
+
+    - ``x``, ``y``: position, m.
+    - ``yaw``: yaw angle, rad.  The angle is not wrapped, so it counts full turns.
+    """
 
     x: float
     y: float
     yaw: float
 
     def moved(self, step: Pose2) -> Pose2:
-        """Returns this pose moved by ``step``, which is given in the frame of this pose."""
+        """Returns the pose after the motion ``step``, which is given in the frame of this pose."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(
             self.x + c * step.x - s * step.y,
@@ -73,12 +83,12 @@ ORIGIN = Pose2(0.0, 0.0, 0.0)
 
 
 def _sin_over(a: float) -> float:
-    """sin(a) / a."""
+    """Returns sin(a) / a."""
     return 1.0 - a * a / 6.0 * (1.0 - a * a / 20.0) if abs(a) < 1e-3 else math.sin(a) / a
 
 
 def _versin_over(a: float) -> float:
-    """(1 - cos(a)) / a."""
+    """Returns (1 - cos(a)) / a."""
     if abs(a) < 1e-3:
         return a / 2.0 * (1.0 - a * a / 12.0)
     half = math.sin(a / 2.0)
@@ -86,19 +96,25 @@ def _versin_over(a: float) -> float:
 
 
 def exp(twist: Twist, dt: float) -> Pose2:
-    """Returns the motion of a constant twist over ``dt`` s: the exponential map of SE(2)."""
+    """Returns the motion of a robot that moves with a constant twist for ``dt`` s.
+
+    This function is the exponential map of SE(2).
+    """
     dx, dy, a = twist.vx * dt, twist.vy * dt, twist.wz * dt
     s, v = _sin_over(a), _versin_over(a)
     return Pose2(s * dx - v * dy, v * dx + s * dy, a)
 
 
 def chord_over_arc(angle: float) -> float:
-    """Returns the length of the chord over the length of the arc, for an arc of ``angle`` rad."""
+    """Returns the ratio of chord length to arc length for an arc of ``angle`` rad."""
     return _sin_over(angle / 2.0)
 
 
 def _planar(c: float, s: float, a: float, b: float, p: Cov3) -> Cov3:
-    """Returns M P M' with M = [[c, s, a], [-s, c, b], [0, 0, 1]], exactly symmetric."""
+    """Returns the matrix product M P M' with M = [[c, s, a], [-s, c, b], [0, 0, 1]].
+
+    The result is exactly symmetric.
+    """
     (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
     r13, r23 = c * p13 + s * p23, c * p23 - s * p13
     r11 = c * c * p11 + 2.0 * c * s * p12 + s * s * p22
@@ -120,17 +136,21 @@ def propagate(
     dt: float,
     correlation: float = 0.0,
 ) -> Cov3:
-    """Returns the pose covariance after ``dt`` s with a twist of covariance Q.
+    """Returns the covariance of the pose after a motion of ``dt`` s.
 
-    P <- Ad P Ad' + J Q J' dt^2, with Ad the adjoint of the inverse motion and J the right Jacobian
-    of SE(2) (Sola et al., "A micro Lie theory for state estimation in robotics", 2018,
-    equations 161 and 163).
+    The motion has the twist ``twist`` with the covariance Q. The covariance P of the pose changes
+    by
 
-    With ``correlation`` 0 the errors of two steps are independent.  Otherwise their correlation
-    decreases with a time constant of ``correlation`` s, by r = exp(-dt / correlation) per step.
-    The variance of a sum of n such errors, for a time n dt much longer than the time constant, is
-    n Q (1 + 2 r + 2 r^2 + ...) = n Q (1 + r) / (1 - r) = n Q / tanh(dt / (2 correlation)).
-    For shorter times this overestimates the variance.
+        P <- Ad P Ad' + J Q J' dt^2
+
+    Ad is the adjoint of the inverse motion, and J is the right Jacobian of SE(2) (Sola et al., "A
+    micro Lie theory for state estimation in robotics", 2018, equations 161 and 163).
+
+    With ``correlation`` = 0, the twist errors of two steps are independent.  Otherwise the
+    correlation of the errors decreases with the time constant ``correlation`` (s), by the factor r
+    = exp(-dt / correlation) per step.  Over a time n dt much longer than the time constant, the
+    variance of a sum of n errors is n Q (1 + 2 r + 2 r^2 + ...) = n Q (1 + r) / (1 - r) = n Q /
+    tanh(dt / (2 correlation)).  For shorter times this formula overestimates the variance.
     """
     dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
     if abs(angle) < 1e-3:
@@ -145,7 +165,10 @@ def propagate(
 
 
 class Turn(NamedTuple):
-    """Functions of the angle a of a step; numbers, or arrays for many robots."""
+    """Functions of the angle a by which a robot turns in one step.
+
+    The values are numbers for one robot, or arrays for many robots.
+    """
 
     c: Any  # cos a
     s: Any  # sin a
@@ -156,14 +179,16 @@ class Turn(NamedTuple):
 
 
 def propagated(covariance: Cov3, noise: Cov3, dx: Any, dy: Any, turn: Turn, d2: Any) -> Cov3:
-    """Computes ``propagate`` for numbers or for arrays.
+    """Computes the result of ``propagate`` for numbers or for arrays.
 
-    ``dx``, ``dy`` (m): velocity times time.  ``noise``: Q, multiplied by ``d2`` (s^2).
+    - ``dx``, ``dy``: velocity multiplied by the time, m.
+    - ``noise``: covariance Q of the twist.
+    - ``d2``: factor of Q, s^2.
     """
     c, s, sa, va, p, q = turn
     x, y = sa * dx - va * dy, va * dx + sa * dy  # the step t, as in `exp`
-    # Ad: a small rotation w before the step moves the end of the step by w x t, which is
-    # R' (w x t) in the frame at the end.
+    # The adjoint Ad: a small rotation w before the step moves the end of the step by w x t.  In the
+    # frame at the end of the step, this motion is R' (w x t).
     moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
     added = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, noise)
     (m11, m12, m13), (_, m22, m23), (_, _, m33) = moved

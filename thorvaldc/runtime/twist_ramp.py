@@ -1,4 +1,4 @@
-"""The ramp from the present to the commanded twist, within the acceleration limits."""
+"""The ramp from the present twist to the commanded twist, within the acceleration limits."""
 
 from __future__ import annotations
 
@@ -8,23 +8,27 @@ from thorvaldc.model import DriverSettings
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 LEAD = 0.1
-"""Largest difference (m/s, of wheel speeds) between the ramp and the twist of the wheels."""
+"""Largest difference (m/s) between the ramp and the twist of the wheels, as a wheel speed."""
 LONGEST_SMOOTHING = 0.5
 """Longest time (s) over which the ramp is smoothed."""
 
 
 class Ramp:
-    """A straight line in the space of twists, smoothed at its corners.
+    """A ramp along a straight line in the space of twists, with smoothed corners.
 
-    In each tick the straight ramp moves from r to the goal g by the largest allowed share k:
+    In each tick, the straight ramp moves from the twist r to the goal g by the largest allowed
+    share k:
 
         r <- r + k (g - r),   k = min(1, a_max dt / |dv|, alpha_max dt / |dw|)
 
-    Its direction is constant, so from rest and to rest the centre of rotation stays.  At its
-    corners, though, steering joints would have to reach their rate in zero time.  ``twist`` is
-    therefore the mean of r over the last ``smoothing`` s, the time in which steering joints
-    reach their rate.  A ramp to zero is not smoothed: the wheels keep their directions, and a
-    stop begins in the same tick.  ``length`` (m): lever that converts angular to linear speed.
+    The direction of the straight ramp is constant.  On a ramp from rest or to rest, the centre of
+    rotation therefore does not move.  At a corner of the straight ramp, however, steering joints
+    would have to reach their rate in zero time.  ``twist`` is therefore the mean of r over the last
+    ``smoothing`` s.  ``smoothing`` is the time that steering joints need to reach their rate.  A
+    ramp to zero is not smoothed: the wheels keep their directions, and the stop begins in the same
+    tick.
+
+    ``length`` is the lever (m) that converts angular to linear speed.
     """
 
     def __init__(self, settings: DriverSettings, length: float, smoothing: float) -> None:
@@ -35,7 +39,7 @@ class Ramp:
         self._history = [ZERO_TWIST] * count
 
     def step(self, goal: Twist, dt: float) -> Twist:
-        """Moves ``dt`` s towards ``goal`` and returns the new twist."""
+        """Moves the ramp towards ``goal`` for ``dt`` s and returns the new twist."""
         history = self._history
         if goal == ZERO_TWIST:
             if self.twist != ZERO_TWIST:
@@ -68,13 +72,15 @@ class Ramp:
         return goal if share >= 1.0 else _interpolate(start, goal, share)
 
     def limit_lead(self, actual: Twist, aligned: bool = True) -> None:
-        """Moves the ramp back to at most ``LEAD`` ahead of ``actual``, the twist of the wheels.
+        """Limits the lead of the ramp over ``actual``, the twist of the wheels, to ``LEAD``.
 
-        Steering wheels and wheels at their limits make the robot slower than the ramp.  Without
-        this limit the robot would jump as soon as they are ready.  If wheels have far to
-        turn (not ``aligned``), the ramp only slows down and keeps its direction.  A change
-        towards the actual direction would call back wheels that turn the long way round because
-        of a steering limit, and they would never arrive.
+        While wheels steer or are at their limits, the robot is slower than the ramp.  Without this
+        limit, the robot would accelerate abruptly as soon as the wheels are ready.
+
+        ``aligned`` is ``False`` if wheels have to turn far.  The ramp then only slows down and
+        keeps its direction.  If the ramp moved towards the actual direction, the wheels that turn
+        the long way because of a steering limit would turn back and never reach their target
+        angles.
         """
         vx, vy, wz = self.twist
         if not aligned:
@@ -89,7 +95,10 @@ class Ramp:
         self._history = [_interpolate(actual, twist, share) for twist in self._history]
 
     def _slow_down(self, actual: Twist) -> None:
-        """Scales the ramp so that it leads ``actual``, projected on its direction, by ``LEAD``."""
+        """Scales the ramp down so that it leads the twist ``actual`` by at most ``LEAD``.
+
+        The lead is measured along the direction of the ramp.
+        """
         vx, vy, wz = self.twist
         lever = self._length * self._length
         size = math.sqrt(vx * vx + vy * vy + lever * wz * wz)
@@ -102,7 +111,7 @@ class Ramp:
             self._history = [twist.scaled(share) for twist in self._history]
 
     def restart(self, twist: Twist) -> None:
-        """Sets the ramp to ``twist``, as if it had been constant."""
+        """Sets the ramp to ``twist``, as if the twist had been constant before."""
         self.twist = twist
         self._history = [twist] * len(self._history)
 

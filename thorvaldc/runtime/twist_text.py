@@ -7,7 +7,10 @@ from thorvaldc.runtime.se2 import Twist
 
 
 def parse_twist(text: str) -> Twist:
-    """Parses ``vx,vy,wz`` (m/s, m/s, rad/s).  Raises ``DiagnosticError`` (``twist-invalid``)."""
+    """Parses a twist in the form ``vx,vy,wz`` (m/s, m/s, rad/s).
+
+    Raises ``DiagnosticError`` (``twist-invalid``) if the text is not three finite numbers.
+    """
     parts = text.split(",")
     try:
         numbers = [float(part) for part in parts]

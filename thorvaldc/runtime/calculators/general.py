@@ -437,8 +437,7 @@ class General(BaseCalculator):
     def _least_scrub(
         self, target: Twist, angles: Sequence[float], misalignment: float
     ) -> tuple[Twist, list[float]]:
-        """Returns the twist that causes the least scrub at these steering angles, and its wheel
-        speeds.
+        """Returns the twist with the least scrub at these steering angles, and its wheel speeds.
 
         The wheel speeds are in rad/s.  The solver computes the difference d = xi* - target, which
         loses no digits near the target.  With the metric G = diag(1, 1, length^2), d solves the

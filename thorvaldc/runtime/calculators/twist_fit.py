@@ -188,7 +188,7 @@ def fit_twist(
     The measured direction of a steered wheel has an error.  If L and T used the *measured*
     direction, this error would reduce the measured speed by its cosine.  L and T therefore use the
     *predicted* direction u / a.  The wheel then measures z_T = -a asin(n . u / a), where n is the
-    normal of the measured direction.  This is the length of the arc between the two directions.
+    normal of the measured direction.  z_T is the length of the arc between the two directions.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
