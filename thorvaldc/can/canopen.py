@@ -1,7 +1,9 @@
-"""Constants of CANopen (CiA 301) that the master, the commissioning and the simulation share.
+"""Constants and basic messages of CANopen (CiA 301).
 
-Predefined connection set: a COB-ID is the base of a service plus the node id (1 to 127).
-SYNC and EMCY have the same base: 0x080 itself is SYNC, 0x081 to 0x0FF are EMCY.
+The CAN master, the commissioning and the simulated devices use this module.
+
+In the predefined connection set of CANopen, a COB-ID is the base of a service plus the node id
+(1 to 127).  SYNC and EMCY have the same base: 0x080 is SYNC, and 0x081 to 0x0FF are EMCY.
 
     0x000  NMT            master -> nodes   command, node id (0: every node)
     0x080  SYNC           master -> nodes   no data
@@ -12,7 +14,8 @@ SYNC and EMCY have the same base: 0x080 itself is SYNC, 0x081 to 0x0FF are EMCY.
     0x600  SDO      + id  master -> node    request
     0x700  heartbeat + id node -> all       NMT state (bits 0 to 6)
 
-``sdo`` has the SDO messages, ``lss`` the layer setting services, ``cia402`` the drive profile.
+The module ``sdo`` contains the SDO messages.  The module ``lss`` contains the layer setting
+services.  The module ``cia402`` contains the drive profile.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from typing import NamedTuple
 
 HIGHEST_NODE_ID = 127
 
-# COB-IDs, and bases of COB-IDs.
+# COB-IDs of NMT and SYNC, and bases of the COB-IDs of all other services.
 NMT = 0x000
 SYNC = 0x080
 EMCY = 0x080
@@ -36,7 +39,10 @@ HEARTBEAT = 0x700
 
 
 class NmtCommand(enum.IntEnum):
-    """First byte of an NMT message; the second is the node id, 0 for every node."""
+    """NMT command: the first byte of an NMT message.
+
+    The second byte of an NMT message is the node id; node id 0 addresses every node.
+    """
 
     START = 0x01
     STOP = 0x02
@@ -46,7 +52,7 @@ class NmtCommand(enum.IntEnum):
 
 
 class NmtState(enum.IntEnum):
-    """State of a node, as its heartbeat reports it."""
+    """NMT state that a node reports in its heartbeat."""
 
     INITIALISING = 0
     """Value of the boot-up message, which a node sends once after power-on or reset."""
@@ -56,7 +62,7 @@ class NmtState(enum.IntEnum):
 
     @property
     def text(self) -> str:
-        """For messages to the user: ``pre-operational``."""
+        """Name of the NMT state in messages to the user, for example ``pre-operational``."""
         return "boot-up" if self is NmtState.INITIALISING else self.name.lower().replace("_", "-")
 
 
@@ -66,15 +72,16 @@ def nmt_message(command: NmtCommand, node_id: int) -> bytes:
 
 
 def heartbeat_state(data: bytes) -> int:
-    """Returns the state byte of a heartbeat without its toggle bit, which node guarding uses.
+    """Returns the NMT state in the data of a heartbeat message.
 
-    The result may be a value that ``NmtState`` does not define.  ``data`` must not be empty.
+    Bit 7 is masked out, because node guarding uses bit 7 as a toggle bit.  The returned number may
+    be a value that ``NmtState`` does not define.  ``data`` must not be empty.
     """
     return data[0] & 0x7F
 
 
 def nmt_state_text(state: int) -> str:
-    """Returns the name of a state of a heartbeat, or its number where CiA 301 defines none."""
+    """Returns the name of an NMT state, or the number in hexadecimal if CiA 301 has no name."""
     try:
         return NmtState(state).text
     except ValueError:
@@ -87,10 +94,11 @@ _EMERGENCY = struct.Struct("<HB5s")
 
 
 class Emergency(NamedTuple):
-    """An EMCY message.  ``error_code`` 0: the device has no error any more.
+    """An EMCY (emergency) message of a CANopen device.
 
-    ``register`` is object 0x1001; ``None`` where the message is too short for it.  The meaning of
-    ``data``, up to 5 bytes, is the manufacturer's.
+    - ``error_code``: emergency error code; 0 means that the device has no error any more;
+    - ``register``: error register (object 0x1001), ``None`` if the message is too short;
+    - ``data``: up to 5 bytes that the manufacturer of the device defines.
     """
 
     error_code: int
@@ -99,7 +107,10 @@ class Emergency(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> Emergency:
-        """Raises ``ValueError`` where even the error code is missing."""
+        """Decodes an EMCY message.
+
+        Raises ``ValueError`` if the message is shorter than the error code (2 bytes).
+        """
         if len(data) < 2:
             raise ValueError(f"an EMCY message has {len(data)} bytes, not 8")
         return cls(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else None, data[3:])

@@ -1,7 +1,7 @@
 """Drive profile CiA 402 (IEC 61800-7-201): power states, status word, control word, modes.
 
-The master steps the power state machine with the control word (object 0x6040) and reads the state
-from the status word (0x6041):
+The master writes the control word (object 0x6040) to change the power state of a drive.  The master
+reads the power state from the status word (object 0x6041).  The power state machine of a drive:
 
     NOT_READY --> SWITCH_ON_DISABLED --shutdown--> READY_TO_SWITCH_ON --switch on--> SWITCHED_ON
                         ^  ^                                                            |
@@ -18,7 +18,10 @@ import enum
 
 
 class DriveState(enum.Enum):
-    """Power state.  Its value is the pattern of the status word under the mask of the state."""
+    """Power state of a CiA 402 drive.
+
+    The value of each member is the bit pattern of the status word in this power state.
+    """
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -31,7 +34,7 @@ class DriveState(enum.Enum):
 
     @property
     def powered(self) -> bool:
-        """``True`` where the power stage is on: the motor may have torque."""
+        """``True`` if the power stage of the drive is on, so that the motor may have torque."""
         return self in (
             DriveState.OPERATION_ENABLED,
             DriveState.QUICK_STOP_ACTIVE,
@@ -40,11 +43,11 @@ class DriveState(enum.Enum):
 
     @classmethod
     def of(cls, status_word: int) -> DriveState | None:
-        """Returns the state in a status word; ``None`` where the bits match no state."""
+        """Returns the power state in a status word, or ``None`` if the bits match no state."""
         return _STATES[status_word & 0x6F]
 
 
-# Bit 5 of the status word (quick stop inactive) belongs to the pattern of these states only.
+# Power states in whose bit pattern bit 5 of the status word (quick stop inactive) is significant.
 _WITH_BIT_5 = (
     DriveState.READY_TO_SWITCH_ON,
     DriveState.SWITCHED_ON,
@@ -58,7 +61,8 @@ _STATES = {
     for word in range(0x70)
 }
 
-# Other bits of the status word.  Bits 12 and 13 have these meanings in homing mode.
+# Bits of the status word that are not part of the power state.  Bits 12 and 13 mean "homing
+# attained" and "homing error" in the homing mode only.
 VOLTAGE_ENABLED = 1 << 4
 REMOTE = 1 << 9
 TARGET_REACHED = 1 << 10
@@ -67,7 +71,10 @@ HOMING_ERROR = 1 << 13
 
 
 class ControlWord(enum.IntEnum):
-    """Commands of the control word; a fault is reset by the rising edge of bit 7."""
+    """Commands that the master writes to the control word.
+
+    A rising edge of bit 7 (``FAULT_RESET``) resets a fault.
+    """
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -83,7 +90,7 @@ START_HOMING = 1 << 4
 
 
 class Mode(enum.IntEnum):
-    """Mode of operation (objects 0x6060 and 0x6061)."""
+    """Mode of operation of a drive: object 0x6060 sets the mode, object 0x6061 reports the mode."""
 
     PROFILE_POSITION = 1
     PROFILE_VELOCITY = 3

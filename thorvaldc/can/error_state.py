@@ -1,4 +1,4 @@
-"""The error state of a CAN controller (ISO 11898-1)."""
+"""Error state of a CAN controller (ISO 11898-1)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import enum
 
 
 class ErrorState(enum.Enum):
-    """Depends on the transmit and the receive error counter.
+    """Error state of a CAN controller, which follows from its transmit and receive error counters.
 
-    ``PASSIVE``: a counter has reached 128; the controller does not interrupt other nodes' frames.
-    ``BUS_OFF``: the transmit error counter has reached 256; it takes no part in the traffic.
+    - ``ACTIVE``: both error counters are below 128;
+    - ``PASSIVE``: an error counter has reached 128, and the controller no longer interrupts the
+      frames of other nodes;
+    - ``BUS_OFF``: the transmit error counter has reached 256, and the controller neither sends nor
+      receives.
     """
 
     ACTIVE = "error-active"

@@ -1,13 +1,15 @@
-"""A CAN frame, and its exact number of bits on the wire (ISO 11898-1, classical frames).
+"""Classical CAN frames and their exact length in bits on the bus (ISO 11898-1).
 
-After five equal bits the sender inserts a stuff bit of the opposite value, from the start of frame
-to the end of the checksum.  So the length of a frame depends on its content:
+After five equal bits the sender inserts a stuff bit of the opposite value.  Bit stuffing covers the
+bits from the start of frame to the end of the CRC, so the length of a frame depends on its content.
+The fields of a standard and of an extended frame, with their lengths in bits:
 
     standard   SOF  id 11  RTR  IDE  r0  length 4  data  CRC 15 | delimiter 1  ACK 2  EOF 7  IFS 3
     extended   SOF  id 11  SRR  IDE  id 18  RTR  r1  r0  length 4  data  CRC 15 | the same tail
                '---------------- stuffed ----------------------------------'
 
-``frame_bits`` looks up whole bytes in tables: it is called for every frame of a simulated bus.
+A simulated bus calls ``frame_bits`` for every frame.  Lookup tables for whole bytes make
+``frame_bits`` fast.
 """
 
 from __future__ import annotations
@@ -19,16 +21,19 @@ TAIL_BITS = 10
 """Bits after the stuffed part: CRC delimiter, ACK slot and delimiter, 7 bits of end of frame."""
 
 _POLYNOMIAL = 0x4599
-"""Of the 15-bit CRC, without its highest term: x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1."""
+"""Polynomial of the 15-bit CRC without x^15: x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1."""
 
 SEND_LIMIT = 32
-"""Frames in a send queue, where nothing else is stated."""
+"""Default size of a send queue, in frames."""
 RECEIVE_LIMIT = 1024
-"""Frames in a receive queue, where nothing else is stated."""
+"""Default size of a receive queue, in frames."""
 
 
 class CanFrame(NamedTuple):
-    """A data or remote frame.  ``requested`` is the data length that a remote frame requests."""
+    """A CAN data frame or a CAN remote frame.
+
+    ``requested`` is the data length (bytes) that a remote frame requests.
+    """
 
     id: int
     data: bytes = b""
@@ -38,15 +43,16 @@ class CanFrame(NamedTuple):
 
     @property
     def length(self) -> int:
-        """Data length code: 0 to 8."""
+        """Data length code of the frame, 0 to 8."""
         return self.requested if self.remote else len(self.data)
 
     @property
     def arbitration(self) -> int:
-        """The arbitration field as a number: of frames that start together the lowest wins.
+        """Arbitration field as a number; the frame with the lowest number wins the arbitration.
 
-        Standard: identifier, RTR, IDE = 0.  Extended: the upper 11 bits of the identifier,
-        SRR = 1, IDE = 1, its lower 18 bits, RTR.
+        The arbitration field of a standard frame is the identifier, RTR and IDE = 0.  The
+        arbitration field of an extended frame is the upper 11 bits of the identifier, SRR = 1,
+        IDE = 1, the lower 18 bits of the identifier, and RTR.
         """
         if self.extended:
             return (self.id >> 18) << 21 | 0b11 << 19 | (self.id & 0x3FFFF) << 1 | int(self.remote)
@@ -58,7 +64,11 @@ class CanFrame(NamedTuple):
 
 
 class ReceivedFrame(NamedTuple):
-    """A frame, and the time (ns) at which it was complete.  ``own``: this program sent it."""
+    """A CAN frame with its time of reception.
+
+    - ``time``: time (ns) at which the frame was complete on the bus;
+    - ``own``: ``True`` if this program has sent the frame itself.
+    """
 
     time: int
     frame: CanFrame
@@ -66,31 +76,32 @@ class ReceivedFrame(NamedTuple):
 
 
 def worst_case_bits(length: int, extended: bool = False) -> int:
-    """Returns the most bits that a frame of ``length`` data bytes can have, with interframe space.
+    """Returns the largest number of bits of a frame with ``length`` data bytes.
 
-    At worst the first stuff bit follows five bits, every further one four bits.
+    The number includes the interframe space.  In the worst case the first stuff bit follows five
+    bits, and each further stuff bit follows four bits.
     """
     stuffed = (54 if extended else 34) + 8 * length
     return stuffed + (stuffed - 1) // 4 + TAIL_BITS + INTERFRAME_BITS
 
 
 def frame_bits(frame: CanFrame) -> int:
-    """Returns the exact number of bits, from the start of frame to the interframe space.
+    """Returns the exact number of bits of a frame, including stuff bits and interframe space.
 
-    It includes the stuff bits; the checksum is computed, because it is stuffed too.
+    The function computes the CRC of the frame, because bit stuffing covers the CRC too.
     """
     length = frame.length
     data = b"" if frame.remote else frame.data
     if frame.extended:
-        # SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, length.
+        # Header of an extended frame: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, length.
         head = (frame.id >> 18) << 27 | 0b11 << 25 | (frame.id & 0x3FFFF) << 7
         head |= int(frame.remote) << 6 | length
         width = 39
     else:
-        # SOF, 11 bits, RTR, IDE, r0, length.
+        # Header of a standard frame: SOF, 11 bits, RTR, IDE, r0, length.
         head = frame.id << 7 | int(frame.remote) << 6 | length
         width = 19
-    # Leading zeros do not change the checksum: it can be computed over whole bytes.
+    # Leading zero bits do not change the CRC, so the header is padded to whole bytes.
     crc = 0
     for byte in head.to_bytes(5, "big"):
         crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7 ^ byte]
@@ -118,8 +129,8 @@ def frame_bits(frame: CanFrame) -> int:
 def first_difference(a: CanFrame, b: CanFrame) -> int:
     """Returns the number of equal bits at the start of two frames with the same identifier.
 
-    Only header and data count, without stuff bits.  At the first different bit one of two nodes
-    that send together detects a bit error.
+    The number counts the bits of header and data without stuff bits.  If two nodes send the two
+    frames at the same time, one node detects a bit error at the first bit that differs.
     """
     header = 39 if a.extended else 19
     if a.length != b.length:
@@ -143,14 +154,14 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-# State of the bit stuffing: the last bit and the length of its run (1 to 4), as
-# 2 * (run - 1) + bit.  A fifth equal bit adds a stuff bit, which starts the next run.
-# `_START`: no bit was sent yet.
+# The state of the bit stuffing is the number 2 * (run - 1) + bit.  Here `bit` is the last bit, and
+# `run` (1 to 4) is the number of equal bits at the end.  The fifth equal bit adds a stuff bit, and
+# the stuff bit starts the next run.  The state `_START` means that no bit was sent yet.
 _START = 8
 
 
 def _next(state: int, bit: int) -> tuple[int, int]:
-    """Returns the state after a bit, and the number of stuff bits that it adds."""
+    """Returns the next state of the bit stuffing and the number of inserted stuff bits (0 or 1)."""
     last, run = (None, 0) if state == _START else (state & 1, (state >> 1) + 1)
     run = run + 1 if bit == last else 1
     if run == 5:

@@ -1,6 +1,6 @@
-"""A program's access to a CAN bus, simulated or real: the protocol ``CanInterface``.
+"""Protocol ``CanInterface``: a program's access to a simulated or real CAN bus.
 
-Implementations:
+Implementations of the protocol ``CanInterface``:
 
 - ``PythonCanInterface``: hardware and UDP, through python-can;
 - ``SimulatedBusClient``: a simulated bus that another process runs (``sim:NAME``);
@@ -17,42 +17,47 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 
 
 class CanInterface(Protocol):
-    """Sends and receives CAN frames.  All times are s of the interface's monotonic clock.
+    """Sends and receives CAN frames.
 
-    ``send`` and ``receive`` raise ``ConnectionError`` where the interface is lost: it is
-    unplugged, or its process has ended.
+    All times are in seconds on the monotonic clock of the interface.  ``send`` and ``receive``
+    raise ``ConnectionError`` if the CAN adapter is unplugged or the process of the bus has ended.
     """
 
     @property
     def now(self) -> float:
-        """Time (s) on the clock of ``sleep_until`` and of ``ReceivedFrame.time`` (ns)."""
+        """Current time (s) on the clock of the interface.
+
+        ``ReceivedFrame.time`` (ns) and ``sleep_until`` use the same clock.
+        """
 
     @property
     def state(self) -> ErrorState:
-        """Error state of the CAN controller, as far as the interface reports it."""
+        """Error state of the CAN controller; ``ACTIVE`` if the interface reports no error state."""
 
     @property
     def overruns(self) -> int:
         """Number of received frames that were lost because the receive queue was full."""
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Queues a frame; waits at most ``timeout`` s for room in the send queue.
+        """Puts a frame into the send queue.
 
-        Returns ``False`` where the frame is not queued.
+        Waits at most ``timeout`` seconds while the send queue is full.  Returns ``False`` if the
+        frame was not put into the send queue.
         """
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """Returns the oldest received frame, or ``None`` after ``timeout`` s without a frame.
+        """Returns the oldest frame in the receive queue, and waits for a frame if there is none.
 
-        ``timeout`` ``None``: waits without limit.
+        Returns ``None`` if no frame arrives within ``timeout`` seconds.  If ``timeout`` is
+        ``None``, the waiting time has no limit.
         """
 
     def sleep(self, seconds: float) -> None: ...
 
     def sleep_until(self, time: float) -> None:
-        """Sleeps until ``now`` is ``time``; returns immediately where that time is past."""
+        """Sleeps until ``time`` (s); returns immediately if ``time`` is in the past."""
 
     def restart(self) -> None:
-        """Recovers from bus-off."""
+        """Restarts the CAN controller after bus-off."""
 
     def close(self) -> None: ...

@@ -1,4 +1,4 @@
-"""Local (Unix domain) sockets of a robot's programs: where they are, and messages over them."""
+"""Paths and message format of the local (Unix domain) sockets between a robot's programs."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ LONGEST_PATH = 100
 
 
 def socket_path(name: str) -> Path:
-    """Returns the path of a socket: ``name`` itself where it contains a slash, otherwise a file
-    of that name in the user's own runtime directory.
+    """Returns the path of the socket ``name``.
 
-    Raises ``OSError`` where the path is too long for a socket, or the directory belongs to another
-    user.
+    A name with a slash is used as the path.  A name without a slash becomes the file ``name.sock``
+    in the runtime directory of the user.
+
+    Raises ``OSError`` if the path is too long for a socket, or if the runtime directory belongs to
+    another user.
     """
     path = Path(name) if "/" in name else runtime_directory() / f"{name}.sock"
     if len(os.fsencode(path)) > LONGEST_PATH:
@@ -32,9 +34,10 @@ def socket_path(name: str) -> Path:
 
 
 def remove_stale_socket(path: Path, program: str) -> None:
-    """Removes the socket that a killed process has left at ``path``.
+    """Removes a socket file that a killed process has left at ``path``.
 
-    Raises ``OSError`` where ``program`` still answers there, and where the path is not a socket.
+    ``program`` is the name of the program in the error message.  Raises ``OSError`` if a program
+    still accepts connections at ``path``, or if ``path`` is not a socket.
     """
     try:
         mode = path.lstat().st_mode
@@ -52,9 +55,10 @@ def remove_stale_socket(path: Path, program: str) -> None:
 
 
 def runtime_directory() -> Path:
-    """Returns the directory of the user's sockets and locks; creates it where it is missing.
+    """Returns the directory of the user's sockets and locks, and creates a missing directory.
 
-    Raises ``PermissionError`` where another user owns it: under /tmp anybody could have made it.
+    Raises ``PermissionError`` if the directory belongs to another user.  This check is necessary
+    because every user can create a directory in /tmp.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
@@ -70,29 +74,30 @@ def runtime_directory() -> Path:
 
 # -- messages --------------------------------------------------------------------------------
 #
-# A message is its body's length (u16, little endian), its kind (one byte) and its body.
+# A message consists of the length of the body (u16, little endian), the kind of message (one byte)
+# and the body.
 
 _HEADER = struct.Struct("<Hc")
 
 
 def pack(kind: bytes, body: bytes = b"") -> bytes:
-    """Returns a message of the kind, a single byte."""
+    """Returns the bytes of a message; ``kind`` is the single byte that names the message type."""
     return _HEADER.pack(len(body), kind) + body
 
 
 def pack_json(kind: bytes, value: Any) -> bytes:
-    """Returns a message whose body is ``value`` as JSON."""
+    """Returns the bytes of a message whose body is ``value`` as JSON."""
     return pack(kind, json.dumps(value).encode())
 
 
 class Unpacker:
-    """Splits a stream of bytes into messages; keeps an incomplete message for the next call."""
+    """Splits a byte stream into messages, and keeps the bytes of an incomplete message."""
 
     def __init__(self) -> None:
         self._incomplete = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[bytes, bytes]]:
-        """Yields kind and body of each message that ``data`` completes."""
+        """Appends ``data`` to the stream and yields the kind and body of each complete message."""
         data = self._incomplete + data
         start = 0
         while len(data) - start >= _HEADER.size:

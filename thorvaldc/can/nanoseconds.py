@@ -1,11 +1,11 @@
-"""Times in whole nanoseconds: simulated time is exact, without the rounding of floats."""
+"""Times in whole nanoseconds, which keep simulated time free of rounding errors."""
 
 from __future__ import annotations
 
 NANOSECONDS = 1_000_000_000
-"""ns in a second."""
+"""Nanoseconds in one second."""
 NEVER = 1 << 62
-"""A time (ns) later than every event."""
+"""A time (ns) that is later than the time of every event."""
 
 
 def to_ns(seconds: float) -> int:

@@ -1,7 +1,8 @@
-"""Opens the CAN interface that a user names: ``sim:NAME``, ``slcan:PORT``, ``socketcan:can0``, ...
+"""Opens a CAN interface by its name, such as ``sim:NAME``, ``slcan:PORT`` or ``socketcan:can0``.
 
-python-can reports most mistakes late and in the words of its backends.  The checks here report
-the common ones before anything is written to a device, with a hint.
+python-can reports a wrong interface name or a missing permission late, and with an error text of
+its backend.  This module checks for the common user errors before the interface is opened, and
+reports each error with a hint.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ if TYPE_CHECKING:
     import can
 
 UDP_GROUP = "239.74.163.2"
-"""Multicast group of ``udp`` without a channel."""
+"""Default multicast group of the interface ``udp``."""
 SERIAL_START = 2.0
-"""s that a serial adapter may need to start after its port is opened."""
+"""Time (s) to wait for a serial adapter to start after its port is opened."""
 SERIAL_WRITE_TIME = 0.01
-"""s.  With a shorter time-out pyserial may write only a part of a frame."""
+"""Shortest write time-out (s): with less, pyserial may write only a part of a frame."""
 
 _ALIASES = {"udp": "udp_multicast"}
 _EXTRAS = {"slcan": "serial", "udp_multicast": "udp"}
-"""The extra of this package that installs what a backend of python-can needs."""
+"""Name of our pip extra that installs the packages for a backend of python-can."""
 _ARPHRD_CAN = 280
-"""Type of a CAN network interface in /sys/class/net (linux/if_arp.h)."""
+"""Type number of a CAN network interface in /sys/class/net (linux/if_arp.h)."""
 _IFF_UP = 1
 
 
@@ -51,10 +52,11 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     - ``udp`` or ``udp:GROUP``: frames in UDP multicast, between programs without hardware;
     - ``INTERFACE:CHANNEL``: any other interface that python-can knows.
 
-    ``listen_only``: the interface sends nothing, not even acknowledgements, where it supports this.
+    If ``listen_only`` is ``True``, the interface sends neither frames nor acknowledgements.  The
+    interfaces ``sim`` and ``slcan`` support ``listen_only``; the others ignore it.
 
-    Raises ``DiagnosticError`` (``bus-interface``) where there is no such interface, it is not
-    set up, or the user has no permission.
+    Raises ``DiagnosticError`` (``bus-interface``) if the interface does not exist, is not set up,
+    or may not be used by this user.
     """
     name, _, channel = spec.partition(":")
     if name == "sim":
@@ -65,7 +67,7 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     options: dict[str, Any] = {}
     import can.interfaces
 
-    # Our diagnostics report what python-can logs.
+    # The diagnostics of this module report the errors, so the log output of python-can is dropped.
     logging.getLogger("can").addHandler(logging.NullHandler())
     if backend not in can.interfaces.BACKENDS:
         raise _interface_error(
@@ -98,10 +100,11 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
 
 
 def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
-    """Opens a CAN interface for each bus of the robot; returns them by the name of the bus.
+    """Opens a CAN interface for each bus of the robot; the keys are the names of the buses.
 
-    For a robot with several buses ``spec`` names an interface for each, ``left=socketcan:can0,
-    right=socketcan:can1``; or it is ``sim:NAME``, for the channels ``NAME.left``, ``NAME.right``.
+    For a robot with several buses ``spec`` names an interface for each bus, such as
+    ``left=socketcan:can0,right=socketcan:can1``.  ``sim:NAME`` opens the simulated buses
+    ``NAME.left`` and ``NAME.right``.
     """
     require_bus(robot)
     names = [bus.name for bus in robot.buses]
@@ -118,7 +121,7 @@ def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
 
 
 def _split_spec(spec: str, names: list[str]) -> Mapping[str, str]:
-    """Returns the part of ``spec`` for each bus."""
+    """Returns the name of the CAN interface for each bus in ``names``."""
     if len(names) == 1:
         return {names[0]: spec.removeprefix(f"{names[0]}=")}
     if spec.startswith("sim:") and "=" not in spec:
@@ -142,8 +145,8 @@ def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> Can
         hint = "`thorvaldc bus FILE` prints the name"
         raise _interface_error(spec, "`sim` needs the name of a bus", hint)
     try:
-        # First in, first out, as a real interface sends: SYNC must follow the commands, although
-        # its identifier has the higher priority.
+        # The send queue must be first in, first out, like the queue of a real interface.  SYNC has
+        # a higher priority than the commands, but must be sent after the commands.
         return SimulatedBusClient(
             channel, "master", bus.bitrate, listen_only=listen_only, fifo=True
         )
@@ -160,8 +163,9 @@ def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, A
         bus_class = getattr(importlib.import_module(module), class_name)
     except ImportError as error:
         raise _package_error(spec, backend, one_line(error)) from None
-    # `__new__` and `__init__` are separate: python-can's destructor shuts a bus down, which fails
-    # noisily where `__init__` did not get far enough.
+    # `__new__` and `__init__` are called separately.  The destructor of a python-can bus calls
+    # `shutdown`, and `shutdown` prints errors if `__init__` has failed.  If `_is_shutdown` is set,
+    # the destructor does not call `shutdown`.
     bus: can.BusABC = bus_class.__new__(bus_class, channel, **options)
     try:
         type(bus).__init__(bus, channel, **options)
@@ -175,7 +179,10 @@ def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, A
 
 
 def _check_serial_port(spec: str, path: str) -> None:
-    """Checks a device that is named by its path, before anything is written to it."""
+    """Checks that ``path`` is a serial port that this user may read and write.
+
+    A port name without leading slash is not checked.
+    """
     if not path.startswith("/"):
         return
     try:
@@ -190,7 +197,7 @@ def _check_serial_port(spec: str, path: str) -> None:
 
 
 def _check_network_interface(spec: str, channel: str, bus: Bus) -> None:
-    """Checks that a Linux network interface exists, is a CAN interface and is up."""
+    """Checks that the Linux network interface ``channel`` exists, is a CAN interface and is up."""
     if not hasattr(socket, "AF_CAN"):
         hint = "socketcan needs Linux; try slcan:PORT"
         raise _interface_error(spec, "this system has no socketcan", hint)
@@ -215,7 +222,7 @@ def _check_network_interface(spec: str, channel: str, bus: Bus) -> None:
 
 
 def _package_error(spec: str, backend: str, text: str) -> DiagnosticError:
-    """A package that the backend needs is not installed."""
+    """Returns the error for a backend of python-can whose Python packages are not installed."""
     extra = _EXTRAS.get(backend)
     hint = (
         f"pip install 'thorvaldc[{extra}]'"
@@ -226,7 +233,7 @@ def _package_error(spec: str, backend: str, text: str) -> DiagnosticError:
 
 
 def _open_error(spec: str, error: BaseException, channel: str) -> DiagnosticError:
-    """python-can or the operating system refused to open the interface."""
+    """Returns the error for an interface that python-can or the operating system cannot open."""
     causes = (error, error.__cause__, error.__context__)
     codes = [cause.errno for cause in causes if isinstance(cause, OSError)]
     codes.append(getattr(error, "error_code", None))

@@ -17,47 +17,49 @@ if TYPE_CHECKING:
     import can
 
 MAXIMUM_AGE = 1.0
-"""s.  A time stamp is used where it is at most so old; an echo is expected for so long."""
+"""Largest age (s) of a usable time stamp, and longest time (s) to wait for an echo."""
 
-# linux/can/error.h: classes of error frames (bits of the identifier), and the bits of data byte 1
-# that report the controller's state.
+# Constants of linux/can/error.h.  The identifier of an error frame contains the class bits.  Data
+# byte 1 contains the bits that report the state of the CAN controller.
 _ERR_CONTROLLER, _ERR_BUS_OFF, _ERR_RESTARTED = 0x04, 0x40, 0x100
 _ERR_CONTROLLER_PASSIVE, _ERR_CONTROLLER_ACTIVE = 0x30, 0x40
 
 _LOST = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
-"""Operating system errors of an interface that was unplugged or switched off."""
+"""Error numbers that mean that the interface was unplugged or switched off."""
 
 
 class PythonCanInterface:
-    """A ``can.BusABC`` as a ``CanInterface``.  Its clock is ``time.monotonic``.
+    """A CAN interface that sends and receives through a bus of python-can (``can.BusABC``).
 
-    python-can stamps frames with the wall clock, which may jump.  Each stamp is converted to an
-    age, which is subtracted from the monotonic time; a stamp that is older than ``MAXIMUM_AGE`` or
-    in the future is ignored.  One thread may send while another one receives.
+    The clock of this interface is ``time.monotonic``.  python-can stamps frames with the wall
+    clock, which may jump.  Therefore the age of each frame is computed from its time stamp and
+    subtracted from the current monotonic time.  A time stamp that is in the future or older than
+    ``MAXIMUM_AGE`` is ignored.  One thread may send while another thread receives.
 
-    Limits of python-can: most interfaces do not report error-passive and bus-off (socketcan
-    reports them by error frames, which ``receive`` evaluates), and none reports how many frames
-    its driver lost (``overruns`` stays 0).
+    Most interfaces of python-can do not report the error states error-passive and bus-off.
+    socketcan reports the error state by error frames, which ``receive`` evaluates.  No interface
+    of python-can reports the number of lost frames, so ``overruns`` is always 0.
 
-    Echo removal (``echoes``).  UDP multicast delivers a program's own frames back to it, without
-    a mark.  ``send`` counts each frame it sends by identifier and data; ``receive`` drops as many
-    equal frames as were sent.  An equal frame of another node is kept, unless it arrives before
-    the echo: then the echo is returned in its place, with the same content.
+    Echo removal (``echoes``).  UDP multicast also delivers a program's own frames to the program,
+    without marking the frames as own.  ``send`` counts the sent frames by identifier and data.
+    ``receive`` drops one equal frame for each sent frame.  If another node sends an equal frame,
+    ``receive`` returns one of the two equal frames, so no content is lost.
 
         send     701#05
         receive           701#05    701#05    701#7f
                           echo      kept      kept
         expected    1       0          0
 
-    An echo that does not come within ``MAXIMUM_AGE`` is no longer expected.
+    An echo that does not arrive within ``MAXIMUM_AGE`` seconds is no longer expected.
     """
 
     overruns = 0
 
     def __init__(self, bus: can.BusABC, *, echoes: bool = False, write_time: float = 0.0) -> None:
-        """``echoes``: ``bus`` delivers the program's own frames, which are to be dropped.
+        """Wraps the python-can bus ``bus``.
 
-        ``write_time`` (s): shortest time-out with which ``bus`` sends a frame completely.
+        - ``echoes``: ``True`` if ``bus`` also delivers the program's own frames;
+        - ``write_time``: shortest write time-out (s) with which ``bus`` sends whole frames.
         """
         import can
 
@@ -142,22 +144,26 @@ class PythonCanInterface:
         self.sleep(time - self.now)
 
     def restart(self) -> None:
-        """Requests the restart, where the interface can do it.
+        """Restarts the CAN controller after bus-off, if the interface supports a restart.
 
-        A socketcan interface is restarted by ``ip link``; it reports its restart by an error frame.
+        A socketcan interface can only be restarted with the command ``ip link``.  socketcan reports
+        the restart by an error frame.
         """
         with contextlib.suppress(NotImplementedError, AttributeError):
             self.bus.state = self._can.BusState.ACTIVE
 
     def close(self) -> None:
-        # An interface that is lost raises when it is closed.
+        # Closing an unplugged interface raises an exception.
         with contextlib.suppress(self._can.CanError, OSError):
             self.bus.shutdown()
 
     # -- inside --------------------------------------------------------------------------------
 
     def _monotonic_time(self, stamp: float) -> int:
-        """Converts a wall clock's stamp (s) to monotonic time (ns), which never decreases."""
+        """Converts a wall clock time stamp (s) to monotonic time (ns).
+
+        The returned times never decrease.
+        """
         age = time.time() - stamp
         arrival = time.monotonic_ns()
         if 0.0 < age <= MAXIMUM_AGE:
@@ -214,7 +220,7 @@ class PythonCanInterface:
 
 
 def one_line(error: BaseException) -> str:
-    """Returns an exception's text as one line, without the numbers of the operating system."""
+    """Returns the text of an exception in one line, without operating system error numbers."""
     if isinstance(error, OSError) and error.strerror and type(error).__module__ == "builtins":
         return str(error.strerror)
     return " ".join(str(error).split()) or type(error).__name__

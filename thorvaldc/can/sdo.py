@@ -1,7 +1,8 @@
-"""SDO messages of a client and a server (CiA 301): access to the object dictionary of a node.
+"""SDO messages (CiA 301), with which a client reads and writes the object dictionary of a node.
 
-A message has 8 bytes: command, index (u16), subindex and 4 bytes of data.  Bits 5 to 7 of the
-command are the specifier.  An expedited transfer has up to 4 bytes in one message each way:
+An SDO message has 8 bytes: command, index (u16), subindex and 4 bytes of data.  Bits 5 to 7 of the
+command are the command specifier.  An expedited transfer moves up to 4 data bytes with one request
+and one response:
 
     upload    client   40 index sub 00 00 00 00
               server   43 index sub data           4 bytes; 47: 3, 4B: 2, 4F: 1
@@ -9,7 +10,7 @@ command are the specifier.  An expedited transfer has up to 4 bytes in one messa
               server   60 index sub 00 00 00 00
     abort     either   80 index sub abort code (u32)
 
-A longer value is transferred in segments of up to 7 bytes:
+A value of more than 4 bytes is transferred in segments of up to 7 bytes:
 
     client                                   server
     40 index sub 00 00 00 00  ----------->
@@ -19,7 +20,8 @@ A longer value is transferred in segments of up to 7 bytes:
     70 00 00 00 00 00 00 00   ----------->                                  toggle 1
                               <-----------   1B two bytes                   5 unused, last segment
 
-Byte 0 of a segment: bit 4 toggle, bits 3 to 1 number of unused bytes, bit 0 last segment.
+In byte 0 of a segment, bit 4 is the toggle bit, bits 3 to 1 are the number of unused bytes, and
+bit 0 marks the last segment.
 """
 
 from __future__ import annotations
@@ -30,17 +32,17 @@ import struct
 from thorvaldc.model.bus import OBJECT_TYPES
 
 SEGMENT_LENGTH = 7
-"""Bytes of data in a segment."""
+"""Largest number of data bytes in a segment."""
 HEADER = struct.Struct("<BHB")
-"""Command, index, subindex; 4 bytes of data follow."""
+"""First 4 bytes of an SDO message: command, index, subindex."""
 EXPEDITED, SIZE_INDICATED = 0x02, 0x01
-"""Bits of the command of a first message: the data is in this message; its size is given."""
+"""Bits of the command byte: the message contains the data; the message states the data size."""
 _TOGGLE_BIT, _LAST_SEGMENT = 4, 0x01
 _UPLOAD_RESPONSE, _DOWNLOAD_RESPONSE = 0x40, 0x60
 
 
 class ClientCommand(enum.IntEnum):
-    """Specifier of a request: bits 5 to 7 of its command, shifted to bit 0."""
+    """Command specifier of an SDO request: bits 5 to 7 of the command byte, as a number."""
 
     DOWNLOAD_SEGMENT = 0
     INITIATE_DOWNLOAD = 1
@@ -50,24 +52,24 @@ class ClientCommand(enum.IntEnum):
 
 
 _ABORT = ClientCommand.ABORT << 5
-"""Command of an abort, from either side: 0x80."""
+"""Command byte of an abort message (0x80), for client and server."""
 
 # -- numbers -----------------------------------------------------------------------------------
 
 
 def number_length(type_name: str) -> int:
-    """Returns the length (bytes) of a number with a type of CiA 301 (``unsigned16``)."""
+    """Returns the length (bytes) of a CiA 301 number type, such as ``unsigned16``."""
     return max(OBJECT_TYPES[type_name][1] // 8, 1)
 
 
 def encode_number(type_name: str, value: int) -> bytes:
-    """Returns a number as an SDO transfers it: little-endian, negative ones as complement."""
+    """Returns a number as little-endian bytes; negative numbers in two's complement."""
     length = number_length(type_name)
     return (value & (1 << 8 * length) - 1).to_bytes(length, "little")
 
 
 def decode_number(type_name: str, data: bytes) -> int:
-    """Returns the number in the first bytes of ``data``; missing bytes count as 0."""
+    """Returns the number in the first bytes of ``data``; missing bytes are read as 0."""
     length = number_length(type_name)
     signed = type_name.startswith("integer")
     return int.from_bytes(data[:length].ljust(length, b"\0"), "little", signed=signed)
@@ -77,28 +79,34 @@ def decode_number(type_name: str, data: bytes) -> int:
 
 
 def upload_request(index: int, subindex: int) -> bytes:
-    """Returns the request to read an object."""
+    """Returns the SDO request to read an object."""
     return HEADER.pack(ClientCommand.INITIATE_UPLOAD << 5, index, subindex) + bytes(4)
 
 
 def download_request(index: int, subindex: int, data: bytes) -> bytes:
-    """Returns the expedited request to write 1 to 4 bytes."""
+    """Returns the SDO request to write 1 to 4 bytes to an object."""
     command = ClientCommand.INITIATE_DOWNLOAD << 5 | _expedited(data)
     return HEADER.pack(command, index, subindex) + data.ljust(4, b"\0")
 
 
 def upload_segment_request(toggle: int) -> bytes:
-    """Returns the request for the next segment; ``toggle`` is 0 for the first one."""
+    """Returns the request for the next segment of an upload.
+
+    ``toggle`` is 0 for the first segment and alternates with each segment.
+    """
     return bytes([ClientCommand.UPLOAD_SEGMENT << 5 | toggle << _TOGGLE_BIT]) + bytes(7)
 
 
 def is_expedited(response: bytes) -> bool:
-    """Returns ``True`` where the response to an upload request contains the value itself."""
+    """Returns ``True`` if an upload response contains the value (expedited transfer)."""
     return bool(response[0] & EXPEDITED)
 
 
 def expedited_data(message: bytes) -> bytes:
-    """Returns the value in an expedited message; all 4 bytes where it states no size."""
+    """Returns the value in an expedited message.
+
+    If the message states no data size, all 4 data bytes are returned.
+    """
     unused = message[0] >> 2 & 3 if message[0] & SIZE_INDICATED else 0
     return message[4 : 8 - unused]
 
@@ -107,7 +115,7 @@ def expedited_data(message: bytes) -> bytes:
 
 
 def segment_data(message: bytes) -> bytes:
-    """Returns the data of a segment."""
+    """Returns the data bytes of a segment."""
     return message[1 : 8 - (message[0] >> 1 & 7)]
 
 
@@ -124,12 +132,12 @@ def _expedited(data: bytes) -> int:
 
 
 def abort_message(index: int, subindex: int, code: int) -> bytes:
-    """Returns the message that aborts a transfer."""
+    """Returns the message that aborts an SDO transfer."""
     return HEADER.pack(_ABORT, index, subindex) + struct.pack("<I", code)
 
 
 def abort_code(message: bytes) -> int | None:
-    """Returns the code of an abort message; ``None``: it is another message."""
+    """Returns the abort code of an SDO message, or ``None`` if it is not an abort message."""
     if message[0] != _ABORT:
         return None
     code: int = struct.unpack_from("<I", message, 4)[0]
@@ -140,12 +148,16 @@ def abort_code(message: bytes) -> int | None:
 
 
 def download_response(index: int, subindex: int) -> bytes:
-    """Returns the response to a download request."""
+    """Returns the response of the server to a download request."""
     return HEADER.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4)
 
 
 def upload_response(index: int, subindex: int, value: bytes) -> bytes:
-    """Returns the response to an upload request: expedited for 1 to 4 bytes, else the size."""
+    """Returns the response of the server to an upload request.
+
+    A value of 1 to 4 bytes is contained in the response.  For any other length the response
+    contains only the number of bytes, and the value follows in segments.
+    """
     if 1 <= len(value) <= 4:
         command = _UPLOAD_RESPONSE | _expedited(value)
         return HEADER.pack(command, index, subindex) + value.ljust(4, b"\0")
@@ -154,13 +166,13 @@ def upload_response(index: int, subindex: int, value: bytes) -> bytes:
 
 
 def upload_segment_response(toggle: int, data: bytes, last: bool) -> bytes:
-    """Returns a segment of up to 7 bytes."""
+    """Returns the upload segment with up to 7 bytes of data."""
     command = toggle << _TOGGLE_BIT | (SEGMENT_LENGTH - len(data)) << 1 | int(last)
     return bytes([command]) + data.ljust(SEGMENT_LENGTH, b"\0")
 
 
 def download_segment_response(toggle: int) -> bytes:
-    """Returns the confirmation of a segment written by the client."""
+    """Returns the response of the server to a download segment."""
     return bytes([0x20 | toggle << _TOGGLE_BIT]) + bytes(7)
 
 
@@ -168,7 +180,10 @@ def download_segment_response(toggle: int) -> bytes:
 
 
 class AbortCode(enum.IntEnum):
-    """Reasons for which a transfer is aborted; a device may send others."""
+    """Abort codes of CiA 301 that this package sends or explains.
+
+    A device may send other abort codes.
+    """
 
     TOGGLE_NOT_ALTERNATED = 0x05030000
     TIMED_OUT = 0x05040000
@@ -205,5 +220,5 @@ _ABORT_TEXTS: dict[int, str] = {
 
 
 def abort_text(code: int) -> str:
-    """Returns the reason and the number of an abort code, for messages to the user."""
+    """Returns the meaning and the number of an abort code, for messages to the user."""
     return f"{_ABORT_TEXTS.get(code, 'aborted')} (SDO abort {code:#010x})"

@@ -1,4 +1,4 @@
-"""Access to a simulated bus that another process runs (``sim:NAME``)."""
+"""CAN interface to a simulated bus that runs in another process (``sim:NAME``)."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from thorvaldc.can.local_socket import Unpacker, pack, pack_json, socket_path
 from thorvaldc.can.nanoseconds import NANOSECONDS, NEVER, to_ns
 
 ANSWER_TIME = 5.0
-"""s to wait for the server's WELCOME."""
+"""Longest time (s) to wait for the WELCOME message of the server."""
 LOCKSTEP_POLL = 0.0001
-"""s of simulated time between two checks for room in the send queue, in lockstep."""
+"""Simulated time (s) between two checks for room in the send queue, in lockstep mode."""
 
 
 class SimulatedBusClient:
-    """A ``CanInterface`` to a simulated bus, over a local socket.  Any thread may use it.
+    """A CAN interface to a simulated bus, connected over a local socket.
 
-    Without ``lockstep`` the bus runs in real time.  With it simulated time passes only while every
-    lockstep client waits (in ``receive``, ``sleep`` or ``send``): a program can compute as long as
-    it needs between two waits.
+    All methods are thread-safe.  Without ``lockstep`` the simulated bus runs in real time.  With
+    ``lockstep`` the simulated time advances only while every lockstep client waits in ``receive``,
+    ``sleep`` or ``send``.  Therefore the computing time of a lockstep client does not count.
     """
 
     def __init__(
@@ -43,11 +43,17 @@ class SimulatedBusClient:
         fifo: bool = False,
         lockstep: bool = False,
     ) -> None:
-        """Connects to the bus.  ``bitrate`` ``None``: that of the bus.
+        """Connects to the simulated bus ``channel``.
 
-        ``fifo``: the controller sends in the order of ``send``, instead of by priority.
+        - ``name``: name of this client in the messages of the server;
+        - ``bitrate``: bitrate (bit/s) of this client, or ``None`` for the bitrate of the bus;
+        - ``send_limit``, ``receive_limit``: sizes of the send queue and the receive queue, in
+          frames;
+        - ``receive_own``: ``receive`` also returns the frames that this client has sent;
+        - ``listen_only``: the client sends neither frames nor acknowledgements;
+        - ``fifo``: frames are sent in the order of the calls of ``send``, not by priority.
 
-        Raises ``OSError`` where no such bus runs, or its server refuses this client.
+        Raises ``OSError`` if no bus ``channel`` runs, or if its server refuses this client.
         """
         self.channel = channel
         self.name = name
@@ -99,12 +105,15 @@ class SimulatedBusClient:
 
     @property
     def now(self) -> float:
-        """Time (s) since the bus was started: simulated time in lockstep, real time otherwise."""
+        """Time (s) since the start of the bus: simulated time in lockstep mode, else real time."""
         now = self._now if self.lockstep else time.monotonic_ns() - self._clock_offset
         return now / NANOSECONDS
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Queues a frame; waits at most ``timeout`` s for room where the queue is full."""
+        """Puts a frame into the send queue; waits at most ``timeout`` s while the queue is full.
+
+        Returns ``False`` if the send queue is still full, or if the controller is in bus-off.
+        """
         with self._changed:
             if self._unsent >= self.send_limit and timeout > 0.0:
                 self._wait_for_room(timeout)
@@ -115,10 +124,10 @@ class SimulatedBusClient:
         return True
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """Returns the oldest received frame; waits for one where there is none.
+        """Returns the oldest frame in the receive queue, and waits for a frame if there is none.
 
-        Returns ``None`` after ``timeout`` s without a frame.  Raises ``ConnectionError`` where the
-        bus has stopped.
+        Returns ``None`` if no frame arrives within ``timeout`` seconds.  Raises ``ConnectionError``
+        if the bus has stopped.
         """
         with self._changed:
             if not self._received and timeout != 0.0:
@@ -130,7 +139,7 @@ class SimulatedBusClient:
             return None
 
     def sleep(self, seconds: float) -> None:
-        """Lets time pass; frames that come meanwhile wait in the receive queue."""
+        """Waits for ``seconds``; frames that arrive meanwhile stay in the receive queue."""
         with self._changed:
             self._wait(seconds, stop_at_frame=False)
 
@@ -138,7 +147,7 @@ class SimulatedBusClient:
         self.sleep(time - self.now)
 
     def restart(self) -> None:
-        """Recovers from bus-off."""
+        """Restarts the simulated CAN controller after bus-off."""
         self._write(pack(protocol.RESTART))
 
     def close(self) -> None:
@@ -206,7 +215,7 @@ class SimulatedBusClient:
             self._socket.settimeout(None)
 
     def _read(self) -> None:
-        """Processes the server's messages, in a thread of its own."""
+        """Receives and processes the messages of the server, in a separate thread."""
         reason = "the bus has stopped"
         try:
             while data := self._socket.recv(65536):
@@ -235,7 +244,7 @@ class SimulatedBusClient:
         elif kind == protocol.STATE:
             state = json.loads(body)
             self._state = ErrorState(state["state"])
-            # Frames in the send queue are lost in bus-off and when the controller restarts.
+            # The simulated controller drops its send queue in bus-off and when it restarts.
             self._unsent = max(self._unsent - state["dropped"], 0)
         elif kind == protocol.TIME:
             self._now = self._waited_until = protocol.unpack_time(body)

@@ -1,7 +1,8 @@
 """Messages between the server of a simulated bus and its clients, over a local socket.
 
-Framing is that of ``local_socket``; numbers are little endian.  A client starts with HELLO; the
-server answers WELCOME, or CLOSED with the reason.  Then both send at any time:
+The module ``local_socket`` defines the framing of the messages.  All numbers are little endian.
+The first message of a client is HELLO.  The server answers with WELCOME, or with CLOSED and the
+reason for the refusal.  After WELCOME the client and the server may send messages at any time:
 
     client                          server
     HELLO  version, name, ... --->
@@ -26,25 +27,35 @@ from thorvaldc.can.local_socket import pack
 
 VERSION = 1
 
-# Kinds from the client.  HELLO is JSON; WAIT is a time (ns).
+# Kinds of messages from client to server.  The body of HELLO is JSON; the body of WAIT is a time
+# (ns).
 HELLO, SEND, WAIT, RESTART = b"H", b"S", b"W", b"A"
-# Kinds from the server.  WELCOME, STATE and CLOSED are JSON; TIME is a time (ns).
+# Kinds of messages from server to client.  The bodies of WELCOME, STATE and CLOSED are JSON; the
+# body of TIME is a time (ns).
 WELCOME, FRAME, SENT, REFUSED, STATE, TIME, CLOSED = b"w", b"F", b"D", b"R", b"s", b"T", b"C"
 
 _FRAME = struct.Struct("<qIBB")
-"""Time (ns), identifier, flags, data length code; then the data."""
+"""Header of a CAN frame: time (ns), identifier, flags, data length code; the data follows."""
 _EXTENDED, _REMOTE, _OWN = 1, 2, 4
 _TIME = struct.Struct("<q")
 
 
 def pack_frame(kind: bytes, frame: CanFrame, time: int = 0, own: bool = False) -> bytes:
-    """Returns a SEND or FRAME message; ``own``: the client sent the frame itself."""
+    """Returns a SEND or FRAME message with a CAN frame.
+
+    - ``time``: time (ns) at which the frame was complete, for FRAME only;
+    - ``own``: ``True`` if the receiving client has sent the frame itself.
+    """
     flags = _EXTENDED * frame.extended | _REMOTE * frame.remote | _OWN * own
     return pack(kind, _FRAME.pack(time, frame.id, flags, frame.length) + frame.data)
 
 
 def unpack_frame(body: bytes) -> tuple[int, CanFrame, bool]:
-    """Returns time (ns), frame, and whether the client sent it itself.  Raises ``ValueError``."""
+    """Decodes the body of a SEND or FRAME message.
+
+    Returns the time (ns), the CAN frame, and ``True`` if the client has sent the frame itself.
+    Raises ``ValueError`` if the body is not a valid CAN frame.
+    """
     if len(body) < _FRAME.size:
         raise ValueError("a frame is incomplete")
     time, identifier, flags, length = _FRAME.unpack_from(body)
@@ -61,7 +72,10 @@ def pack_time(kind: bytes, time: int) -> bytes:
 
 
 def unpack_time(body: bytes) -> int:
-    """Returns a time (ns).  Raises ``ValueError``."""
+    """Decodes the body of a WAIT or TIME message and returns the time (ns).
+
+    Raises ``ValueError`` if the body does not have 8 bytes.
+    """
     if len(body) != _TIME.size:
         raise ValueError("a time is incomplete")
     time: int = _TIME.unpack(body)[0]

@@ -1,1 +1,1 @@
-"""The base of a robot on its CAN buses: drivers of the nodes, state machine, watchdogs, relay."""
+"""Controls the motors of a robot's base over its CAN buses."""

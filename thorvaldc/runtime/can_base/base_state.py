@@ -1,4 +1,4 @@
-"""The states of a base on its CAN buses; ``base_state_machine`` has the transitions."""
+"""States of a robot base on CAN; the module ``base_state_machine`` defines the transitions."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import enum
 
 
 class BaseState(enum.Enum):
-    """State of the base.
+    """State of a robot base whose motors are controlled over CAN.
 
-    - ``INIT``: listens to the bus;
-    - ``PREOP``: brings all nodes to the NMT state pre-operational;
-    - ``CONFIG``: compares the nodes with the robot file and starts them;
-    - ``HOMING``: powers the motors, homes the steerings and turns them straight ahead;
-    - ``READY``: stands and waits for a commanded twist;
-    - ``ACTIVE``: drives;
-    - ``STOPPING``: ramps to rest, because the command is too old;
-    - ``FAULT``, ``ESTOP``: quick stop of all motors, until ``reset``.
+    - ``INIT``: the driver listens to the bus and sends nothing;
+    - ``PREOP``: the driver brings all nodes to the NMT state pre-operational;
+    - ``CONFIG``: the driver compares the nodes with the robot file and starts the nodes;
+    - ``HOMING``: the driver enables the motors, homes the steering and turns the wheels straight;
+    - ``READY``: the robot stands and waits for a commanded twist;
+    - ``ACTIVE``: the robot drives;
+    - ``STOPPING``: the robot ramps to rest, because the commanded twist is too old;
+    - ``FAULT``, ``ESTOP``: all motors are in quick stop until ``reset`` is called.
     """
 
     INIT = "init"
@@ -30,10 +30,10 @@ class BaseState(enum.Enum):
 
     @property
     def drives(self) -> bool:
-        """``True`` in the states in which the wheels follow commands."""
+        """``True`` in READY, ACTIVE and STOPPING, in which the wheels follow commands."""
         return self in (BaseState.READY, BaseState.ACTIVE, BaseState.STOPPING)
 
     @property
     def starts(self) -> bool:
-        """``True`` in the states of the start-up."""
+        """``True`` in the start-up states INIT, PREOP, CONFIG and HOMING."""
         return self in (BaseState.INIT, BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING)

@@ -1,7 +1,8 @@
-"""The states of a base on its buses, and the conditions of each transition.
+"""State machine of a robot base on CAN, with the conditions of each transition.
 
-Start-up, as messages between the driver and one node.  The watchdog of each side starts when it has
-heard the other one:
+The diagram shows the messages between the driver and one node during the start-up.  The node starts
+its watchdog at the first heartbeat of the driver.  The driver starts its watchdog when it has
+received all reports:
 
     state    driver (master)                          node
     INIT     listens 0.25 s; sends nothing      <---  heartbeat 05, if it was running
@@ -23,8 +24,8 @@ heard the other one:
                                                 <---  enabled, in position
     READY    PDO: speed 0                       --->
 
-FAULT and ESTOP are reached from every state, and left by ``reset`` only, to PREOP: every check is
-made again.
+The base can enter FAULT and ESTOP from every state.  Only ``reset`` leaves FAULT and ESTOP.  After
+``reset`` the base enters PREOP, so that all start-up checks are repeated.
 """
 
 from __future__ import annotations
@@ -42,11 +43,15 @@ from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Limits of the state machine, in s.
+    """Times and time limits (s) of the state machine.
 
-    ``listen``: time in INIT.  ``repeat``: time after which an NMT command is repeated.  The others
-    are the longest durations: ``gather`` of PREOP, ``configure`` of CONFIG, ``home`` of homing,
-    ``enable`` of switching the motors on, ``stop`` of the last quick stop.
+    - ``listen``: duration of INIT;
+    - ``gather``: longest duration of PREOP;
+    - ``configure``: longest duration of CONFIG;
+    - ``home``: longest duration of the homing;
+    - ``enable``: longest time to enable all motors;
+    - ``stop``: longest duration of the quick stop at the shutdown;
+    - ``repeat``: time after which an NMT command is repeated.
     """
 
     listen: float = 0.25
@@ -59,11 +64,13 @@ class Times:
 
 
 class BaseStateMachine:
-    """The state machine of a base.
+    """State machine of a robot base on CAN.
 
-    ``reason``: why the state is FAULT or ESTOP.  ``was_ready``: READY was reached once.
-    ``mismatch``: the state is FAULT because the nodes do not match the robot file.
-    ``changed`` is called with the time (s), the new state and the reason.
+    - ``reason``: reason for the state FAULT or ESTOP, empty in other states;
+    - ``was_ready``: ``True`` if the base has been in READY at least once;
+    - ``mismatch``: ``True`` if the state is FAULT because a node does not match the robot file;
+    - ``changed``: callback for each change of state, called with the time (s), the new state and
+      the reason.
     """
 
     def __init__(self, connections: Sequence[BusConnection], times: Times | None = None) -> None:
@@ -71,7 +78,7 @@ class BaseStateMachine:
         self.times = times or Times()
         self.state = BaseState.INIT
         self.since = -math.inf
-        """Time (s) at which the state was entered."""
+        """Time (s) at which the base entered its present state."""
         self.reason = ""
         self.stop_engaged = False
         self.ending = False
@@ -95,17 +102,21 @@ class BaseStateMachine:
     # -- requests ----------------------------------------------------------------------------------
 
     def safety_stop(self, engaged: bool) -> None:
-        """Engages or releases the safety stop; after its release ``reset`` is necessary."""
+        """Engages or releases the safety stop.
+
+        After the release of the safety stop, the base stays in ESTOP until ``reset`` is called.
+        """
         self.stop_engaged = engaged
 
     def fail(self, reason: str) -> None:
-        """Reports a problem that was detected elsewhere; FAULT follows at the next update."""
+        """Reports a problem; the next ``update`` enters FAULT with this reason."""
         self._reported_problem = self._reported_problem or reason
 
     def reset(self, now: float, commanded: bool) -> str:
-        """Leaves FAULT or ESTOP; ``commanded``: a motion is commanded.
+        """Leaves FAULT or ESTOP and restarts the start-up at PREOP.
 
-        Returns the reason for a refusal; empty: the base starts again.
+        ``commanded`` is ``True`` if a motion is commanded; the reset is then refused.  Returns the
+        reason for a refusal, or an empty text if the start-up begins.
         """
         if self.state not in (BaseState.FAULT, BaseState.ESTOP):
             return "there is nothing to reset"
@@ -132,7 +143,10 @@ class BaseStateMachine:
         return ""
 
     def home(self, now: float) -> str:
-        """Homes the steerings again.  Returns the reason for a refusal, or an empty text."""
+        """Starts a new homing of all steering motors.
+
+        Returns the reason for a refusal, or an empty text if the homing starts.
+        """
         if self.state is not BaseState.READY:
             return f"the base is {self.state.value}, not ready"
         for controller in self.controllers:
@@ -141,7 +155,10 @@ class BaseStateMachine:
         return ""
 
     def end(self) -> None:
-        """Starts the shutdown: quick stop, then no torque.  ``ended`` reports its end."""
+        """Starts the shutdown: a quick stop of all motors, then no torque.
+
+        The property ``ended`` becomes ``True`` at the end of the shutdown.
+        """
         self.ending = True
 
     @property
@@ -152,7 +169,10 @@ class BaseStateMachine:
     # -- the control cycle -------------------------------------------------------------------------
 
     def update(self, now: float) -> Intent:
-        """Runs the state machine once; call it after all received frames are decoded."""
+        """Runs one step of the state machine and returns the request to the motor controllers.
+
+        ``update`` must be called after all received frames are decoded.
+        """
         if self.since == -math.inf:
             self._enter(BaseState.INIT, now)
         self._check_problems(now)
@@ -167,9 +187,10 @@ class BaseStateMachine:
         return self.intent
 
     def note_motion(self, now: float, moves: bool, stale: bool) -> None:
-        """Changes between READY, ACTIVE and STOPPING.
+        """Changes between the states READY, ACTIVE and STOPPING.
 
-        ``moves``: the robot moves or is commanded to.  ``stale``: the command is too old.
+        - ``moves``: ``True`` if the robot moves or a motion is commanded;
+        - ``stale``: ``True`` if the commanded twist is too old.
         """
         if not self.state.drives:
             return
@@ -181,7 +202,7 @@ class BaseStateMachine:
 
     @property
     def intent(self) -> Intent:
-        """What is requested of the controllers in this cycle."""
+        """Request to all motor controllers in this control cycle."""
         if self.ending or self.state in (BaseState.FAULT, BaseState.ESTOP):
             return Intent.QUICK_STOP
         if self.state.drives or self._enabling_since is not None:
@@ -190,17 +211,23 @@ class BaseStateMachine:
 
     @property
     def may_send(self) -> bool:
-        """``True`` once INIT has found no other master: before, nothing may be sent."""
+        """``True`` after INIT has detected no other master on the bus.
+
+        During INIT the driver must not send any frame.
+        """
         return self._may_send
 
     @property
     def operational(self) -> bool:
-        """``True`` from NMT start on: SYNC is sent, and the nodes accept PDOs."""
+        """``True`` after the NMT start command: the driver sends SYNC and the nodes accept PDOs."""
         return self._operational
 
     @property
     def may_command(self) -> bool:
-        """``True`` once all controllers match the robot file: commands may be sent."""
+        """``True`` after all motor controllers were found to match the robot file.
+
+        Only then may the driver send commands to the motors.
+        """
         return self._verified
 
     # -- inside ------------------------------------------------------------------------------------
@@ -226,7 +253,7 @@ class BaseStateMachine:
             self.changed(now, state, reason)
 
     def _check_problems(self, now: float) -> None:
-        """Enters ESTOP or FAULT where something requires it, in every state."""
+        """Enters ESTOP or FAULT if the safety stop is engaged or a problem was detected."""
         if self.stop_engaged:
             if self.state is not BaseState.ESTOP:
                 self._enter(BaseState.ESTOP, now, "the safety stop is engaged")
@@ -256,7 +283,7 @@ class BaseStateMachine:
                 return
 
     def _longer_than(self, limit: float, now: float) -> bool:
-        """Returns ``True`` where the state has lasted longer than ``limit`` s."""
+        """Returns ``True`` if the present state has lasted longer than ``limit`` seconds."""
         return now - self.since > limit
 
     def _step_init(self, now: float) -> None:
@@ -264,11 +291,11 @@ class BaseStateMachine:
             self._enter(BaseState.PREOP, now)
 
     def _step_preop(self, now: float) -> None:
-        """Sends NMT commands until every controller is pre-operational."""
+        """Sends NMT commands until every motor controller is pre-operational."""
         restarting, self._to_restart = self._to_restart, []
         for connection, controller in restarting:
             connection.queue_nmt(NmtCommand.RESET_NODE, [controller])
-            # A node that boots does not hear commands.
+            # A node does not receive commands while it boots.
             self._repeat_at = now + 4.0 * self.times.repeat
             self._nmt_sent_at = now
         missing = [
@@ -297,7 +324,11 @@ class BaseStateMachine:
             self._enter(BaseState.FAULT, now, reason)
 
     def _step_config(self, now: float) -> None:
-        """Compares objects, starts the nodes, compares identities, waits for all reports."""
+        """Compares the objects and identities of the nodes with the robot file.
+
+        After the comparison of the objects the nodes are started.  CONFIG ends when all nodes have
+        sent all reports.
+        """
         readbacks = [(n, r) for c in self.connections for n, r in c.readbacks.items()]
         for name, readback in readbacks:
             if readback.problem:
@@ -344,7 +375,7 @@ class BaseStateMachine:
         self._enter(BaseState.FAULT, now, reason)
 
     def _step_homing(self, now: float) -> None:
-        """Homes the steerings, then enables all motors; waits until all wheels are in position."""
+        """Homes the steering, enables all motors and waits until the steering is in position."""
         unhomed = [c.node.name for c in self.controllers if not c.homed]
         if unhomed:
             self._homed_now = True
@@ -370,7 +401,7 @@ class BaseStateMachine:
 
 
 def _not_following(controllers: Sequence[MotorController]) -> str:
-    """Returns the first controller that has left its enabled and homed state; empty: none."""
+    """Returns a message if a motor controller is not enabled and homed, else an empty text."""
     for controller in controllers:
         if not controller.follows or not controller.homed:
             return f"{controller.node.name}: it is no longer enabled and homed"

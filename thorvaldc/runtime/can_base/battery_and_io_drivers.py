@@ -1,4 +1,4 @@
-"""Devices on the bus without motors: batteries and IO boards."""
+"""Drivers of batteries and IO boards on the CAN bus."""
 
 from __future__ import annotations
 
@@ -14,16 +14,23 @@ from thorvaldc.runtime.can_base.motor_controller import MASTER, driver_class, no
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 LOW_CHARGE = 0.1
-"""State of charge (0 to 1) below which a battery has a warning."""
+"""State of charge (0 to 1) below which the driver reports a warning for the battery."""
 _KC_TEMPERATURES = 6
 
 
 @dataclass(slots=True)
 class BatteryState:
-    """Voltage (V), current (A, positive out of the battery), charge and health (0 to 1).
+    """State of a battery in its newest reports; NaN means that no value was reported yet.
 
-    ``temperatures`` in degrees C; NaN: not reported yet.  ``time`` (s) is the time of the newest
-    report.  ``alarms`` are bits that the manufacturer defines.
+    - ``time``: time (s) of the newest report;
+    - ``voltage``: voltage in V;
+    - ``current``: current in A, positive while the battery discharges;
+    - ``charge``, ``health``: state of charge and state of health, 0 to 1;
+    - ``cycles``: number of charge cycles;
+    - ``alarms``: alarm bits that the manufacturer of the battery defines;
+    - ``charge_enabled``, ``discharge_enabled``: ``True`` if the battery allows a current in this
+      direction;
+    - ``temperatures``: temperatures in degrees Celsius.
     """
 
     time: float = -math.inf
@@ -39,26 +46,26 @@ class BatteryState:
 
 
 class BatteryDriver(abc.ABC):
-    """Decodes a battery's reports.
+    """Decodes the reports of a battery.
 
-    A package can offer its own driver under the entry-point group ``thorvaldc.batteries``.
+    A Python package can add a battery driver with the entry-point group ``thorvaldc.batteries``.
     """
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
         self.codecs = node_codecs(bus, node)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
-        """By COB-ID: called with data and time (s) of the newest frame of each cycle."""
+        """Handlers by COB-ID; called once in a cycle with data and time (s) of the newest frame."""
         self.state = BatteryState()
 
     @property
     @abc.abstractmethod
     def warning(self) -> str:
-        """Warning for the operator; empty: none."""
+        """Warning for the operator, or an empty text."""
 
 
 class KcBatteryDriver(BatteryDriver):
-    """The KC battery, which broadcasts three frames; each has its own signals."""
+    """Driver of the KC battery, which broadcasts three different CAN frames."""
 
     def __init__(self, bus: Bus, node: Node) -> None:
         super().__init__(bus, node)
@@ -102,7 +109,7 @@ class KcBatteryDriver(BatteryDriver):
 
 
 class IoBoardDriver:
-    """An IO board: switches its outputs by name, and decodes its reports."""
+    """Driver of an IO board: switches the outputs by name and decodes the reports."""
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
@@ -115,10 +122,10 @@ class IoBoardDriver:
         self.time = -math.inf
         """Time (s) of the newest report."""
         self.reported: dict[str, float] = {}
-        """Signals of the newest report by name."""
+        """Values of the newest report by signal name."""
         properties = dict(node.properties)
         self.outputs: dict[str, bool] = {}
-        """Commanded state of each output."""
+        """Commanded state of each output by name."""
         self._constants: dict[str, float] = {}
         if self._command is not None:
             for signal in self._command.frame.signals:
@@ -128,9 +135,10 @@ class IoBoardDriver:
                     self.outputs[signal.name] = bool(properties.get(f"{signal.name}_at_start"))
 
     def switch(self, name: str, on: bool) -> CanFrame:
-        """Returns the frame that switches an output; other outputs keep their states.
+        """Returns the CAN frame that switches the output ``name`` on or off.
 
-        Raises ``KeyError`` where there is no such output.
+        The other outputs of the IO board keep their states.  Raises ``KeyError`` if the IO board
+        has no output ``name``.
         """
         if name not in self.outputs or self._command is None:
             raise KeyError(name)
@@ -141,11 +149,11 @@ class IoBoardDriver:
 
     @property
     def inputs(self) -> int:
-        """Bits of the inputs in the newest report."""
+        """States of the inputs in the newest report of the IO board, as bits."""
         return int(self.reported.get("inputs", 0))
 
     def reported_output(self, name: str) -> bool | None:
-        """Returns the state of an output in the newest report; ``None``: not reported yet."""
+        """Returns the reported state of an output, or ``None`` if it was not reported yet."""
         state = self.reported.get(f"{name}_state")
         return None if state is None else bool(state)
 
@@ -164,6 +172,6 @@ PLUGINS: PluginTable[BatteryDriver] = PluginTable(
 
 
 def battery_driver(bus: Bus, node: Node) -> BatteryDriver | None:
-    """Returns the driver of a battery; ``None`` for another node or an unknown protocol."""
+    """Returns the battery driver for a node, or ``None`` if no driver supports its protocol."""
     battery = driver_class(PLUGINS, node)
     return None if battery is None else battery(bus, node)

@@ -1,4 +1,4 @@
-"""One bus of the robot with the drivers of its nodes: receives and sends in the control cycle."""
+"""Receives and sends all frames of one CAN bus in the control cycle."""
 
 from __future__ import annotations
 
@@ -36,28 +36,32 @@ from thorvaldc.runtime.can_base.node_watchdog import NodeWatchdog
 from thorvaldc.runtime.can_base.object_readback import ObjectReadback
 
 OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
-"""Occasional frames in a cycle, at most: while the robot stands, and while it drives."""
+"""Largest number of occasional frames in a cycle: at rest, and while the robot drives."""
 RELAYED_PER_CYCLE = 4
-"""Frames passed on to foreign devices in a cycle, at most."""
+"""Largest number of frames in a cycle that are relayed to foreign devices."""
 DEVICE_TIMEOUT = 1.0
-"""s without a report after which a battery or an IO board has a warning."""
+"""Time (s) without a report after which a warning names the battery or IO board."""
 SEND_FAILURES = 3
-"""Cycles in a row with frames that were not sent, from which on this is a problem."""
+"""Number of incomplete cycles in a row after which the robot stops."""
 _ROUNDING = 1e-6
-"""s.  Tolerance for the rounding of times."""
+"""Tolerance (s) for the rounding of times."""
 
 
 class BusConnection:
-    """The master's end of a bus.  Only the thread of the control loop uses it.
+    """One CAN bus with the drivers of its nodes.
 
-    ``not_sent`` counts frames that the interface refused, ``malformed`` received frames that were
-    too short.  ``outbox`` has frames that are sent once, when there is room.
+    Only the thread of the control loop may call the methods.
+
+    - ``outbox``: frames that are sent once, when a cycle has room for the frame;
+    - ``not_sent``: number of frames that the CAN interface did not accept;
+    - ``malformed``: number of received frames that were too short.
     """
 
     def __init__(self, robot: Robot, bus: Bus, interface: CanInterface, *, threaded: bool) -> None:
-        """``threaded``: frames are received in a thread.
+        """Creates a driver for each node on the bus.
 
-        Raises ``DiagnosticError`` (``bus-driver-unknown``) for a motor controller without driver.
+        If ``threaded`` is ``True``, frames are received in a separate thread.  Raises
+        ``DiagnosticError`` (``bus-driver-unknown``) if a motor controller has no driver.
         """
         self.robot = robot
         self.bus = bus
@@ -69,9 +73,9 @@ class BusConnection:
             self._add_driver(node)
         self.relay = Relay(bus)
         self.readbacks: dict[str, ObjectReadback] = {}
-        """By node: comparison of its objects with the robot file."""
+        """Comparison of the objects of a node with the robot file, by name of the node."""
         self.foreign_master = ""
-        """Sign of another master on the bus; empty: none."""
+        """Description of a frame of another master on the bus; empty if there is none."""
         self.outbox: deque[CanFrame] = deque()
         self.not_sent = 0
         self.malformed = 0
@@ -99,7 +103,8 @@ class BusConnection:
             *(pair for board in self.boards for pair in board.handlers.items()),
         ]
         self._handled: dict[int, int] = {}
-        # Only a master sends these identifiers; a received one means that there is another master.
+        # Only a master sends NMT, SYNC and the heartbeat of the master.  If one of these frames is
+        # received, another master is on the bus.
         self._master_names = {NMT: "NMT", SYNC: "SYNC"}
         if self._heartbeat is not None:
             self._master_names[self._heartbeat.cob_id] = "a heartbeat"
@@ -127,7 +132,11 @@ class BusConnection:
     # -- receiving ---------------------------------------------------------------------------------
 
     def receive(self, now: float) -> None:
-        """Decodes all received frames: events in their order, then the newest of each report."""
+        """Decodes all received frames.
+
+        The events are decoded first, in the order of their reception.  Of each report only the
+        newest frame is decoded.
+        """
         self.watchdog.begin_cycle(now)
         for event in self.receiver.drain():
             self._handle_event(event)
@@ -160,7 +169,7 @@ class BusConnection:
             self.foreign_master = f"another master is on the bus: it sends {name} ({cob_id:#05x})"
 
     def problem(self, now: float) -> str:
-        """Returns the first reason to stop the robot; empty: there is none."""
+        """Returns the first reason to stop the robot, or an empty text if there is no reason."""
         if self.receiver.lost:
             return f"the CAN interface of the bus `{self.bus.name}` is lost: {self.receiver.lost}"
         if self.interface.state is ErrorState.BUS_OFF:
@@ -176,7 +185,10 @@ class BusConnection:
         return ""
 
     def silent_devices(self, now: float) -> list[str]:
-        """Returns batteries and IO boards without recent reports: a warning, no reason to stop."""
+        """Returns the names of batteries and IO boards that have stopped sending reports.
+
+        A silent battery or IO board causes a warning, but does not stop the robot.
+        """
         times = [(b.node.name, b.state.time) for b in self.batteries]
         times += [(b.node.name, b.time) for b in self.boards]
         return [name for name, time in times if now - time > DEVICE_TIMEOUT]
@@ -186,15 +198,16 @@ class BusConnection:
     def queue_nmt(
         self, command: NmtCommand, controllers: Sequence[MotorController] | None = None
     ) -> None:
-        """Queues an NMT command for each of the controllers; ``None``: for all.
+        """Queues an NMT command for each motor controller in ``controllers`` (``None``: for all).
 
-        It is not broadcast: foreign devices on the bus may belong to another master.
+        The command is not broadcast, because foreign devices on the bus may belong to another
+        master.
         """
         for controller in controllers if controllers is not None else self.controllers:
             self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
 
     def start_readback(self) -> None:
-        """Starts to compare the objects of the controllers with the robot file."""
+        """Starts the comparison of the objects of all motor controllers with the robot file."""
         self.readbacks = {
             c.node.name: ObjectReadback(*self._sdo[c.node.name], c.expected_objects())
             for c in self.controllers
@@ -202,19 +215,21 @@ class BusConnection:
         }
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
-        """Returns the commands of a cycle in the order of their identifiers.
+        """Returns the motor commands of a cycle in the order of their identifiers.
 
-        Raises ``ValueError`` where a target is not finite.
+        Raises ``ValueError`` if a target value is not finite.
         """
         return sorted(frame for c in self.controllers for frame in c.cyclic_frames(intent, now))
 
     def occasional_frames(
         self, intent: Intent, now: float, commands: bool, driving: bool
     ) -> Iterator[CanFrame]:
-        """Yields the frames that are sent once, no more than a cycle has room for.
+        """Yields the frames of this cycle that are not sent in every cycle.
 
-        First the outbox, then SDO requests, then frames of the controllers in turn; ``commands``
-        ``False``: none of these.
+        The frames of the outbox come first.  SDO requests follow, and then frames of the motor
+        controllers in turn.  The number of frames is at most ``OCCASIONAL_DRIVING`` if ``driving``
+        is ``True``, else ``OCCASIONAL_AT_REST``.  If ``commands`` is ``False``, no frames of the
+        motor controllers are sent.
         """
         room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
         while room > 0 and self.outbox:
@@ -237,7 +252,11 @@ class BusConnection:
                 yield frame
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Sends a frame; waits at most ``timeout`` s for room.  Returns whether it is queued."""
+        """Puts a frame into the send queue of the CAN interface.
+
+        Waits at most ``timeout`` seconds while the send queue is full.  Returns ``True`` if the
+        frame is queued.
+        """
         queued = False
         if not self.receiver.lost:
             try:
@@ -258,12 +277,17 @@ class BusConnection:
             self.relay.count_sent(frame, self.send(CanFrame(frame.id, frame.data)))
 
     def send_heartbeat(self, now: float, operational: bool) -> None:
-        """Sends the master's heartbeat where it is due; ``operational``: the state in it."""
+        """Sends the heartbeat of the master if the heartbeat period has passed.
+
+        The heartbeat reports the NMT state operational if ``operational`` is ``True``, else
+        pre-operational.
+        """
         frame = self._heartbeat
         if frame is None or now < self._heartbeat_due - _ROUNDING:
             return
         period = frame.period or 0.1
-        # After a gap, and at the first one, the period starts anew: nothing is caught up.
+        # For the first heartbeat and after a gap, the period starts at `now`.  Missed heartbeats
+        # are not sent later.
         restart = now - self._heartbeat_due > period / 2.0
         self._heartbeat_due = (now if restart else self._heartbeat_due) + period
         state = NmtState.OPERATIONAL if operational else NmtState.PRE_OPERATIONAL
@@ -275,6 +299,6 @@ class BusConnection:
 
 
 def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:
-    """Returns request and response."""
+    """Returns the definitions of the SDO request and the SDO response of a node."""
     frames = [f for f in bus.frames if f.kind == "sdo" and node in (f.producer, *f.consumers)]
     return sorted(frames, key=lambda f: f.producer != MASTER)

@@ -1,6 +1,6 @@
-"""The base of a robot on its CAN buses: joints in, joints out.
+"""Reads and commands the joints of a robot base over CAN.
 
-One control cycle of 20 ms (the sync period), on the bus:
+The control cycle lasts 20 ms (the sync period).  The diagram shows one control cycle on the bus:
 
     0 ms                                                                              20 ms
     |-----------------------------------------------------------------------------------|
@@ -11,14 +11,16 @@ One control cycle of 20 ms (the sync period), on the bus:
     (driver) ramps and calculator turn the twist into joint commands
     write    the frames are sent
 
-Commands are sent in the order of their identifiers, which is also their order by arbitration.  SYNC
-follows all commands: CiA 402 drives apply them together at SYNC, and send their reports after it.
-(The Roboteq script applies a command when it comes, and reports by its own period.)  The master's
-heartbeat is sent only after a complete cycle.
+The driver sends the commands in the order of their identifiers, which is also the order of the bus
+arbitration.  SYNC follows the last command.  CiA 402 drives apply all commands together at SYNC,
+and send their reports after SYNC.  The Roboteq script applies each command on arrival, and sends
+its reports with its own period.  The driver sends the heartbeat of the master only after a complete
+cycle.
 
-Nothing is sent by timers.  If the loop hangs, or a cycle cannot be sent, the heartbeat is missing,
-and every node stops by its own watchdog: CiA 402 drives by their heartbeat consumer (0x1016), the
-Roboteq script 0.5 s after the last new sequence number.
+No frame is sent by a timer.  If the control loop hangs or a cycle cannot be sent, the heartbeat of
+the master is missing.  Then each node stops its motors with its own watchdog.  The watchdog of a
+CiA 402 drive is the heartbeat consumer (object 0x1016).  The Roboteq script stops the motors 0.5 s
+after the last new sequence number.
 """
 
 from __future__ import annotations
@@ -38,14 +40,15 @@ from thorvaldc.runtime.can_base.motor_controller import Intent
 from thorvaldc.runtime.can_base.node_watchdog import REPORT_TIMEOUT
 
 SEND_TIME = 0.25
-"""Largest share of a cycle for which one frame may wait for room in the send queue."""
+"""Longest waiting time of one frame for room in the send queue, as a share of the cycle."""
 
 
 class CanBase(BaseHandle):
-    """Measures and commands the joints over CAN.
+    """A robot base whose joints are measured and commanded over CAN.
 
-    ``read`` decodes the received frames; ``write`` sends the frames of a cycle.  ``state_machine``
-    decides whether the base drives.  A stop in software is not a safety function.
+    ``read`` decodes the received frames, and ``write`` sends the frames of a cycle.  The state
+    machine of the base decides whether the motors follow the commands.  A software stop is not a
+    safety function.
     """
 
     def __init__(
@@ -56,19 +59,23 @@ class CanBase(BaseHandle):
         threaded: bool = True,
         times: Times | None = None,
     ) -> None:
-        """``interfaces``: the CAN interface of each bus by its name; all have the same clock.
+        """Creates the drivers of all nodes on the buses of ``robot``.
 
-        ``threaded``: each interface is read by a thread of its own; in virtual time this is not
-        possible.
+        - ``interfaces``: CAN interface of each bus, by name of the bus; all interfaces must use the
+          same clock;
+        - ``threaded``: ``True`` if a separate thread receives from each CAN interface, which is not
+          possible in virtual time;
+        - ``times``: time limits of the state machine.
 
-        Raises ``DiagnosticError`` (``bus-driver-unknown``, ``bus-motor-unconnected``,
-        ``bus-missing``) for a robot whose buses do not reach all motors of the base.
+        Raises ``DiagnosticError`` if the robot has no bus (``bus-missing``), if a motor of the base
+        is not connected to a bus (``bus-motor-unconnected``), or if a motor controller has no
+        driver (``bus-driver-unknown``).
         """
         require_bus(robot)
         _require_connected_motors(robot)
         self.robot = robot
         self.period = min(bus.sync_period for bus in robot.buses)
-        """s of a control cycle."""
+        """Duration (s) of a control cycle."""
         self.connections: list[BusConnection] = []
         try:
             for bus in robot.buses:
@@ -81,11 +88,11 @@ class CanBase(BaseHandle):
             raise
         self.state_machine = BaseStateMachine(self.connections, times)
         self.armed = False
-        """``True`` once no motion was commanded while the base was ready."""
+        """``True`` if the base may follow commands; see ``arm``."""
         self.cycles = 0
-        """Number of cycles that were sent completely."""
+        """Number of control cycles whose frames were all sent."""
         self.incomplete = 0
-        """Number of other cycles."""
+        """Number of control cycles with a frame that was not sent."""
         self._axes = [axis for c in self.state_machine.controllers for axis in c.axes]
         self._wheels = len(robot.wheels)
         self._turning = False
@@ -104,13 +111,14 @@ class CanBase(BaseHandle):
 
     @property
     def standing(self) -> bool:
-        """``True`` where no wheel turns and none is commanded to turn."""
+        """``True`` if no wheel turns and no wheel is commanded to turn."""
         return not self._turning and all(c.standing for c in self.state_machine.controllers)
 
     def read(self, now: float) -> JointStates:
-        """Returns the measured joints; NaN where the newest report is too old.
+        """Decodes the received frames and returns the measured joint states.
 
-        ``time`` is the mean of the times at which the motors were measured.
+        The value of a joint is NaN if the newest report of its motor is too old.  The time of the
+        joint states is the mean measurement time of all motors.
         """
         for connection in self.connections:
             connection.receive(now)
@@ -132,9 +140,9 @@ class CanBase(BaseHandle):
         return JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
 
     def arm(self, commanded: bool) -> None:
-        """Notes whether a motion is commanded: the base follows only after a pause of commands.
+        """Allows motion if the base is ready and no motion is commanded (``commanded`` ``False``).
 
-        So a joystick that is deflected while the base starts does not move the robot.
+        A joystick that is already deflected during the start-up therefore does not move the robot.
         """
         if self.state_machine.state.drives and not commanded:
             self.armed = True
@@ -169,7 +177,10 @@ class CanBase(BaseHandle):
     # -- inside --------------------------------------------------------------------------------
 
     def _set_targets(self, commands: JointCommands) -> bool:
-        """Sets the targets of all axes; returns ``False`` and sets none where one is not finite."""
+        """Sets the target values of all motors.
+
+        Returns ``False`` and changes no target if a command is not a finite number.
+        """
         targets = [
             (commands.angles if axis.steering else commands.speeds)[axis.wheel]
             for axis in self._axes
@@ -181,7 +192,7 @@ class CanBase(BaseHandle):
         return True
 
     def _send_cycle(self, connection: BusConnection, intent: Intent, now: float) -> bool:
-        """Sends the frames of a cycle on one bus; returns whether all were sent."""
+        """Sends the frames of a cycle on one bus and returns ``True`` if all frames were sent."""
         state_machine = self.state_machine
         complete = True
         if state_machine.operational:
@@ -196,7 +207,8 @@ class CanBase(BaseHandle):
                 if not connection.send(frame, self._send_timeout):
                     complete = False
                     break
-            # Without SYNC the drives do not apply half of the commands.
+            # SYNC is omitted if a command is missing, so that no drive applies an incomplete set of
+            # commands.
             complete = complete and connection.send_sync(self._send_timeout)
         driving = state_machine.state.drives
         for frame in connection.occasional_frames(intent, now, state_machine.may_command, driving):
@@ -207,7 +219,7 @@ class CanBase(BaseHandle):
 
 
 def _require_connected_motors(robot: Robot) -> None:
-    """Raises ``DiagnosticError`` for a motor of the base that no node on a bus moves."""
+    """Raises ``DiagnosticError`` if a motor of the base is not connected to a node on a bus."""
     joints = {w.spin_joint for w in robot.wheels if w.driven}
     joints |= {w.steering_joint for w in robot.wheels if w.steering_joint is not None}
     connected = {

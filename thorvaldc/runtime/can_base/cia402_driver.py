@@ -1,4 +1,4 @@
-"""Motor controllers of the drive profile CiA 402 on CANopen, with one axis or several."""
+"""Driver of CANopen motor controllers with the drive profile CiA 402."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorContr
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 HOMING_SETTLED = 3
-"""Cycles after the start of a homing during which the drive may still report the last homing."""
+"""Number of cycles after the start of a homing in which the homing result is ignored.
+
+In these cycles a drive may still report the result of the previous homing."""
 RESET_CYCLES = 5
-"""Cycles that a drive has to leave FAULT after a reset."""
+"""Number of cycles in which a drive must leave the state FAULT after a fault reset."""
 
 _FAULT_STATES = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 _STEPS_TO_ENABLED = {
@@ -34,14 +36,14 @@ _STEPS_TO_ENABLED = {
     DriveState.READY_TO_SWITCH_ON: ControlWord.SWITCH_ON,
     DriveState.SWITCHED_ON: ControlWord.ENABLE_OPERATION,
 }
-"""The control word that leads from each state to the next one, up to OPERATION_ENABLED."""
+"""Control word for the next step to OPERATION_ENABLED, by power state of the drive."""
 
 
 class _AxisStateMachine:
-    """Power state machine of one axis, as the master operates it.
+    """Steps the power state machine of one motor through control word and status word.
 
-    ``mode`` is the mode of operation in which the axis drives, ``reported_mode`` that of its last
-    report (0x6061).
+    - ``mode``: mode of operation in which the motor follows its target;
+    - ``reported_mode``: mode of operation in the newest report of the drive (object 0x6061).
     """
 
     def __init__(self, axis: Axis, mode: int) -> None:
@@ -69,11 +71,11 @@ class _AxisStateMachine:
 
     @property
     def may_recover(self) -> bool:
-        """``True`` while a reset of the drive's fault is still to come or under way."""
+        """``True`` if a fault reset is still allowed or in progress."""
         return self.reset_allowed or self.reset_cycles > 0
 
     def update(self, status_word: int, mode: int | None) -> None:
-        """Stores a report, and evaluates the end of a homing."""
+        """Stores a report of the drive and detects the end of a homing."""
         self.status_word = status_word
         if mode is not None:
             self.reported_mode = mode
@@ -91,7 +93,7 @@ class _AxisStateMachine:
             self.axis.target = self.axis.position
 
     def command(self, intent: Intent) -> tuple[int, int]:
-        """Returns control word and mode of operation of this cycle."""
+        """Returns the control word and the mode of operation to send in this cycle."""
         homes = intent is Intent.HOME and not self.axis.homed
         mode = Mode.HOMING if homes else self.mode
         if not homes:
@@ -104,7 +106,7 @@ class _AxisStateMachine:
             return ControlWord.QUICK_STOP if self.enabled else ControlWord.DISABLE_VOLTAGE, mode
         if self.state in _STEPS_TO_ENABLED:
             return _STEPS_TO_ENABLED[self.state], mode
-        if not self.enabled:  # also after a quick stop: first back to SWITCH_ON_DISABLED
+        if not self.enabled:  # after a quick stop the drive must first return to SWITCH_ON_DISABLED
             return ControlWord.DISABLE_VOLTAGE, mode
         self.reset_allowed, self.reset_cycles = False, 0
         word: int = ControlWord.ENABLE_OPERATION
@@ -113,14 +115,19 @@ class _AxisStateMachine:
                 word |= START_HOMING
                 self.homing_cycles += 1
         elif mode == Mode.PROFILE_POSITION and self.reported_mode == mode:
-            # The drive takes a set-point at the rising edge of this bit.  The edge comes every
-            # second cycle, with the latest target: a lost frame is made up for by the next one.
+            # The drive accepts a new set-point at the rising edge of the bit NEW_SET_POINT.  The
+            # master sends a rising edge with the latest target in every second cycle, so one lost
+            # frame only delays the target.
             self.set_point_bit = not self.set_point_bit
             word |= CHANGE_IMMEDIATELY | (NEW_SET_POINT if self.set_point_bit else 0)
         return word, mode
 
     def _reset_once(self) -> ControlWord:
-        """A reset is a rising edge; one is allowed at the start, and one for each request."""
+        """Returns the control word of a drive in FAULT: ``FAULT_RESET`` or ``DISABLE_VOLTAGE``.
+
+        The drive resets a fault at a rising edge of the bit.  One reset is allowed at the start-up
+        and one for each ``reset`` by the operator.
+        """
         if self.reset_allowed:
             self.reset_allowed, self.reset_cycles = False, RESET_CYCLES
             return ControlWord.FAULT_RESET
@@ -129,11 +136,13 @@ class _AxisStateMachine:
 
 
 class Cia402Controller(MotorController):
-    """A drive of one axis or several.  Its signals are named after channel and object.
+    """Driver of a CiA 402 motor controller with one or more channels.
 
-    Commands: ``<channel>_controlword``, ``_mode_of_operation``, ``_target_velocity`` or
-    ``_target_position``.  Reports: ``_statusword``, ``_mode_of_operation_display``, ``_velocity``
-    or ``_position``.
+    The name of each signal is the name of the channel, an underscore and the name of the object.
+    The command signals are ``<channel>_controlword``, ``<channel>_mode_of_operation``, and
+    ``<channel>_target_velocity`` or ``<channel>_target_position``.  The report signals are
+    ``<channel>_statusword``, ``<channel>_mode_of_operation_display``, ``<channel>_velocity`` and
+    ``<channel>_position``.
     """
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
@@ -158,7 +167,10 @@ class Cia402Controller(MotorController):
                 self._add_handler(codec)
 
     def _add_handler(self, codec: FrameCodec) -> None:
-        """Decodes the reports of a frame; the indices of its signals are looked up once."""
+        """Adds a handler for the reports in the frame of ``codec``.
+
+        The signal indices are looked up here, not in every control cycle.
+        """
         readers = []
         for machine in self._machines:
             channel, indices = machine.axis.channel, codec.indices
@@ -245,7 +257,8 @@ class Cia402Controller(MotorController):
             axis = machine.axis
             follows = intent is Intent.FOLLOW and machine.enabled
             if axis.steering and not follows and math.isfinite(axis.position):
-                # The steering must not jump to an old target when the drive is enabled.
+                # The steering must not jump to an old target when the drive is enabled.  So the
+                # target is the measured angle while the drive is not enabled.
                 axis.target = axis.position
             target = axis.target if axis.steering or follows else 0.0
             values = [

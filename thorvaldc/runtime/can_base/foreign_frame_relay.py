@@ -1,18 +1,19 @@
 """Relays frames between other programs and foreign devices on the robot's bus.
 
-Only frames that the robot file lists pass, and each no more often than its rate.
+The relay passes only frames whose identifiers the robot file lists.  The robot file can also state
+a minimum interval between the frames of an identifier.
 
-Rate rule.  Frames of an identifier with interval T are expected at due times.  A frame may arrive
-up to T/2 before the next due time; an earlier one is dropped.  Each passed frame moves the due time
-by T, from the old due time or from its arrival, whichever is later:
+The relay limits the rate of an identifier with the minimum interval T by a due time.  A frame is
+dropped if it arrives more than T/2 before the due time.  After each passed frame the new due time
+is the later one of old due time and arrival time, plus T:
 
     due times   |                   |                   |                   |
     arrivals    x         x    -               x             -      x
 
-    x passes; - is dropped: the next due time is more than T/2 away
+    x: the frame passes;  -: the frame is dropped, because the due time is more than T/2 away
 
-So jitter of half a period does no harm.  The mean rate never exceeds 1/T, because an early frame
-does not make the next due time earlier.
+So the relay tolerates a jitter of half an interval.  The mean rate never exceeds 1/T, because the
+due time after an early frame is counted from the old due time, not from the early arrival.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from thorvaldc.model.bus import Bus
 from thorvaldc.runtime.can_base.motor_controller import MASTER
 
 QUEUE_LIMIT = 64
-"""Frames that wait in each direction."""
+"""Size of the queue in each direction, in frames."""
 _ROUNDING = 1e-6
-"""s.  Tolerance for the rounding of times."""
+"""Tolerance (s) for the rounding of times."""
 
 
 class RelayedFrame(NamedTuple):
-    """A frame from a foreign device, and the time (s) at which it came."""
+    """A CAN frame from a foreign device, with its time of reception (s)."""
 
     time: float
     cob_id: int
@@ -39,10 +40,11 @@ class RelayedFrame(NamedTuple):
 
 
 class Relay:
-    """The relay of one bus.
+    """Relays frames between other programs and the foreign devices on one bus.
 
-    ``dropped`` counts the frames that did not pass, by identifier and reason: ``not allowed``,
-    ``too often``, ``too long``, ``muted``, ``queue full``, ``not sent``.
+    ``passed`` counts the relayed frames by identifier.  ``dropped`` counts the dropped frames by
+    identifier and reason: ``not allowed``, ``too often``, ``too long``, ``muted``, ``queue full``,
+    ``not sent``.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -57,9 +59,9 @@ class Relay:
         self._due: dict[int, float] = {}
 
     def offer(self, frame: CanFrame, now: float) -> str:
-        """Queues a frame for a foreign device.
+        """Queues a frame from another program for a foreign device.
 
-        Returns the reason why it is dropped; empty: it will be sent.
+        Returns the reason if the frame is dropped, or an empty text if the frame is queued.
         """
         definition = self.to_device.get(frame.id)
         reason = ""
@@ -80,7 +82,10 @@ class Relay:
         return reason
 
     def take(self, cob_id: int, data: bytes, time: float) -> None:
-        """Queues a frame that a foreign device has sent; a full queue drops its oldest frame."""
+        """Queues a received frame of a foreign device for other programs.
+
+        If the queue is full, the oldest frame in the queue is dropped.
+        """
         definition = self.from_device.get(cob_id)
         if definition is None:
             return
@@ -94,30 +99,40 @@ class Relay:
         self.passed[cob_id] += 1
 
     def next_outgoing(self) -> CanFrame | None:
-        """Removes and returns the oldest frame to send; ``None``: there is none."""
+        """Removes and returns the oldest frame to send, or ``None`` if the queue is empty."""
         return self._outgoing.popleft() if self._outgoing else None
 
     def count_sent(self, frame: CanFrame, sent: bool) -> None:
-        """Counts a frame of ``next_outgoing``; ``sent`` ``False``: the send queue was full."""
+        """Counts a frame of ``next_outgoing`` as passed or dropped.
+
+        ``sent`` is ``False`` if the CAN interface did not accept the frame.
+        """
         if sent:
             self.passed[frame.id] += 1
         else:
             self.dropped[frame.id, "not sent"] += 1
 
     def received(self) -> list[RelayedFrame]:
-        """Removes and returns the frames of foreign devices since the last call."""
+        """Returns the frames received from foreign devices since the last call of ``received``."""
         frames = list(self._incoming)
         self._incoming.clear()
         return frames
 
     def mute(self, muted: bool) -> None:
-        """Sends nothing to foreign devices while ``muted``; drops the frames that wait."""
+        """Starts or ends the muting of the relay.
+
+        While the relay is muted, no frames are sent to foreign devices, and queued frames are
+        dropped.
+        """
         self.muted = muted
         while muted and self._outgoing:
             self.dropped[self._outgoing.popleft().id, "muted"] += 1
 
     def _within_rate(self, cob_id: int, interval: float | None, now: float) -> bool:
-        """Applies the rate rule; ``interval`` (s), ``None``: without limit."""
+        """Returns ``True`` if a frame passes the rate limit, and updates the due time.
+
+        ``interval`` is the minimum interval (s) between two frames, or ``None`` for no limit.
+        """
         if interval is None:
             return True
         due = self._due.get(cob_id, now)

@@ -1,4 +1,4 @@
-"""Receives from a CAN interface: the newest frame of each identifier, and a queue of events."""
+"""Receives frames from a CAN interface for the control cycle."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.nanoseconds import NANOSECONDS
 
 EVENT_LIMIT = 512
-"""Events that wait for the control cycle."""
+"""Size of the event queue, in frames."""
 _STOP_CHECK = 0.1
-"""s between two checks of the thread whether it must stop."""
+"""Time (s) after which the receiving thread checks whether it must stop."""
 
 
 class Event(NamedTuple):
-    """A frame whose every occurrence matters: a heartbeat, an EMCY, an SDO response."""
+    """A received frame of a kind of which every frame is evaluated, such as heartbeat or EMCY."""
 
     time: float
     cob_id: int
@@ -26,7 +26,12 @@ class Event(NamedTuple):
 
 
 class LatestFrame(NamedTuple):
-    """The newest frame of an identifier.  ``time`` (s); ``number`` counts its frames from 1."""
+    """The newest received frame of an identifier.
+
+    - ``time``: time of reception (s);
+    - ``data``: data bytes of the frame;
+    - ``number``: number of frames received with this identifier.
+    """
 
     time: float
     data: bytes
@@ -34,12 +39,15 @@ class LatestFrame(NamedTuple):
 
 
 class FrameReceiver:
-    """Takes frames from a CAN interface, in a thread of its own or in ``drain``.
+    """Receives frames from a CAN interface, in a separate thread or in the method ``drain``.
 
-    ``latest`` has the newest frame of each identifier: of a report only the newest matters.  Frames
-    whose identifiers are in ``events`` also wait in a queue, where none replaces another; a full
-    queue drops the oldest and counts it in ``dropped``.  Extended and remote frames are not
-    CANopen: they are only counted, in ``ignored``.
+    - ``latest``: newest frame of each identifier, which is sufficient for periodic reports;
+    - ``received``: number of received data frames with standard identifier;
+    - ``dropped``: number of events that were lost because the event queue was full;
+    - ``ignored``: number of extended and remote frames, which CANopen does not use.
+
+    Frames whose identifiers are in the parameter ``events`` are also put into the event queue.  If
+    the event queue is full, the oldest event is dropped.
     """
 
     def __init__(
@@ -51,7 +59,7 @@ class FrameReceiver:
         self.dropped = 0
         self.ignored = 0
         self.lost: str = ""
-        """Reason why the interface is lost; empty: it works."""
+        """Reason why the CAN interface is lost; empty if the CAN interface works."""
         self._event_ids = frozenset(events)
         self._events: deque[Event] = deque()
         self._limit = limit
@@ -60,7 +68,7 @@ class FrameReceiver:
         self._stopping = threading.Event()
 
     def start(self) -> None:
-        """Starts to receive in a thread."""
+        """Starts the thread that receives frames."""
         self._thread = threading.Thread(target=self._run, name="CAN receiver", daemon=True)
         self._thread.start()
 
@@ -71,9 +79,10 @@ class FrameReceiver:
             self._thread = None
 
     def drain(self) -> list[Event]:
-        """Returns the events since the last call, the oldest first.
+        """Returns the events since the last call of ``drain``, the oldest event first.
 
-        Without a thread it first receives all frames that wait at the interface.
+        If the receiving thread was not started, ``drain`` first receives all frames from the CAN
+        interface.
         """
         if self._thread is None and not self.lost:
             try:

@@ -1,4 +1,4 @@
-"""The interface of all motor controller drivers, and the table of drivers by protocol."""
+"""Base class of all motor controller drivers, and the table of drivers by protocol."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 T = TypeVar("T")
 MASTER = "master"
-"""Name of the base driver among the producers and consumers of frames."""
+"""Name of the base driver as a producer or consumer of frames."""
 STANDING = 0.02
-"""rad/s.  A slower wheel or steering counts as standing."""
+"""Speed (rad/s) below which a wheel or a steering joint counts as standing."""
 IN_POSITION = 0.01
-"""rad.  A steering this close to its target has reached it."""
+"""Largest deviation (rad) of a steering joint that has reached its target angle."""
 
 
 class Intent(enum.Enum):
-    """What the base requests of every controller in a cycle.
+    """Request of the base to every motor controller in a control cycle.
 
-    ``OFF``: no torque.  ``HOME``: the steering finds its home position, the wheels stand.
-    ``FOLLOW``: wheel speeds and steering angles follow their targets.
-    ``QUICK_STOP``: wheels stop as fast as the controller's ramps allow, steering angles are held;
-    then no torque.
+    - ``OFF``: the motors have no torque;
+    - ``HOME``: the steering motors search their home positions and the wheels stand;
+    - ``FOLLOW``: wheel speeds and steering angles follow their targets;
+    - ``QUICK_STOP``: the wheels stop with the steepest ramp of the motor controller and the
+      steering angles are held; after the stop the motors have no torque.
     """
 
     OFF = "off"
@@ -40,10 +41,16 @@ class Intent(enum.Enum):
 
 
 class Axis:
-    """A motor of the base: measurement and target, at the joint (rad, rad/s).
+    """Measurement and target of one motor of the base, at its joint.
 
-    ``wheel`` is the index in ``Robot.wheels``.  ``time`` (s) is the time of the measurement; NaN
-    position and velocity: not measured yet.  ``target`` is a wheel speed or a steering angle.
+    - ``wheel``: index of the wheel in ``Robot.wheels``;
+    - ``channel``: name of the motor controller's channel;
+    - ``steering``: ``True`` for a steering motor, ``False`` for a propulsion motor;
+    - ``time``: time (s) of the newest measurement;
+    - ``position``: joint position in rad, NaN before the first measurement;
+    - ``velocity``: joint velocity in rad/s, NaN before the first measurement;
+    - ``target``: commanded wheel speed (rad/s) or steering angle (rad);
+    - ``homed``: ``True`` if the zero position of the joint is known.
     """
 
     def __init__(self, actuator: Actuator, wheel: int, channel: str) -> None:
@@ -59,26 +66,30 @@ class Axis:
         self.homed = not self.steering
 
     def update(self, time: float, position: float, velocity: float | None = None) -> None:
-        """Stores a measurement; ``velocity`` ``None``: computed from the last two positions."""
+        """Stores a measurement.
+
+        If ``velocity`` is ``None``, the velocity is computed from the last two positions.
+        """
         if velocity is None:
             dt = time - self.time
             velocity = (position - self.position) / dt if 0.0 < dt < 1.0 else 0.0
         self.time, self.position, self.velocity = time, position, velocity
 
     def lose_reference(self) -> None:
-        """The controller restarted: the zero of a steering is unknown."""
+        """Marks a steering motor as not homed after a restart of the motor controller."""
         self.homed = not self.steering
         self.target = 0.0
 
 
 class MotorController(abc.ABC):
-    """Driver of a node with motors of the base.
+    """Base class of the driver of a motor controller on the CAN bus.
 
-    A driver sends nothing itself: it returns the frames to send, and ``CanBase`` sends them in
-    the control cycle.  It receives frames by its ``handlers``.
+    A driver never sends frames.  The methods of a driver return the frames to send, and ``CanBase``
+    sends the frames in the control cycle.  Received frames are passed to the functions in
+    ``handlers``.  All times are in seconds.
 
-    A package can offer its own driver under the entry-point group ``thorvaldc.motor_controllers``,
-    by the name of the node's protocol.  All times in s.
+    A Python package can add a driver with the entry-point group ``thorvaldc.motor_controllers``.
+    The name of the entry point is the protocol of the node.
     """
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
@@ -87,7 +98,7 @@ class MotorController(abc.ABC):
         self.codecs = node_codecs(bus, node)
         self.axes = tuple(_axes(robot, node))
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
-        """By COB-ID: called with data and time (s) of the newest frame of each cycle."""
+        """Handlers by COB-ID; called once in a cycle with data and time (s) of the newest frame."""
         self.error_code = 0
         """Error code of the last EMCY message; 0: no error."""
 
@@ -97,51 +108,58 @@ class MotorController(abc.ABC):
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
         """Returns the frames that are sent in every control cycle.
 
-        Raises ``ValueError`` where a target is not finite.
+        Raises ``ValueError`` if a target value is not finite.
         """
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
-        """Returns one more frame to send, or ``None``; a cycle has room for few of them."""
+        """Returns a frame that is not sent in every cycle, or ``None``.
+
+        A control cycle has room for only a few occasional frames on each bus.
+        """
         return None
 
     @property
     @abc.abstractmethod
     def follows(self) -> bool:
-        """``True`` where all motors are powered and follow their targets."""
+        """``True`` if all motors are powered and follow their targets."""
 
     @property
     @abc.abstractmethod
     def is_off(self) -> bool:
-        """``True`` where no motor has torque, as far as the controller reports it."""
+        """``True`` if no motor has torque, as far as the motor controller reports the torque."""
 
     @property
     @abc.abstractmethod
     def problem(self) -> str:
-        """Device errors that must stop the robot; empty: none."""
+        """Device errors that must stop the robot, or an empty text."""
 
     @property
     def power_loss(self) -> str:
-        """Reason why the power stage is off (a pressed emergency stop); empty: it has power."""
+        """Reason why the power stage is off, or an empty text if the power stage is on.
+
+        The most common reason is a pressed emergency stop button.
+        """
         return ""
 
     def identity_mismatch(self) -> str | None:
-        """Mismatch between the device's identity and the robot file.
+        """Returns the mismatch between the identity of the device and the robot file.
 
-        Empty: it matches.  ``None``: the device has not reported its identity yet.
+        Returns an empty text if the identity matches.  Returns ``None`` if the device has not
+        reported its identity yet.
         """
         return ""
 
     def expected_objects(self) -> Iterator[ObjectValue]:
-        """Yields the objects whose values must match before the robot may drive."""
+        """Yields the objects whose values in the device must match the robot file."""
         return iter(())
 
     @abc.abstractmethod
     def allow_reset(self) -> None:
-        """Allows one reset of a device error: the operator has requested it."""
+        """Allows one reset of a device error, after a request of the operator."""
 
     @property
     def needs_restart(self) -> bool:
-        """``True`` where only an NMT reset clears the device error."""
+        """``True`` if only an NMT reset of the node clears the device error."""
         return False
 
     # -- common ------------------------------------------------------------------------------------
@@ -152,12 +170,12 @@ class MotorController(abc.ABC):
 
     @property
     def standing(self) -> bool:
-        """``True`` where no wheel is known to turn."""
+        """``True`` if no wheel turns faster than ``STANDING``; unmeasured wheels are ignored."""
         return all(not abs(axis.velocity) > STANDING for axis in self.axes if not axis.steering)
 
     @property
     def in_position(self) -> bool:
-        """``True`` where every steering has reached its target and stands."""
+        """``True`` if every steering joint has reached its target angle and stands."""
         return all(
             abs(axis.position - axis.target) < IN_POSITION and abs(axis.velocity) < STANDING
             for axis in self.axes
@@ -165,18 +183,18 @@ class MotorController(abc.ABC):
         )
 
     def handle_restart(self) -> None:
-        """Resets the driver's state after a boot-up message of the node."""
+        """Resets the state of the driver after a boot-up message of the node."""
         self.error_code = 0
         for axis in self.axes:
             axis.lose_reference()
 
     def discard_home(self, now: float) -> None:
-        """Marks the steering as not homed, so that the next ``HOME`` finds its home position."""
+        """Marks all steering motors as not homed, so that the next ``HOME`` starts a homing."""
         for axis in self.axes:
             axis.homed = not axis.steering
 
     def hold(self) -> None:
-        """Sets the targets to the present steering angles and to wheels at rest."""
+        """Sets the target angles to the measured steering angles and the target speeds to 0."""
         for axis in self.axes:
             if axis.steering:
                 axis.target = axis.position if math.isfinite(axis.position) else 0.0
@@ -184,25 +202,27 @@ class MotorController(abc.ABC):
                 axis.target = 0.0
 
     def straighten(self) -> None:
-        """Sets the targets to steering straight ahead and to wheels at rest."""
+        """Sets all target steering angles and all target wheel speeds to 0."""
         for axis in self.axes:
             axis.target = 0.0
 
     def setting_frame(self, name: str, value: float) -> CanFrame:
-        """Returns the frame that writes one of the controller's settings, in its units.
+        """Returns the CAN frame that changes a setting of the motor controller.
 
-        Raises ``ValueError`` where it has no such setting or does not accept the value.
+        ``value`` is in the unit that the motor controller uses for the setting.  Raises
+        ``ValueError`` if the setting ``name`` does not exist or does not accept the value.
         """
         raise ValueError(f"{self.node.name} has no setting `{name}`")
 
     def setting_names(self) -> tuple[str, ...]:
-        """Returns the names that ``setting_frame`` accepts."""
+        """Returns the names of the settings that ``setting_frame`` can change."""
         return ()
 
     def set_zero_frame(self) -> CanFrame | None:
-        """Returns the frame that makes the present steering angle 0 from the next homing on.
+        """Returns the CAN frame that defines the present steering angle as zero.
 
-        ``None`` where the controller has no such setting.
+        The new zero angle is valid after the next homing.  Returns ``None`` if the motor controller
+        does not support a change of the zero angle.
         """
         return None
 
@@ -211,9 +231,9 @@ class MotorController(abc.ABC):
 
 
 def node_codecs(bus: Bus, node: Node) -> dict[str, FrameCodec]:
-    """Returns the codecs of the frames that a node sends or that the master sends to it alone.
+    """Returns the codecs of the frames from a node and of the frames to this node only.
 
-    The keys are the names of the frames without the name of the node: ``tpdo1``.
+    The keys are the names of the frames without the name of the node, for example ``tpdo1``.
     """
     return {
         frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
@@ -224,7 +244,7 @@ def node_codecs(bus: Bus, node: Node) -> dict[str, FrameCodec]:
 
 
 def _axes(robot: Robot, node: Node) -> Iterator[Axis]:
-    """Yields an axis for each channel of the node whose motor moves a wheel or a steering."""
+    """Yields an ``Axis`` for each channel of the node that drives or steers a wheel."""
     wheels: dict[str, int] = {}
     for i, wheel in enumerate(robot.wheels):
         wheels[wheel.spin_joint] = i
@@ -253,9 +273,9 @@ PLUGINS: PluginTable[MotorController] = PluginTable(
 
 
 def controller_class(node: Node) -> type[MotorController]:
-    """Returns the motor controller class for a node's protocol.
+    """Returns the class of the motor controller driver for the protocol of a node.
 
-    Raises ``DiagnosticError`` (``bus-driver-unknown``).
+    Raises ``DiagnosticError`` (``bus-driver-unknown``) if there is no driver for the protocol.
     """
     controller = driver_class(PLUGINS, node)
     if controller is None:
@@ -270,9 +290,9 @@ def controller_class(node: Node) -> type[MotorController]:
 
 
 def driver_class(plugins: PluginTable[T], node: Node) -> type[T] | None:
-    """Returns the class for a node's protocol, ``None`` where no package offers one.
+    """Returns the driver class for the protocol of a node, or ``None`` if there is no driver.
 
-    Raises ``DiagnosticError`` (``bus-driver-unknown``) where the offered class cannot be used.
+    Raises ``DiagnosticError`` (``bus-driver-unknown``) if the driver class cannot be used.
     """
     driver = plugins.load(node.protocol)
     if not isinstance(driver, PluginFailure):

@@ -1,7 +1,7 @@
 """Detects motor controllers that restart, leave OPERATIONAL, or stop sending.
 
-Here a missing heartbeat or report becomes a problem; the state machine of the base
-(``base_state_machine``) then enters FAULT.
+The watchdog reports a missing heartbeat or a missing report as a problem.  After a problem the
+state machine of the base (``base_state_machine``) enters FAULT.
 
     heartbeat   |----T----|----T----|
     received    x         x         (nothing)                   T: period of the node, 100 ms
@@ -12,8 +12,8 @@ Here a missing heartbeat or report becomes a problem; the state machine of the b
     received    x   x   (nothing)                               T: sync period, 20 ms
     age         0   0   T   2T  2.5T --> "no tpdo1 for ... ms"
 
-One missed report is tolerated, two in a row are not.  A control cycle that was late itself may not
-have read yet what came meanwhile: then silence is not judged.
+The watchdog tolerates one missing report, but not two missing reports in a row.  After a late
+control cycle the watchdog does not check for silence, because received frames may still be unread.
 """
 
 from __future__ import annotations
@@ -28,24 +28,29 @@ from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
 
 REPORT_TIMEOUT = 2.5
-"""Periods after which a report is missing: two in a row did not come."""
+"""Time-out of a report in periods: two reports in a row are missing."""
 HEARTBEAT_TIMEOUT = 3.0
-"""Periods after which a heartbeat is missing; ``Node.heartbeat_timeout`` may be shorter."""
+"""Time-out of a heartbeat in periods, unless ``Node.heartbeat_timeout`` is shorter."""
 LATE_CYCLE = 1.5
-"""Periods between two cycles from which on the second one is late."""
+"""Time between two control cycles, in periods, above which the second cycle is late."""
 LATE_CYCLES = 2
-"""Late cycles in a row during which silence is not judged."""
+"""Largest number of late cycles in a row in which the watchdog does not check for silence."""
 
 
 class Heartbeat(NamedTuple):
-    """The newest heartbeat of a node: time (s) and NMT state."""
+    """The newest heartbeat of a node, with the time of reception (s) and the NMT state."""
 
     time: float
     state: int
 
 
 class _Report(NamedTuple):
-    """A periodic PDO of a controller; ``period`` in s."""
+    """A periodic PDO of a motor controller.
+
+    - ``cob_id``: COB-ID of the PDO;
+    - ``name``: name of the PDO, for example ``tpdo1``;
+    - ``period``: period in s.
+    """
 
     cob_id: int
     name: str
@@ -55,8 +60,9 @@ class _Report(NamedTuple):
 class NodeWatchdog:
     """Supervises the motor controllers of one bus.
 
-    ``latest`` has the newest frame of each identifier.  Heartbeats and boot-up messages are always
-    evaluated; silence only between ``start`` and ``stop``.
+    The parameter ``latest`` contains the newest frame of each identifier.  Heartbeats and boot-up
+    messages are always evaluated.  Missing heartbeats and missing reports are detected only between
+    ``start`` and ``stop``.
     """
 
     def __init__(
@@ -83,13 +89,13 @@ class NodeWatchdog:
     # -- input -------------------------------------------------------------------------------------
 
     def begin_cycle(self, now: float) -> None:
-        """Notes the start of a control cycle, before frames are read."""
+        """Measures the time since the last control cycle; called before frames are read."""
         late = now - self._last_cycle > LATE_CYCLE * self._cycle_period
         self._late_cycles = self._late_cycles + 1 if late else 0
         self._last_cycle = now
 
     def take_heartbeat(self, cob_id: int, data: bytes, time: float) -> None:
-        """Stores a heartbeat; a boot-up message resets the driver of its node."""
+        """Stores a heartbeat; after a boot-up message, resets the driver of the node."""
         if not data:
             return
         name, state = self.heartbeat_frames[cob_id].producer, heartbeat_state(data)
@@ -99,7 +105,10 @@ class NodeWatchdog:
         self._heartbeats[name] = Heartbeat(time, state)
 
     def start(self, now: float) -> None:
-        """Supervises silence from ``now`` (s) on, and forgets earlier restarts."""
+        """Starts to detect missing heartbeats and reports at ``now`` (s).
+
+        Restarts of nodes before ``now`` are ignored.
+        """
         self._started_at = now
         self._restarted.clear()
 
@@ -109,24 +118,25 @@ class NodeWatchdog:
     # -- output ------------------------------------------------------------------------------------
 
     def problem(self, controller: MotorController, now: float) -> str:
-        """Returns the reason to stop the robot because of this controller; empty: none."""
+        """Returns a problem of a motor controller that must stop the robot, or an empty text."""
         if controller.node.name in self._restarted:
             return "it restarted"
         return controller.problem or self._silence(controller, now)
 
     def is_silent(self, controller: MotorController) -> bool:
-        """Returns ``True`` where no heartbeat has come at all from a node that should send them."""
+        """Returns ``True`` if a node with a heartbeat definition has never sent a heartbeat."""
         name = controller.node.name
         return name in self._heartbeat_of and name not in self._heartbeats
 
     def has_all_reports(self, controller: MotorController) -> bool:
-        """Returns ``True`` where each periodic report has come at least once."""
+        """Returns ``True`` if each periodic report of the controller was received at least once."""
         return all(r.cob_id in self._latest for r in self._reports[controller.node.name])
 
     def is_in_state(self, controller: MotorController, state: NmtState, since: float) -> bool:
-        """Returns ``True`` where the newest heartbeat, later than ``since`` (s), has this state.
+        """Returns ``True`` if the newest heartbeat reports ``state`` and is later than ``since``.
 
-        A node without heartbeats cannot be checked: ``True``.
+        ``since`` is a time in seconds.  Returns ``True`` for a node without heartbeat, because the
+        NMT state of such a node cannot be checked.
         """
         name = controller.node.name
         if name not in self._heartbeat_of:
@@ -137,7 +147,10 @@ class NodeWatchdog:
     # -- inside ------------------------------------------------------------------------------------
 
     def _silence(self, controller: MotorController, now: float) -> str:
-        """Returns a missing heartbeat or report, or a wrong NMT state."""
+        """Returns a message about a missing heartbeat or report, or about a wrong NMT state.
+
+        Returns an empty text if there is no problem.
+        """
         since = self._started_at
         if since == math.inf or 0 < self._late_cycles <= LATE_CYCLES:
             return ""
@@ -159,7 +172,7 @@ class NodeWatchdog:
 
 
 def _heartbeat_limit(controller: MotorController, period: float) -> float:
-    """Returns the longest time (s) between two heartbeats."""
+    """Returns the longest allowed time (s) between two heartbeats of a motor controller."""
     limit = HEARTBEAT_TIMEOUT * period
     timeout = controller.node.heartbeat_timeout
     return limit if timeout is None else min(limit, timeout)

@@ -1,4 +1,4 @@
-"""Compares a node's object dictionary with the robot file: reads it by SDO, never writes."""
+"""Reads objects of a node by SDO and compares the values with the robot file."""
 
 from __future__ import annotations
 
@@ -10,23 +10,26 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import ObjectValue
 
 ANSWER_TIME = 0.1
-"""s after which a request without a response is repeated."""
+"""Time (s) after which a request without a response is repeated."""
 TRIES = 3
 
 
 class ObjectReadback:
-    """Uploads the objects of a node one after another and compares their values.
+    """Reads the objects of a node one after another and compares the values.
 
-    All objects are numbers of up to 4 bytes, so one request and one response (expedited transfer)
-    suffice for each.  The comparison ends at the first mismatch.
+    All objects are numbers of up to 4 bytes, so each object needs one request and one response
+    (expedited SDO transfer).  The comparison ends at the first mismatch.  No object is written.
     """
 
     def __init__(self, request: int, response: int, expected: Iterable[ObjectValue]) -> None:
-        """``request`` and ``response`` are the COB-IDs of the node's SDO."""
+        """Prepares the comparison of the ``expected`` objects.
+
+        ``request`` and ``response`` are the COB-IDs of the SDO requests and responses of the node.
+        """
         self.request = request
         self.response = response
         self.problem = ""
-        """First mismatch, or the reason why an object cannot be read; empty: none."""
+        """First mismatch, or the reason why an object cannot be read, or an empty text."""
         self._remaining = list(expected)[::-1]
         self._requested_at: float | None = None
         self._tries = 0
@@ -36,7 +39,10 @@ class ObjectReadback:
         return not self._remaining or bool(self.problem)
 
     def next_request(self, now: float) -> CanFrame | None:
-        """Returns the next request, ``None`` while a response is awaited and at the end."""
+        """Returns the next SDO request.
+
+        Returns ``None`` while a response is awaited, and after the comparison has finished.
+        """
         waiting = self._requested_at is not None and now - self._requested_at < ANSWER_TIME
         if self.finished or waiting:
             return None
@@ -49,7 +55,10 @@ class ObjectReadback:
         return CanFrame(self.request, sdo.upload_request(expected.index, expected.subindex))
 
     def take_response(self, data: bytes) -> None:
-        """Compares the value of a response; ignores a response to an earlier request."""
+        """Compares the value in an SDO response with the expected value.
+
+        A response for any other object is ignored.
+        """
         if self.finished or self._requested_at is None or len(data) < 8:
             return
         expected = self._remaining[-1]

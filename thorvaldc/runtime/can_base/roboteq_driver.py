@@ -1,7 +1,8 @@
-"""The Thorvald's motor controller: a Roboteq FBL2360 that runs the robot's script.
+"""Driver of the Thorvald's motor controller, a Roboteq FBL2360 with the Thorvald script.
 
-It has two channels: propulsion and steering, or two propulsions.  It uses CANopen messages, but not
-CiA 402: its PDOs carry variables of the script.
+The Roboteq motor controller has two channels: one propulsion and one steering motor, or two
+propulsion motors.  The script uses CANopen messages, but not the drive profile CiA 402.  The PDOs
+contain variables of the script:
 
     RPDO 1  every cycle   sequence number, speed of channel 1
     RPDO 2  on request    number of a setting, value
@@ -12,8 +13,9 @@ CiA 402: its PDOs carry variables of the script.
     TPDO 3  100 ms        flags (device errors), temperature, voltage
     TPDO 4  slow          one of several constants in turn: configuration, version, encoders
 
-The script confirms no command.  It stops the wheels by itself 0.5 s after the last new sequence
-number.  So the driver compares what the motors do with what was commanded (``_supervise``).
+The script sends no confirmation of a command.  The script stops the wheels 0.5 s after the last new
+sequence number.  So the driver compares the measured joint motion with the commands
+(``_supervise``).
 """
 
 from __future__ import annotations
@@ -27,32 +29,33 @@ from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis, Intent, MotorController
 
-# Modes of a channel.
+# Modes of a motor controller channel.
 DRIVE, HOME, DECOUPLED = 0, 1, 2
-# Bits of the configuration in TPDO 4.
+# Bits of the configuration word in TPDO 4.
 HOMED, HOMING = 0x01, 0x02
 
 MODE_REPEAT = 1.0
-"""s after which the modes are sent again: the script does not report them."""
+"""Time (s) after which the modes are sent again, because the script does not report modes."""
 FAST_CONSTANTS = 100
-"""ms between two TPDO 4 while the base starts, in place of seconds."""
+"""Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 STOP_TIME = 2.0
-"""s after a quick stop after which the motors lose torque, even if wheels seem to turn."""
+"""Time (s) after a quick stop after which the motors have no torque, even if a wheel turns."""
 DEVIATION_TIME = 0.5
-"""s for which a motor may deviate from its target: ramps and delays are shorter."""
+"""Time (s) for which a motor may deviate from its target, longer than ramps and delays."""
 SPEED_DEVIATION_TIME = 0.1
-"""s for which a wheel's speed may match no target of the last ``DEVIATION_TIME``: a bump is
-shorter."""
+"""Time (s) for which a wheel speed may match no target of the last ``DEVIATION_TIME``.
+
+A bump in the ground disturbs the wheel speed for a shorter time."""
 RELATIVE_DEVIATION, SPEED_DEVIATION = 0.5, 0.3
-"""Largest deviation of a wheel's speed: this share of the target or rad/s, whichever is more."""
+"""Largest deviation of a wheel speed: share of the target, or speed (rad/s) if this is more."""
 ANGLE_DEVIATION = 0.2
-"""rad: largest deviation of a steering that stands."""
+"""Largest deviation (rad) of a standing steering joint from its target angle."""
 _EXPECTED_OBJECTS = (0x1017, 0x1018)
-"""Heartbeat period and identity; the script fixes all other objects."""
+"""Compared objects: heartbeat period and identity.  The script fixes all other objects."""
 
 
 class RoboteqScriptController(MotorController):
-    """Driver of a controller with the Thorvald script."""
+    """Driver of a Roboteq motor controller with the Thorvald script."""
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         super().__init__(robot, bus, node)
@@ -86,7 +89,7 @@ class RoboteqScriptController(MotorController):
     # -- reports -------------------------------------------------------------------------------
 
     def _signals_of_axes(self) -> Iterator[tuple[Axis, int | None, int | None]]:
-        """Yields each axis with the indices of its position and its velocity in TPDO 1."""
+        """Yields each axis with the indices of its position and velocity signals in TPDO 1."""
         frame = self.codecs["tpdo1"].frame
         for axis in self.axes:
             signals = [(i, s) for i, s in enumerate(frame.signals) if s.joint == axis.joint]
@@ -157,7 +160,7 @@ class RoboteqScriptController(MotorController):
 
     @property
     def power_loss(self) -> str:
-        # A stalled motor switches the power stage off too: that is a device error.
+        # After a motor stall the power stage is off too, but a stall is a device error.
         if self._flags.get("power_stage_off") and not self._flags.get("stall"):
             return "the power stage is off"
         return ""
@@ -167,7 +170,7 @@ class RoboteqScriptController(MotorController):
         return bool(self.problem)
 
     def identity_mismatch(self) -> str | None:
-        """Compares version and type of the script, and the pulses of the encoders."""
+        """Compares the script version, script type and encoder pulses with the robot file."""
         reported = self._constants
         properties = dict(self.node.properties)
         if "version_major" not in reported or self._flags_at == -math.inf:
@@ -213,10 +216,11 @@ class RoboteqScriptController(MotorController):
         self._homing_failed = False
 
     def _supervise(self, follows: bool, now: float) -> None:
-        """Notes since when each motor deviates from its target.
+        """Detects motors that deviate from their targets, and stores the start of each deviation.
 
-        A wheel ramps and is late, so every speed between the lowest and the highest target of the
-        last ``DEVIATION_TIME`` is right.  A steering deviates where it stands away from its target.
+        The wheel speed follows its target with a ramp and a delay.  So every wheel speed between
+        the lowest and the highest target of the last ``DEVIATION_TIME`` seconds is accepted.  A
+        steering joint deviates if it stands away from its target angle.
         """
         for axis in self.axes:
             if not follows:
@@ -237,7 +241,8 @@ class RoboteqScriptController(MotorController):
                 lowest -= max(RELATIVE_DEVIATION * abs(lowest), SPEED_DEVIATION)
                 highest += max(RELATIVE_DEVIATION * abs(highest), SPEED_DEVIATION)
                 deviates = not lowest <= axis.velocity <= highest
-                # The window of targets has already granted DEVIATION_TIME.
+                # All targets of the last DEVIATION_TIME are accepted, so the deviation of a wheel
+                # speed may last only SPEED_DEVIATION_TIME.
                 since -= DEVIATION_TIME - SPEED_DEVIATION_TIME
             if deviates:
                 self._deviating_since.setdefault(axis.channel, since)
@@ -260,7 +265,7 @@ class RoboteqScriptController(MotorController):
         if second is not None and not second.steering:
             frames.append(self._speed_frame("rpdo4", second, follows))
         elif second is not None and second.homed and intent is not Intent.HOME:
-            # Only a homed steering is given an angle: before, its zero is arbitrary.
+            # Before the homing the zero angle is unknown, so no steering angle is commanded.
             if intent is Intent.OFF:
                 second.target = second.position
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
@@ -277,9 +282,10 @@ class RoboteqScriptController(MotorController):
         return CanFrame(codec.cob_id, codec.encode(values))
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
-        """Returns the period of TPDO 4 or the modes, where they change; repeats the modes.
+        """Returns the frame with a new TPDO 4 period or with the channel modes, or ``None``.
 
-        The homing mode is not repeated: it would start the homing again.
+        The channel modes are sent after a change, and again after ``MODE_REPEAT`` seconds.  The
+        homing mode is not sent again, because the mode would restart the homing.
         """
         fast = intent in (Intent.OFF, Intent.HOME)
         if fast is not self._fast_constants and "tpdo4" in self.codecs:
@@ -294,7 +300,7 @@ class RoboteqScriptController(MotorController):
             return None
         if homing and modes != self._modes:
             self._home_commanded = True
-            # Reports that are already on their way concern the last homing.
+            # Until this time the reports may still describe the previous homing.
             self._home_reports_from = now + 2.0 * FAST_CONSTANTS / 1000.0
             self._homing_failed = False
         self._modes, self._modes_sent_at = modes, now
@@ -312,7 +318,7 @@ class RoboteqScriptController(MotorController):
                 return DRIVE, HOME
             return DRIVE, DRIVE
         if intent is Intent.QUICK_STOP and self._modes is not None:
-            # The wheels stop first, under torque.  A wheel without valid reports gets STOP_TIME.
+            # The motors keep their torque until all wheels stand, but at most for STOP_TIME.
             since = now if self._stopped_at is None else self._stopped_at
             if not self.standing and now - since < STOP_TIME:
                 return self._modes
@@ -321,10 +327,11 @@ class RoboteqScriptController(MotorController):
     # -- settings ----------------------------------------------------------------------------------
 
     def set_zero_frame(self) -> CanFrame | None:
-        """Returns the frame that sets the home count.
+        """Returns the CAN frame that defines the present steering angle as zero.
 
-        The script does not report its home count.  So the new one is computed from the last one
-        that this driver has set, 0 at first.
+        The script stores the zero angle as a home count, but does not report the home count.  So
+        the new home count is computed from the last home count that this driver has sent.  The
+        driver assumes that the first home count is 0.
         """
         steering = next((axis for axis in self.axes if axis.steering), None)
         if steering is None or "home_count" not in self.setting_names():

@@ -1,4 +1,4 @@
-"""Encodes and decodes the data of CAN frames by the layouts of the robot model, little endian."""
+"""Encodes and decodes the data of CAN frames with the frame definitions of the robot model."""
 
 from __future__ import annotations
 
@@ -18,15 +18,18 @@ _FORMATS = {
     (64, False): "Q",
     (64, True): "q",
 }
-"""Letters of ``struct`` by length (bits) and sign."""
+"""Format letters of ``struct`` for integers, by length (bits) and ``True`` for signed."""
 
 
 class FrameCodec:
-    """Layout of one frame, prepared for decoding and encoding in every control cycle.
+    """Encodes and decodes the signals of one frame definition.
 
-    Values are physical, ``raw * scale + offset``, in the order of ``frame.signals``.  A signal
-    with scale 1 and offset 0 gives integers.  Where all signals start and end at byte boundaries
-    (most frames) one ``struct`` call does the work; other frames use shifts and masks.
+    All signals are little endian.  The value of a signal is the physical value
+    ``raw * scale + offset``.  The values are in the order of ``frame.signals``.  A signal with
+    scale 1 and offset 0 has integer values.
+
+    For speed, a frame whose signals all start and end at byte boundaries is converted by one call
+    of ``struct``.  Other frames are converted with shifts and masks.
     """
 
     def __init__(self, frame: FrameDefinition) -> None:
@@ -52,9 +55,10 @@ class FrameCodec:
         self._multiplexer = next((i for i, s in enumerate(frame.signals) if s.multiplexer), None)
 
     def decode(self, data: bytes) -> list[float]:
-        """Returns the values of all signals, also of those that the multiplexer does not select.
+        """Returns the values of all signals in the data of a frame.
 
-        Raises ``ValueError`` where the frame is too short; ignores surplus bytes.
+        The result also contains the signals that the multiplexer does not select.  Surplus bytes
+        are ignored.  Raises ``ValueError`` if ``data`` is too short.
         """
         if len(data) < self.length:
             raise ValueError(f"{self.frame.name} has {len(data)} bytes, not {self.length}")
@@ -64,14 +68,19 @@ class FrameCodec:
             values = list(raw) if self._order is None else [raw[i] for i in self._order]
         else:
             bits = int.from_bytes(data[: self.length], "little")
-            # `(x ^ sign) - sign` extends the sign bit of a signed field; for others `sign` is 0.
+            # `(x ^ sign) - sign` extends the sign bit of a signed field.  For an unsigned field
+            # `sign` is 0.
             values = [((bits >> start & mask) ^ sign) - sign for start, mask, sign in self._fields]
         for i, scale, offset in self._linear:
             values[i] = values[i] * scale + offset
         return values
 
     def decode_named(self, data: bytes) -> dict[str, float]:
-        """Returns the values of the selected signals by name.  Raises ``ValueError``."""
+        """Returns the values of the signals by name, without signals that are not selected.
+
+        The multiplexer signal of the frame selects the signals.  Raises ``ValueError`` if ``data``
+        is too short.
+        """
         values = self.decode(data)
         if self._multiplexer is None:
             return dict(zip(self.names, values, strict=True))
@@ -83,10 +92,11 @@ class FrameCodec:
         }
 
     def encode(self, values: Sequence[float]) -> bytes:
-        """Returns the data for the values, one for each signal in the order of the signals.
+        """Returns the data of a frame with the given signal values.
 
-        Values beyond the bounds of a signal are limited to them.  Raises ``ValueError`` for a value
-        that is not finite: no limit is a safe replacement for it.
+        ``values`` contains one value for each signal, in the order of ``frame.signals``.  A value
+        outside the bounds of its signal is limited to the nearest bound.  Raises ``ValueError`` if
+        a value is NaN or infinite, because no bound is a safe replacement for such a value.
         """
         raw = []
         for value, signal, (lowest, highest), (minimum, maximum) in zip(
@@ -99,7 +109,7 @@ class FrameCodec:
             if maximum is not None and value > maximum:
                 value = maximum
             rounded = round((value - signal.offset) / signal.scale)
-            # Faster than min() and max(), in the innermost loop of the control cycle.
+            # A conditional expression is faster than min() and max() in this innermost loop.
             raw.append(lowest if rounded < lowest else highest if rounded > highest else rounded)
         if self._struct is not None:
             if self._order is not None:
@@ -114,22 +124,25 @@ class FrameCodec:
         return bits.to_bytes(self.length, "little")
 
     def encode_named(self, values: Mapping[str, float]) -> bytes:
-        """Returns the data for values by name; signals without a value have the raw value 0."""
+        """Returns the data of a frame with the given signal values by name.
+
+        A signal that is missing in ``values`` has the raw value 0.
+        """
         return self.encode([values.get(s.name, s.offset) for s in self._signals])
 
 
 def _raw_range(signal: Signal) -> tuple[int, int]:
-    """Returns the lowest and the highest number that the bits of a signal can represent."""
+    """Returns the lowest and the highest raw value that the bits of a signal can represent."""
     if signal.signed:
         return -(1 << signal.length - 1), (1 << signal.length - 1) - 1
     return 0, (1 << signal.length) - 1
 
 
 def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
-    """Returns a ``struct`` for the frame, and the position of each signal in it.
+    """Returns a ``struct`` for the frame, and the position of each signal in the ``struct``.
 
-    No ``struct``: a signal is not on byte boundaries.  No positions: they are in the order of the
-    signals.
+    The ``struct`` is ``None`` if a signal does not start and end at byte boundaries.  The positions
+    are ``None`` if the ``struct`` has the same order as the signals.
     """
     by_start = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].start)
     text, end = "<", 0

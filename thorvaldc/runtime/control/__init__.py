@@ -1,4 +1,5 @@
-"""The control channel of a running driver: other programs publish twists and call services.
+"""Control channel, over which other programs command a running driver.
 
-It carries lines of JSON over a local socket; see docs/teleoperation.md.
+A program can publish twists and call services of the driver.  Requests and answers are lines of
+JSON on a local socket.  The page docs/teleoperation.md describes the control channel.
 """

@@ -1,4 +1,4 @@
-"""The client of the control channel: calls the services of a driver in another process."""
+"""Client of the control channel, which calls the services of a driver in another process."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from thorvaldc.runtime.control.control_server import control_path
 from thorvaldc.runtime.control.service_table import ServiceError
 
 ANSWER_TIME = 2.0
-"""s to wait for an answer: a hundred control cycles."""
+"""Longest time (s) to wait for an answer, equal to 100 control cycles."""
 
 
 class ControlClient:
-    """A connection to a running driver.
+    """A connection to the control channel of a running driver.
 
-    Raises ``OSError`` where no driver of this name runs, and ``ConnectionError`` where it ends or
-    does not answer.
+    The constructor raises ``OSError`` if no driver with this name runs.  ``call`` raises
+    ``ConnectionError`` if the driver ends or does not answer.
     """
 
     def __init__(self, name: str, answer_time: float = ANSWER_TIME) -> None:
@@ -34,7 +34,10 @@ class ControlClient:
             raise OSError(f"no driver runs at {path} ({error.strerror or error})") from None
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Returns the result of the service.  Raises ``ServiceError`` where it is refused."""
+        """Calls a service of the driver and returns the result.
+
+        Raises ``ServiceError`` if the driver refuses the call.
+        """
         self._calls += 1
         request = {"call": service, "arguments": arguments, "id": self._calls}
         line = json.dumps(request, ensure_ascii=False).encode("utf-8", "replace") + b"\n"
@@ -53,7 +56,7 @@ class ControlClient:
         self._stream.close()
 
     def _read_answer(self) -> dict[str, Any]:
-        """Returns the answer to the last call; skips late answers to calls that timed out."""
+        """Returns the answer to the last call, and skips late answers to earlier calls."""
         while True:
             line, end, rest = self._unread.partition(b"\n")
             if end:
@@ -61,7 +64,7 @@ class ControlClient:
                 answer = json.loads(line)
                 if isinstance(answer, dict) and answer.get("id") == self._calls:
                     return answer
-                # The server could not read the request, so it knows no id.
+                # If the server cannot read a request, the answer has no id.
                 if isinstance(answer, dict) and not answer.get("ok") and "id" not in answer:
                     return answer
                 continue

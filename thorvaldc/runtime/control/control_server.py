@@ -1,12 +1,12 @@
-"""The server of the control channel: answers requests between two control cycles.
+"""Server of the control channel, which answers requests between two control cycles.
 
     client                                                  server, once in a cycle
     {"call": "twist", "arguments": {...}, "id": 7}   --->   reads what has come,
                                                             runs the services,
                                                      <---   {"ok": true, "result": null, "id": 7}
 
-A client that does not read its answers, that sends endless lines or floods the server with requests
-cannot delay a cycle: the limits below bound the work for each client.
+The constants of this module limit the work for each client.  So no client can delay a control cycle
+with endless lines, too many requests or unread answers.
 """
 
 from __future__ import annotations
@@ -23,24 +23,25 @@ from thorvaldc.can.local_socket import remove_stale_socket, socket_path
 from thorvaldc.runtime.control.service_table import ServiceError, Services
 
 LONGEST_LINE = 65536
-"""Bytes of a request, at most."""
+"""Largest length of a request, in bytes."""
 MOST_CLIENTS = 32
 MOST_REQUESTS = 100
-"""Requests of a client in a cycle, at most; more of them wait for the next cycle."""
+"""Largest number of requests of one client in a cycle; more requests wait for the next cycle."""
 LONGEST_BACKLOG = 1 << 20
-"""Bytes of unread answers of a client, at most; then the server closes the connection."""
+"""Size of unread answers (bytes) above which the server closes the connection of a client."""
 
 
 def control_path(name: str) -> Path:
-    """Returns the socket of a driver by its name; a name with a slash is the path itself.
+    """Returns the path of the control socket of the driver ``name``.
 
-    Raises ``OSError``.
+    A name with a slash is used as the path.  Raises ``OSError`` if the path cannot be used for a
+    socket.
     """
     return socket_path(name if "/" in name else f"{name}-control")
 
 
 class _Client:
-    """A connection: received bytes that are no whole line yet, and answers to send."""
+    """Connection of a client, with its received bytes and its unsent answers."""
 
     def __init__(self, stream: socket.socket) -> None:
         self.stream = stream
@@ -50,16 +51,18 @@ class _Client:
 
 
 class ControlServer:
-    """Listens for programs that drive this robot; ``poll`` answers their requests.
+    """Server for programs that command this robot over a local socket.
 
     A request is a line ``{"call": NAME, "arguments": {...}}``.  The answer is a line
-    ``{"ok": true, "result": ...}`` or ``{"ok": false, "error": "one line"}``, with the ``id`` of
-    the request where it has one.  Only programs of the same user can connect.  ``poll`` does not
-    wait.
+    ``{"ok": true, "result": ...}`` or ``{"ok": false, "error": "one line"}``.  If the request has
+    an ``id``, the answer has the same ``id``.  Only programs of the same user can connect.
     """
 
     def __init__(self, name: str, services: Services) -> None:
-        """Raises ``OSError`` where a driver of this name already runs."""
+        """Creates the socket of the driver ``name``.
+
+        Raises ``OSError`` if a driver with this name already runs.
+        """
         self.path = control_path(name)
         self.services = services
         self._clients: list[_Client] = []
@@ -78,7 +81,10 @@ class ControlServer:
         self._listener.setblocking(False)
 
     def poll(self, now: float) -> None:
-        """Accepts clients and answers their requests; ``now``: the driver's time (s)."""
+        """Accepts new clients and answers all received requests, without waiting.
+
+        ``now`` is the time (s) of the driver.
+        """
         if self._ready(self._listener):
             self._accept()
         for client in list(self._clients):
@@ -88,11 +94,11 @@ class ControlServer:
                 self._drop(client)
 
     def close(self) -> None:
-        """Closes all connections and removes the socket."""
+        """Closes all connections and removes the socket file."""
         for client in list(self._clients):
             self._drop(client)
         self._listener.close()
-        # Another driver may have taken the path meanwhile: its socket stays.
+        # If another driver has created a socket at the same path, the socket is not removed.
         with contextlib.suppress(OSError):
             if self.path.stat().st_ino == self._inode:
                 self.path.unlink()

@@ -1,4 +1,4 @@
-"""The services of every driver, on a simulated base and on a bus."""
+"""Services of the base driver, for simulated robots and for robots with CAN buses."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.se2 import Twist
 
 SAFETY_STOP = "safety_stop"
-"""The lock of every robot with a priority above all sources."""
+"""Name of the lock that every robot has; the priority is above the priority of all sources."""
 
 
 def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Service]:
-    """Returns the services: twists and locks, state, odometry, parameters and safety stop.
+    """Returns the services of a base driver.
 
-    The stop is software; it is not a safety function.
+    The services command twists, set locks, return the state, reset the odometry, change parameters
+    and stop the robot.  The service ``safety_stop`` is a software stop, not a safety function.
     """
 
     def twist(now: float, source: str, vx: float, vy: float, wz: float) -> None:
@@ -94,7 +95,10 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
 
 
 def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
-    """Returns the state as JSON values: m, rad, m/s, rad/s; ``time`` of the last tick in s."""
+    """Returns the state of a driver as JSON values, in m, rad, m/s and rad/s.
+
+    ``time`` is the time (s) of the last tick.
+    """
     state, selected = driver.state, multiplexer.select(now)
     return {
         "robot": driver.robot.name,
@@ -113,7 +117,10 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
 
 
 def driver_description(driver: BaseDriver) -> dict[str, Any]:
-    """Returns names, top speeds (m/s, rad/s) and rate (Hz) as JSON values."""
+    """Returns the constants of a driver as JSON values.
+
+    The constants are names, top speeds (m/s, rad/s) and the rate of the driver (Hz).
+    """
     robot, limits = driver.robot, driver.settings
     steerable = [w.steered or w.swivel_joint is not None for w in robot.wheels]
     return {

@@ -1,4 +1,4 @@
-"""The services of a robot on its buses, in addition to those of its driver."""
+"""Services of a robot with CAN buses, in addition to the services of the base driver."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from thorvaldc.runtime.runner import BaseRunner
 
 
 class RunnerControl:
-    """Multiplexer and services of a runner, for callers here and over a control channel.
+    """Twist multiplexer and services of a robot with CAN buses.
 
-    ``channel``: name of the control channel; empty: none.  ``feed`` is the runner's ``feed``.
-    Raises ``OSError`` where the channel is in use.
+    The services can be called in this process, and from other processes over a control channel.
+    ``channel`` is the name of the control channel, or empty for no control channel.  The
+    constructor raises ``OSError`` if the control channel is in use.  ``feed`` is the callback
+    ``feed`` of the runner.
     """
 
     def __init__(self, runner: BaseRunner, channel: str = "") -> None:
@@ -30,13 +32,16 @@ class RunnerControl:
         self._server = ControlServer(channel, self.services) if channel else None
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
-        """Answers the requests of the channel, then commands the twist of the selected source."""
+        """Answers the requests on the control channel and commands the selected twist."""
         if self._server is not None:
             self._server.poll(now)
         return self.multiplexer.feed(driver, now)
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Calls a service.  Raises ``ServiceError``."""
+        """Calls a service and returns the result.
+
+        Raises ``ServiceError`` if the call is refused.
+        """
         return self.services.call(service, arguments, self.runner.clock.now)
 
     def close(self) -> None:
@@ -45,7 +50,10 @@ class RunnerControl:
 
 
 def runner_services(control: RunnerControl) -> list[Service]:
-    """Returns the services; some replace a driver's service of the same name."""
+    """Returns the services of a robot with CAN buses.
+
+    A service of this list replaces a service of the base driver with the same name.
+    """
     runner, multiplexer = control.runner, control.multiplexer
 
     def safety_stop(now: float) -> None:
@@ -136,9 +144,10 @@ def runner_services(control: RunnerControl) -> list[Service]:
 
 
 def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
-    """Returns the driver's state, and that of the base, batteries, IO boards and the loop.
+    """Returns the state of a robot with CAN buses as JSON values.
 
-    ``supervisor`` is the state of the base; ``fault`` the reason of FAULT or ESTOP.
+    The result contains the state of the driver, base, batteries, IO boards and control loop.  The
+    key ``supervisor`` is the state of the base.  The key ``fault`` is the reason of FAULT or ESTOP.
     """
     state = driver_state(runner.driver, multiplexer, now)
     reason = runner.base.state_machine.reason
@@ -162,5 +171,5 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
 
 
 def _number(value: float) -> float | None:
-    """Returns ``None`` for an unknown value: JSON has no NaN."""
+    """Returns ``None`` if a value is NaN or infinite, because JSON has no NaN."""
     return value if math.isfinite(value) else None

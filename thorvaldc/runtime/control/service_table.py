@@ -1,4 +1,4 @@
-"""The services of a running driver: called by name, with checked arguments and JSON results."""
+"""Table of services that can be called by name with JSON arguments."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ _REQUIRED = object()
 
 
 class ServiceError(ValueError):
-    """A call is refused; the message is the reason, in one line."""
+    """Refusal of a service call; the message is the reason in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """An argument of a service.
+    """Definition of an argument of a service.
 
-    ``kind``: ``number``, ``integer``, ``flag``, ``text`` or ``mapping`` (names to numbers).
+    ``kind`` is ``number``, ``integer``, ``flag``, ``text`` or ``mapping``.  A mapping has names as
+    keys and numbers as values.
     """
 
     name: str
@@ -40,9 +41,12 @@ class Argument:
         return self.default is _REQUIRED
 
     def check(self, value: Any) -> Any:
-        """Returns the checked value.  Raises ``ServiceError``."""
+        """Returns the argument value after a check of its type.
+
+        Raises ``ServiceError`` if the value has a wrong type or is not finite.
+        """
         types, description = _KINDS[self.kind]
-        # In Python a bool is an int too.
+        # In Python `bool` is a subclass of `int`, so a flag must be excluded from the numbers.
         matches = isinstance(value, types) and (self.kind == "flag" or not isinstance(value, bool))
         if value is None and not self.required and self.default is None:
             return None
@@ -58,9 +62,10 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service.  ``call`` takes the time (s) and the arguments by name, and returns JSON values.
+    """A function of the driver that other programs can call by name.
 
-    It raises ``ServiceError``, ``ValueError`` or ``DiagnosticError`` where it refuses the call.
+    ``call`` takes the time (s) and the arguments by name, and returns JSON values.  ``call`` raises
+    ``ServiceError``, ``ValueError`` or ``DiagnosticError`` to refuse a request.
     """
 
     name: str
@@ -70,7 +75,10 @@ class Service:
 
 
 class Services:
-    """Services by name, in the order of ``services``; of two with one name the last one counts."""
+    """Table of services by name.
+
+    If two services have the same name, the last service in the list is used.
+    """
 
     def __init__(self, services: Iterable[Service]) -> None:
         self._services = {service.name: service for service in services}
@@ -81,7 +89,11 @@ class Services:
         return tuple(self._services)
 
     def call(self, name: str, arguments: Mapping[str, Any], now: float) -> Any:
-        """Calls a service; ``-`` in its name means ``_``.  Raises ``ServiceError``."""
+        """Checks the arguments, calls a service and returns the result.
+
+        A hyphen in the service name is read as an underscore.  Raises ``ServiceError`` if the call
+        is refused.
+        """
         service = self._services.get(name.replace("-", "_"))
         if service is None:
             hint = did_you_mean(name, self.names, f"there are {', '.join(self.names)}")

@@ -1,6 +1,7 @@
-"""Monitors a robot's bus by its CAN map: load, age of every frame, node states, EMCY messages.
+"""Monitors the traffic on a CAN bus of a robot.
 
-It only listens.
+The monitor shows the bus load, the age of every frame, the states of the nodes and EMCY messages.
+The CAN map of the robot model defines the expected frames.  The monitor never sends a frame.
 """
 
 from __future__ import annotations
@@ -20,22 +21,25 @@ from thorvaldc.model.bus import Bus, FrameDefinition, Node, Signal
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 WINDOW = 1.0
-"""s over which the load of the bus is averaged."""
+"""Time (s) over which the bus load is averaged."""
 LATE = 1.5
-"""Periods since the last frame from which on it is late."""
+"""Age of the newest frame, in periods, above which a frame is late."""
 TOO_OFTEN = 0.7
-"""Share of the expected period below which a frame comes too often: two nodes may send it."""
+"""Share of the expected period below which a frame is too frequent.
+
+If a frame is too frequent, two nodes may send the same identifier."""
 GAPS, SLOW_GAPS, SLOW = 8, 4, 0.5
-"""The period is the mean of the last ``GAPS`` gaps; of ``SLOW_GAPS`` from a period of ``SLOW`` (s)
-on, not to wait too long."""
+"""The measured period is the mean of the last ``GAPS`` times between two frames.
+
+For an expected period of ``SLOW`` seconds or more, only the last ``SLOW_GAPS`` times are used."""
 MOST_EMERGENCIES = 100
-"""EMCY messages that are kept."""
+"""Largest number of stored EMCY messages."""
 MOST_UNKNOWN = 200
-"""Identifiers outside the map that are kept."""
+"""Largest number of stored identifiers that are not in the CAN map."""
 
 
 class _FrameRecord:
-    """The received frames of one identifier: their number, times (s), and the last data."""
+    """Number, times of reception (s) and newest data of the frames with one identifier."""
 
     def __init__(self, codec: FrameCodec | None = None) -> None:
         self.codec = codec
@@ -53,7 +57,10 @@ class _FrameRecord:
         return self.times[-1] if self.times else -math.inf
 
     def period(self, gaps: int = GAPS) -> float:
-        """Returns the mean of the last ``gaps`` gaps (s); NaN before the second frame."""
+        """Returns the measured period (s): the mean of the last ``gaps`` times between frames.
+
+        Returns NaN before the second frame.
+        """
         gaps = min(gaps, len(self.times) - 1)
         return (self.times[-1] - self.times[-1 - gaps]) / gaps if gaps > 0 else math.nan
 
@@ -66,13 +73,13 @@ class _FrameRecord:
             self.data, self.complete = data, True
 
     def values(self) -> dict[str, float]:
-        """Returns the values of the last complete frame by name, in physical units."""
+        """Returns the signal values of the newest complete frame by name, in physical units."""
         if self.codec is None or not self.complete:
             return {}
         return self.codec.decode_named(self.data)
 
     def named_values(self) -> dict[str, float | str]:
-        """Returns ``values``, with the names of choices in place of their numbers."""
+        """Returns the signal values by name; an enumerated value is returned as its text."""
         values: dict[str, float | str] = {}
         for name, value in self.values().items():
             choices = dict(self.signals[name].choices)
@@ -81,7 +88,10 @@ class _FrameRecord:
 
 
 class BusMonitor:
-    """Evaluates the frames of one bus.  Times are s of the CAN interface's clock."""
+    """Evaluates the received frames of one bus.
+
+    All times are in seconds on the clock of the CAN interface.
+    """
 
     def __init__(self, robot: Robot, bus: Bus) -> None:
         self.robot = robot
@@ -95,7 +105,7 @@ class BusMonitor:
         self._first_time = math.nan
         self.total = 0
         self.unknown_lost = 0
-        """Number of frames outside the map whose identifiers are not kept."""
+        """Number of frames that are neither in the CAN map nor stored as unknown identifiers."""
 
     def take(self, received: ReceivedFrame) -> None:
         """Evaluates a received frame."""
@@ -118,9 +128,10 @@ class BusMonitor:
             self._emergency(time, record.codec.frame, frame.data)
 
     def summary(self, now: float) -> dict[str, Any]:
-        """Returns the state of the bus as JSON values: SI units, shares 0 to 1.
+        """Returns the state of the bus as JSON values.
 
-        ``None``: not known.  ``emergencies``: the newest is last.
+        All values are in SI units, and shares are 0 to 1.  An unknown value is ``None``.  The last
+        entry of ``emergencies`` is the newest EMCY message.
         """
         self._drop_old_bits(now)
         span = min(max(now - self._first_time, 1e-3), WINDOW) if self.total else WINDOW
@@ -234,10 +245,14 @@ def watch(
     ended: Callable[[], bool] = lambda: False,
     poll_time: float = 0.05,
 ) -> None:
-    """Listens until the time ``until`` (s of the interface's clock) or until ``ended()``.
+    """Receives frames and calls ``show`` with a summary of the bus in regular intervals.
 
-    Calls ``show`` with a summary every ``interval`` s, and ``ended`` every ``poll_time`` s at
-    least.  Raises ``ConnectionError`` where the interface is lost.
+    - ``interval``: time (s) between two calls of ``show``;
+    - ``until``: time (s) on the clock of the interface at which the function returns;
+    - ``ended``: function that returns ``True`` to end the monitoring;
+    - ``poll_time``: longest time (s) between two calls of ``ended``.
+
+    Raises ``ConnectionError`` if the CAN interface is lost.
     """
     next_summary = interface.now + interval
     while not ended():
@@ -260,7 +275,7 @@ def watch(
 
 
 def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
-    """Returns what is wrong with the frames of an identifier; empty: nothing."""
+    """Returns the problem with the frames of one identifier, or an empty text."""
     if record.too_short:
         return f"{record.too_short} of {record.count} too short"
     expected = frame.period
@@ -277,9 +292,9 @@ def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
 
 
 def _drive_states(node: Node, records: list[_FrameRecord]) -> dict[str, str | None]:
-    """Returns the CiA 402 state of each channel, and the flags that are set (with ``None``).
+    """Returns the CiA 402 power state of each channel and the flags that are set.
 
-    Empty for a node without motors.
+    The value for a flag is ``None``.  The result is empty for a node without motors.
     """
     states: dict[str, str | None] = {}
     if not node.channels:

@@ -1,4 +1,4 @@
-"""Watches a bus with a monitor: live on a terminal, or as a stream of summaries."""
+"""Shows the summary of a bus monitor on a terminal, or passes the summaries to a function."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ def watch_live(
     keys: IO[str] | None,
     screen: IO[str],
 ) -> None:
-    """Shows the bus on the terminal until ``q``, a signal, or ``duration`` (s) is over.
+    """Shows the state of the bus on the terminal.
 
-    ``interval`` (s) is the time between two views.  Raises ``ConnectionError`` if the interface
-    is lost.
+    The function returns when the user presses ``q``, when a termination signal arrives, or after
+    ``duration`` seconds.  ``interval`` is the time (s) between two updates of the terminal.  Raises
+    ``ConnectionError`` if the CAN interface is lost.
     """
     with end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
         view = LiveView(terminal)
@@ -44,14 +45,17 @@ def watch_stream(
     duration: float,
     show: Callable[[Mapping[str, Any]], None],
 ) -> None:
-    """Calls ``show`` with a summary every ``interval`` (s) until a signal or ``duration`` (s)."""
+    """Calls ``show`` with a summary of the bus every ``interval`` seconds.
+
+    The function returns when a termination signal arrives, or after ``duration`` seconds.
+    """
     with end_signals() as end_requested:
         until = interface.now + duration
         watch(interface, monitor, interval, show, until=until, ended=end_requested)
 
 
 class LiveView:
-    """The lines of a summary on a terminal, scrolled with the arrow keys."""
+    """View of a bus summary on a terminal; the user can scroll with the arrow keys."""
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
@@ -60,12 +64,15 @@ class LiveView:
         self._quit = False
 
     def show(self, summary: Mapping[str, Any]) -> None:
-        """Replaces the lines by those of a new summary."""
+        """Shows a new summary of the bus."""
         self._lines = monitor_lines(summary)
         self._draw()
 
     def poll(self) -> bool:
-        """Reads the keys and scrolls; returns whether the user quits."""
+        """Reads the pressed keys and scrolls the view.
+
+        Returns ``True`` if the user quits.
+        """
         try:
             keys = self._terminal.read()
         except EOFError:

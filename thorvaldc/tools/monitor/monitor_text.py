@@ -1,4 +1,4 @@
-"""The summary of a bus monitor as lines of text."""
+"""Formats the summary of a bus monitor as lines of text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ SHOWN_EMERGENCIES = 5
 
 
 def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Returns head line, nodes, EMCY messages, frames outside the map, and frames with values."""
+    """Returns the lines of text for a bus summary.
+
+    The sections are: headline, nodes, EMCY messages, frames that are not in the CAN map, and frames
+    of the CAN map with their signal values.
+    """
     lines = [_head(summary), ""]
     lines += _nodes(summary["nodes"])
     lines += _emergencies(summary["emergencies"], summary["time"])
@@ -21,7 +25,10 @@ def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def page(lines: Sequence[str], height: int, first: int) -> list[str]:
-    """Returns ``height`` lines from index ``first`` on; the last one shows the position."""
+    """Returns ``height`` lines of text, starting at the line with the index ``first``.
+
+    If the text has more than ``height`` lines, the last returned line shows the position.
+    """
     height = max(height, 3)
     if len(lines) <= height:
         return list(lines)
