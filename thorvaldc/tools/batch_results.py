@@ -1,4 +1,4 @@
-"""Results of a batch of scenario runs: a text table, and a CSV or JSON file."""
+"""Formats the results of a batch of scenario runs as a text table, a CSV file or a JSON file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from thorvaldc.simulation.scenario_metrics import UNITS
 from thorvaldc.tools.scenario_batch import Run
 
 SUFFIXES = (".csv", ".json")
-# Metric, heading, format and factor of the columns of the text table.
+# The columns of the text table: (metric, heading, format, factor).  The text of a cell is the
+# metric times the factor.
 _COLUMNS = (
     ("path", "true", "{:.3f} m", 1.0),
     ("end_error", "end error", "{:.1f} mm", 1000.0),
@@ -27,13 +28,16 @@ _COLUMNS = (
 
 
 def runs_as_json(runs: Sequence[Run]) -> str:
-    """Returns all runs as a JSON list."""
+    """Returns the results of all runs as a JSON list."""
     values = [finite(run.as_json()) for run in runs]
     return json.dumps(values, indent=1, ensure_ascii=False)
 
 
 def results_table(runs: Sequence[Run]) -> str:
-    """Returns the runs as aligned text: varied values, metrics, verdict and hash."""
+    """Returns a text table of the results of the runs.
+
+    The columns are the varied values, the metrics, the verdict and the hash of each run.
+    """
     has_fleet = any(run.result is not None and len(run.result["metrics"]) > 1 for run in runs)
     headings = [heading for _, heading, _, _ in _COLUMNS]
     rows = [["run", *runs[0].values, *(["robot"] * has_fleet), *headings, "", "hash"]]
@@ -60,9 +64,11 @@ def results_table(runs: Sequence[Run]) -> str:
 
 
 class ResultFile:
-    """A CSV or JSON file that receives each run when it ends, and all runs in order at the end.
+    """A CSV or JSON file with the results of a batch of runs.
 
-    A process that is killed loses no finished run.  Raises ``OSError``.
+    The result of each run is written when the run ends, so that a killed process loses no result
+    of a finished run.  At the end of the batch, the file is written again with the runs in order.
+    Raises ``OSError`` if the file cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,7 +89,7 @@ class ResultFile:
             self._rewrite_in_order()
 
     def append(self, run: Run) -> None:
-        """Writes a run behind those that ended before it."""
+        """Appends the result of a finished run to the file."""
         self._runs.append(run)
         if self._is_csv:
             _write_rows(self._stream, [run], heading=len(self._runs) == 1)
@@ -103,7 +109,10 @@ class ResultFile:
 
 
 def _write_rows(stream: TextIO, runs: Sequence[Run], *, heading: bool) -> None:
-    """Writes a line for each robot of each run: varied values, all metrics in SI, verdict, hash."""
+    """Writes one CSV line for each robot of each run.
+
+    The columns are the varied values, all metrics in SI units, the verdict and the hash.
+    """
     writer = csv.writer(stream, lineterminator="\n")
     if heading and runs:
         writer.writerow(
@@ -139,7 +148,10 @@ def _value_text(value: Any) -> str:
 
 
 def _short_text(value: Any) -> str:
-    """Returns a value with six digits, because values that are drawn have many."""
+    """Returns a value as text, with at most six significant digits for a float.
+
+    A random value would otherwise have up to 17 digits.
+    """
     if isinstance(value, float):
         return f"{value:.6g}"
     text = _value_text(value)

@@ -1,4 +1,4 @@
-"""Builds robots and drives each from its generated files, in two processes."""
+"""Builds robots and simulates each robot from the generated files, in two processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ PROCESSES = 2
 
 @dataclass(frozen=True, slots=True)
 class DemoJob:
-    """A robot file, or a configuration of the original system, and the folder for its build."""
+    """The input file and the output folder of one build.
+
+    * ``file``: a robot file, or a configuration file of the original system.
+    * ``output``: folder for the generated files.
+    * ``is_original``: true if ``file`` is a configuration file of the original system.
+    """
 
     file: str
     output: str
@@ -33,7 +38,7 @@ class DemoJob:
 
 @dataclass(frozen=True, slots=True)
 class DemoOutcome:
-    """The run of a file's robots, and the diagnostics with their source files."""
+    """The result of the simulation of one file, and the diagnostics with their source files."""
 
     result: SimulationResult | None
     report: Report
@@ -41,15 +46,18 @@ class DemoOutcome:
 
 
 def run_demo(jobs: Sequence[DemoJob]) -> Iterator[DemoOutcome]:
-    """Yields the outcomes in the order of the jobs.  Raises ``WriteError``."""
-    # Ctrl-C is for the parent process, which then ends the others.
+    """Yields the outcomes of all jobs in the order of the jobs.
+
+    Raises ``WriteError`` if an output file cannot be written.
+    """
+    # The child processes ignore Ctrl-C.  The parent process ends the child processes after Ctrl-C.
     count = min(PROCESSES, os.cpu_count() or 1)
     with multiprocessing.Pool(count, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         yield from pool.imap(run_job, jobs)
 
 
 def run_job(job: DemoJob) -> DemoOutcome:
-    """Compiles, builds and drives one file."""
+    """Compiles a robot file, writes the generated files, and simulates the robot."""
     report = Report()
     sources: dict[str, Path] = {}
     file = job.file
@@ -89,10 +97,14 @@ def _with_fleet_name(result: SimulationResult, fleet: str) -> SimulationResult:
 
 
 def _import(job: DemoJob, report: Report) -> str:
-    """Writes the robot.yaml of an original configuration; returns its path, empty after errors."""
+    """Converts a configuration of the original system to a robot.yaml and returns the path.
+
+    The path is an empty text if the conversion fails.
+    """
     text, import_report = import_original(Path(job.file))
     for diagnostic in import_report:
-        # A note for each value that robot.yaml cannot express is too much for a table.
+        # The import adds a note for each value that robot.yaml cannot express.  The notes are too
+        # many for the table of the demo.
         if diagnostic.severity is not Severity.NOTE:
             report.put(diagnostic)
     if text is None:

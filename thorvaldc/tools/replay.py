@@ -1,4 +1,4 @@
-"""Replays records of runs without physics: their results, and the robots' positions over time."""
+"""Replays recorded runs without physics, and computes the results of recorded runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from thorvaldc.simulation.run_result import RobotResult, SimulationResult
 def summary(
     robots: Sequence[tuple[str, Robot]], runs: Mapping[str, RecordedRun]
 ) -> SimulationResult:
-    """Returns the results of the recorded robots; values that are not in the record are nan."""
+    """Returns the result of a recorded run.
+
+    A value that the record does not contain is nan.
+    """
     end = max(run.samples[-1].time for run in runs.values())
     results = tuple(_result(name, robot, runs[name].samples) for name, robot in robots)
     return SimulationResult("record", end, end, math.nan, False, results)
@@ -30,7 +33,8 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
     first, last = samples[0], samples[-1]
     true = last.pose_true.relative_to(first.pose_true)
     estimated = last.pose_estimated.relative_to(first.pose_estimated)
-    # The z axis of `base_link` has the vertical component cos(roll) cos(pitch).
+    # The cosine of the tilt angle is the vertical component of the z axis of `base_link`, which is
+    # cos(roll) cos(pitch).
     uprightness = [math.cos(s.posture[1]) * math.cos(s.posture[2]) for s in samples]
     tilt = 0.0
     if all(map(math.isfinite, uprightness)):
@@ -56,7 +60,10 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
 
 
 def _path(poses: Sequence[Pose2]) -> float:
-    """Returns the path length (m) through the poses; each step is an arc."""
+    """Returns the length (m) of the path through the poses.
+
+    The path between two successive poses is assumed to be an arc.
+    """
     return sum(
         math.hypot(b.x - a.x, b.y - a.y) / se2.chord_over_arc(b.yaw - a.yaw)
         for a, b in pairwise(poses)
@@ -64,10 +71,10 @@ def _path(poses: Sequence[Pose2]) -> float:
 
 
 class Replay:
-    """Moves the robots of a scene to their recorded poses and joint positions.
+    """Moves the robots of a scene to the recorded poses and joint positions.
 
-    The poses are the true ones, or the estimated ones if the record has no truth.  Joints
-    without a motor are not recorded and do not move.
+    The poses are the true poses, or the estimated poses if the record has no true poses.  Joints
+    without a motor are not recorded, and the replay does not move joints without a motor.
     """
 
     def __init__(
@@ -76,26 +83,34 @@ class Replay:
         robots: Sequence[tuple[str, Robot]],
         runs: Mapping[str, RecordedRun],
     ) -> None:
-        """Raises ``DiagnosticError`` (``simulation-scene``) if the scene has other robots."""
+        """Finds the joints of the recorded robots in the scene.
+
+        Raises ``DiagnosticError`` (``simulation-scene``) if the scene does not contain a recorded
+        robot.
+        """
         self.scene = scene
         self._robots = [_ReplayedRobot(scene, robot, runs[name]) for name, robot in robots]
         self.end = max(run.samples[-1].time for run in runs.values())
 
     def show(self, time: float) -> None:
-        """Moves the robots to their last sample at or before ``time`` (s)."""
+        """Moves each robot to the last recorded sample at or before ``time`` (s)."""
         for robot in self._robots:
             robot.show(time)
         self.scene.forward()
 
     def times(self, rate: float) -> Iterator[float]:
-        """Yields the times (s) of ``rate`` steps per second and moves the robots to each."""
+        """Replays the record with ``rate`` steps per second.
+
+        Before the method yields the time (s) of a step, it moves the robots to the samples at the
+        time of the step.
+        """
         for number in range(int(self.end * rate + 1e-6) + 1):
             self.show(number / rate)
             yield number / rate
 
 
 class _ReplayedRobot:
-    """The addresses of one robot's joints in the scene, and its samples."""
+    """The recorded samples of one robot, and the addresses of the robot's joints in the scene."""
 
     def __init__(self, scene: MujocoScene, robot: Robot, run: RecordedRun) -> None:
         model = scene.model
@@ -119,7 +134,8 @@ class _ReplayedRobot:
 
     def show(self, time: float) -> None:
         samples = self._samples
-        # Times usually increase, so the search goes on from the last sample.
+        # The times of successive calls usually increase.  For this reason the search starts at the
+        # sample of the last call.
         if self._index and samples[self._index].time > time + 1e-9:
             self._index = 0
         while self._index + 1 < len(samples) and samples[self._index + 1].time <= time + 1e-9:

@@ -1,4 +1,4 @@
-"""Reads a record for a replay and checks that it has the groups that the replay needs."""
+"""Reads a record for a replay and checks that the record has the required groups of values."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ PLOTTED_GROUPS = ("odometry", "truth")
 def read_replay_record(
     path: Path, robots: Sequence[tuple[str, Robot]], report: Report, *, for_plot: bool = False
 ) -> dict[str, RecordedRun] | None:
-    """Returns the recorded runs by robot; ``None`` after errors were added to ``report``.
+    """Returns the recorded runs by robot name.
 
-    A replay needs the odometry or the true poses; a plot needs both.
+    A replay requires the group ``odometry`` or the group ``truth`` in the record.  A plot requires
+    both groups.  If the record is invalid or a group is missing, the function adds errors to
+    ``report`` and returns ``None``.
     """
     runs = read_record(path, robots, report)
     if runs is None:
@@ -43,6 +45,9 @@ def read_replay_record(
 
 
 def text_sources(path: Path) -> dict[str, Path]:
-    """Returns the CSV files of a record by the names that diagnostics give them, for excerpts."""
+    """Returns the CSV files of a record by the file names in the diagnostics.
+
+    The report uses the CSV files to show excerpts.
+    """
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     return {str(file): file for file in files if file.suffix == ".csv"}

@@ -1,4 +1,7 @@
-"""Runs many variations of a scenario, over one or more processes with equal results."""
+"""Runs many variations of a scenario in one or more processes.
+
+The results do not depend on the number of processes.
+"""
 
 from __future__ import annotations
 
@@ -38,10 +41,12 @@ def plan_variations(
     from_document: bool = True,
     report: Report,
 ) -> Variations | None:
-    """Returns the variations of a scenario: those of its document, and ``settings``.
+    """Returns the variations of a scenario.
 
-    With ``from_document=False`` only the settings.  Returns ``None`` if the file is not a
-    scenario.  For the arguments see ``read_variations``.
+    The scenario document and the argument ``settings`` define the variations.  With
+    ``from_document=False`` only ``settings`` defines the variations.  Returns ``None`` if the file
+    is not a scenario.  The function ``read_variations`` describes the arguments ``settings``,
+    ``draws`` and ``seed``.
     """
     document_report = Report()  # compile_file reports these problems again, so they are dropped
     document = read_file(Path(path), str(path), document_report)
@@ -59,10 +64,13 @@ def plan_variations(
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """The run of one variation: its number (from 1), its values by path, and its result.
+    """The run of one variation of a scenario.
 
-    ``result`` is ``ScenarioResult.as_json()`` without the real time factor, which depends on
-    the machine; ``None`` if the run could not start.  ``errors`` are its error messages.
+    * ``number``: number of the run, from 1 on.
+    * ``values``: varied values by their path in the document.
+    * ``result``: ``ScenarioResult.as_json()`` without the real time factor, or ``None`` if the run
+      could not start.  The real time factor is omitted because it depends on the machine.
+    * ``errors``: error messages of the run.
     """
 
     number: int
@@ -75,7 +83,7 @@ class Run:
         return self.result is not None and bool(self.result["passed"])
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the run as plain values."""
+        """Returns the run as JSON values."""
         return {
             "number": self.number,
             "values": dict(self.values),
@@ -86,10 +94,10 @@ class Run:
 
 
 class Batch:
-    """The runs of a scenario's variations.
+    """The runs of all variations of a scenario.
 
-    Each run is compiled and simulated independently, so its result is the same as that of a
-    single run.
+    Each variation is compiled and simulated independently of the other variations.  The result of
+    a variation in a batch is thus equal to the result of the same variation alone.
     """
 
     def __init__(
@@ -110,9 +118,10 @@ class Batch:
         return len(self._jobs)
 
     def check(self) -> Compilation | None:
-        """Compiles each value once before the runs; returns the first compilation with errors.
+        """Compiles the scenario once with each varied value, before the runs start.
 
-        Each value is combined with the other values of the first run.  ``None``: no errors.
+        Each varied value is combined with the other values of the first run.  Returns the first
+        compilation with errors, or ``None`` if all compilations succeed.
         """
         if not self._jobs:
             return None
@@ -129,16 +138,18 @@ class Batch:
         return None
 
     def runs(self, jobs: int = 1) -> Iterator[Run]:
-        """Yields the runs in the order in which they end, over ``jobs`` processes (1: this one).
+        """Simulates the variations and yields each run when the run ends.
 
-        Raises ``BrokenProcessPool`` if a process was killed.  If the caller closes the
-        iterator or an interrupt ends it, the remaining runs are cancelled.
+        ``jobs`` is the number of processes.  With ``jobs=1`` the runs are simulated in the current
+        process.  If the caller closes the iterator, or an interrupt occurs, the remaining runs are
+        cancelled.  Raises ``BrokenProcessPool`` if a process was killed.
         """
         if jobs <= 1 or len(self._jobs) <= 1:
             for job in self._jobs:
                 yield job()
             return
-        # A forked process would inherit locks and threads of MuJoCo and numpy.
+        # The processes are spawned, because a forked process would inherit locks and threads of
+        # MuJoCo and numpy.
         context = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(min(jobs, len(self._jobs)), mp_context=context)
         try:
@@ -158,7 +169,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """One run, with all that a process needs for it."""
+    """The arguments of the run of one variation, passed to another process."""
 
     number: int
     scenario: str
@@ -197,9 +208,11 @@ class _Job:
 
 @contextmanager
 def _ignored_interrupts() -> Iterator[None]:
-    """Processes that start in this block ignore Ctrl-C; their parent terminates them.
+    """Makes all child processes ignore Ctrl-C that start in the ``with`` block.
 
-    A terminal sends Ctrl-C to all processes, and each would print a traceback.
+    A terminal sends Ctrl-C to the parent process and to all child processes.  Without this
+    function, each child process would print a traceback.  The parent process terminates the child
+    processes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -212,7 +225,7 @@ def _ignored_interrupts() -> Iterator[None]:
 
 
 def processors() -> int:
-    """Returns the number of processors that this process may use."""
+    """Returns the number of processors that the current process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

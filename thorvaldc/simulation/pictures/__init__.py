@@ -1,15 +1,20 @@
-"""Pictures of robots and of their runs.
+"""Plots, pictures, videos and web pages of robots and runs.
 
-``plot`` draws paths and velocities (matplotlib), ``render`` and ``video`` draw the scene
-(MuJoCo without a display, Pillow), ``web_page`` writes a web page with the robot in 3D.  Optional
-packages are imported on use; ``PictureError`` names the one that is missing.
+* ``plot`` draws paths and velocities with matplotlib.
+* ``render`` and ``video`` draw the scene with MuJoCo and Pillow, without a display.
+* ``web_page`` writes a web page that shows the robot in 3D.
+
+Optional packages are imported on first use.  ``PictureError`` names a missing package.
 """
 
 from __future__ import annotations
 
 
 class PictureError(Exception):
-    """A package or a driver for pictures is missing; the message is one line for the user."""
+    """A package or a graphics driver that pictures require is missing.
+
+    The message of the error is one line for the user.
+    """
 
 
 def check_pillow() -> None:

@@ -1,4 +1,4 @@
-"""The OpenGL backend of MuJoCo for drawing without a display: EGL, or OSMesa."""
+"""Selects the OpenGL backend, EGL or OSMesa, with which MuJoCo draws without a display."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ _MISSING = (
 
 
 def choose_opengl_backend() -> None:
-    """Sets ``MUJOCO_GL`` to a backend that works, best before MuJoCo is imported.
+    """Sets the environment variable ``MUJOCO_GL`` to an OpenGL backend that works.
 
-    A value that the user sets has priority.  On Linux the function tries EGL, then OSMesa, each
-    in a process of its own, because a backend that fails leaves its libraries loaded.  Raises
+    Call the function before MuJoCo is imported, if possible.  The function does not change a value
+    that the user sets.  On Linux the function tries EGL first, then OSMesa.  Each backend is tried
+    in a separate process, because the libraries of a backend stay loaded after a failure.  Raises
     ``PictureError`` if no backend works.
     """
     if sys.platform != "linux":
@@ -42,7 +43,7 @@ def choose_opengl_backend() -> None:
 
 
 def _reload_mujoco_context() -> None:
-    """Reloads the modules of MuJoCo that read the variable on import."""
+    """Reloads the MuJoCo modules that read ``MUJOCO_GL`` on import."""
     for name in ("mujoco.rendering.classic.gl_context", "mujoco.gl_context"):
         module = sys.modules.get(name)
         if module is not None:

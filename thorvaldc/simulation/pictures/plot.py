@@ -1,6 +1,6 @@
-"""Plots of a run: the paths, and the commanded, estimated and true velocities over time.
+"""Plots the paths of a run, and the commanded, estimated and true velocities over time.
 
-They correspond to figures 8 and 9 of Grimstad and From (2018).
+The plots correspond to figures 8 and 9 of Grimstad and From (2018).
 """
 
 from __future__ import annotations
@@ -39,17 +39,18 @@ def check_plotting() -> None:
 def plot(
     robots: Mapping[str, Robot], samples: Mapping[str, Sequence[Sample]], path: str, title: str
 ) -> None:
-    """Draws the run to a file whose suffix is one of ``FORMATS``.
+    """Draws the plots of a run to a file whose suffix is one of ``FORMATS``.
 
-    ``samples`` are the samples of all ticks by robot.  Equal runs give equal bytes.  Raises
-    ``PictureError`` (``check_plotting``) and ``OSError``.
+    ``samples`` has the samples of all ticks by robot name.  Equal runs give files with equal
+    bytes.  Raises ``PictureError`` if matplotlib is not installed.  Raises ``OSError`` if the file
+    cannot be written.
     """
     check_plotting()
     import matplotlib
 
     figure = draw(robots, samples, title)
     file_format = path.rsplit(".", 1)[-1].lower()
-    # Metadata with the date or the version of matplotlib would change the bytes.
+    # Without the metadata (date, version of matplotlib), equal runs give files with equal bytes.
     metadata: dict[str, dict[str, None]] = {
         "png": {"Software": None},
         "svg": {"Date": None},
@@ -60,7 +61,7 @@ def plot(
 
 
 def draw(robots: Mapping[str, Robot], samples: Mapping[str, Sequence[Sample]], title: str) -> Any:
-    """Returns the matplotlib figure; it needs no window and no display."""
+    """Returns the plots of a run as a matplotlib figure that does not require a display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -96,7 +97,7 @@ def draw(robots: Mapping[str, Robot], samples: Mapping[str, Sequence[Sample]], t
 
 
 def _finite(samples: list[Sample]) -> list[Sample]:
-    """Returns the samples before the simulation diverged."""
+    """Returns the samples from before a divergence of the simulation."""
     for k, sample in enumerate(samples):
         values = (*sample.pose_true, *sample.pose_estimated, *sample.true, *sample.estimated)
         if not all(abs(value) < _OUT_OF_RANGE for value in values):
@@ -154,7 +155,12 @@ def _draw_paths(
 
 
 class Part(NamedTuple):
-    """A visual shape seen from above: outline (n, 2) in ``base_link`` (m), colour, top (m)."""
+    """A visual shape of a robot, seen from above.
+
+    * ``outline``: corners of the outline (m) in ``base_link``, with the shape (n, 2).
+    * ``color``: colour of the shape, red, green, blue and opacity in 0..1.
+    * ``top``: height of the highest point of the shape (m).
+    """
 
     outline: Points
     color: tuple[float, float, float, float]
@@ -162,7 +168,10 @@ class Part(NamedTuple):
 
 
 def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
-    """Returns the robot seen from above, lowest parts first, wheels steered as in the sample."""
+    """Returns the visual shapes of a robot, seen from above, from the lowest to the highest.
+
+    The steering angles are the angles in ``sample``.
+    """
     import numpy as np
 
     from thorvaldc.simulation.pictures.surfaces import surface
@@ -185,7 +194,10 @@ def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
 
 
 def _convex(points: Points) -> Points:
-    """Returns the convex outline: the furthest point in each of ``_DIRECTIONS`` directions."""
+    """Returns an approximate convex hull of points.
+
+    The corners are the furthest points in each of ``_DIRECTIONS`` directions.
+    """
     import numpy as np
 
     angles = np.arange(_DIRECTIONS) * math.tau / _DIRECTIONS

@@ -1,4 +1,4 @@
-"""Pictures of a scene, drawn by MuJoCo without a display."""
+"""Draws pictures of a scene with MuJoCo, without a display."""
 
 from __future__ import annotations
 
@@ -24,15 +24,18 @@ LARGEST = 8000
 """Largest width and height of a picture in pixels."""
 FIELD_OF_VIEW = math.radians(28.0)
 MARGIN = 1.06
-# Directions of the key light (with shadow) and of the fill light (without), in a frame that
-# turns with the camera's azimuth: ahead, right, up.
+# Directions of the key light, which casts shadows, and of the fill light without shadows.  The
+# components are ahead, right and up, in a frame that rotates with the azimuth of the camera.
 KEY = (0.57, 0.03, -1.0)
 FILL = (-0.35, -0.86, -0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Viewing direction in degrees: azimuth counter-clockwise from x, elevation upwards."""
+    """A viewing direction of the camera in degrees.
+
+    The azimuth is measured counter-clockwise from the x axis.  The elevation is positive upwards.
+    """
 
     azimuth: float = 145.0
     elevation: float = -18.0
@@ -49,7 +52,10 @@ VIEWS = {
 
 
 def parse_view(text: str) -> View:
-    """Parses a name of ``VIEWS``, or ``azimuth,elevation`` in degrees.  Raises ``ValueError``."""
+    """Parses a viewing direction: a name in ``VIEWS``, or ``azimuth,elevation`` in degrees.
+
+    Raises ``ValueError`` if the text is invalid.
+    """
     if text in VIEWS:
         return VIEWS[text]
     parts = text.split(",")
@@ -64,7 +70,10 @@ def parse_view(text: str) -> View:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Parses width and height in pixels, such as ``1000x700``.  Raises ``ValueError``."""
+    """Parses the width and height of a picture in pixels, such as ``1000x700``.
+
+    Raises ``ValueError`` if the text is invalid.
+    """
     parts = text.lower().split("x")
     if len(parts) == 2 and all(part.isascii() and part.isdigit() for part in parts):
         width, height = int(parts[0]), int(parts[1])
@@ -83,11 +92,12 @@ def render(
     spin: float = 0.0,
     arrange: Callable[[MujocoScene], None] | None = None,
 ) -> bytes:
-    """Returns a PNG of a robot or fleet in its home pose, from the ``mjcf`` outputs ``files``.
+    """Returns a PNG picture of a robot or a fleet in the home pose.
 
-    The wheels are steered for ``twist``, and each is turned by ``spin`` rad more than the one
-    before.  If ``arrange`` is set, it moves the robots instead.  Raises
-    ``DiagnosticError`` if MuJoCo cannot read the files, ``PictureError`` if it cannot draw.
+    ``files`` are the outputs of the ``mjcf`` backend.  The wheels are steered for the twist
+    ``twist``.  Each wheel is turned by ``spin`` rad more than the previous wheel.  If the function
+    ``arrange`` is set, ``arrange`` moves the robots instead.  Raises ``DiagnosticError`` if MuJoCo
+    cannot read the files.  Raises ``PictureError`` if MuJoCo cannot draw.
     """
     from PIL import Image
 
@@ -117,7 +127,10 @@ def picture_scene(
     *,
     quick: bool = False,
 ) -> MujocoScene:
-    """Loads a scene with lights for pictures; ``quick`` omits shadows and smooth edges."""
+    """Loads a scene and adds lights for pictures.
+
+    If ``quick`` is true, the pictures have no shadows and no smooth edges.
+    """
     return MujocoScene(
         files, visuals=True, prepare=lambda spec: _set_lights(spec, view, size, quick)
     )
@@ -125,7 +138,10 @@ def picture_scene(
 
 @contextmanager
 def renderer(scene: MujocoScene, size: tuple[int, int], points: Points) -> Iterator[Any]:
-    """Opens MuJoCo's renderer; ``points`` (n, 3) in m determine the extent of the scene."""
+    """Opens the renderer of MuJoCo for a scene.
+
+    ``points`` (m) with the shape (n, 3) determine the extent of the scene.
+    """
     import mujoco
     import numpy as np
 
@@ -143,7 +159,10 @@ def renderer(scene: MujocoScene, size: tuple[int, int], points: Points) -> Itera
 
 
 def _set_lights(spec: Any, view: View, size: tuple[int, int], quick: bool) -> None:
-    """Sets a key light with a soft shadow, a fill light from the other side, a plain ground."""
+    """Sets the lights and the colour of the ground for pictures.
+
+    The key light casts a soft shadow.  The fill light comes from the opposite side.
+    """
     import mujoco
 
     for light in list(spec.lights):
@@ -191,7 +210,10 @@ def _set_lights(spec: Any, view: View, size: tuple[int, int], quick: bool) -> No
 
 
 def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: float) -> None:
-    """Steers the wheels for the twist and turns each one ``spin`` rad further than the last."""
+    """Steers the wheels for the twist ``twist`` and turns the wheels about their spin joints.
+
+    Each wheel is turned by ``spin`` rad more than the previous wheel.
+    """
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     position = scene.data.qpos
     for robot in robots:
@@ -208,7 +230,10 @@ def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: f
 
 
 def visible_points(scene: MujocoScene) -> Points:
-    """Returns corner points (n, 3) in the world of all visible geoms of bodies that can move."""
+    """Returns the corner points of all visible geoms of movable bodies.
+
+    The points are in the world frame (m), with the shape (n, 3).
+    """
     import mujoco
     import numpy as np
 
@@ -230,12 +255,17 @@ def visible_points(scene: MujocoScene) -> Points:
 
 
 def fit_camera(points: Points, view: View, aspect: float) -> Any:
-    """Returns a camera (``MjvCamera``) with all points in the picture, centred.
+    """Returns a camera (``MjvCamera``) that shows all points in the centre of the picture.
 
-    For a look-at point c and a distance d, a point at (x, y, depth) from c in the camera's axes
-    (right, up, forward) is in the picture if |x| <= (d + depth) tan(fov_x / 2), and the same
-    for y.  So the least distance is the largest |x| / tan - depth over all points.  Then c moves
-    to the middle of the projected points.  Both steps repeat until they converge.
+    Let c be the look-at point of the camera, and d the distance of the camera from c.  A point has
+    the coordinates (x, y, depth) relative to c, along the camera axes right, up and forward.  The
+    point is in the picture if |x| <= (d + depth) tan(fov_x / 2) and
+    |y| <= (d + depth) tan(fov_y / 2).
+
+    The first step computes the smallest camera distance d, the maximum of
+    |x| / tan(fov_x / 2) - depth and |y| / tan(fov_y / 2) - depth over all points.  The second step
+    moves the look-at point c to the centre of the projected points.  The function repeats both
+    steps until the camera converges.
     """
     import mujoco
     import numpy as np

@@ -1,4 +1,4 @@
-"""Triangle meshes of a robot's visual shapes."""
+"""Triangle meshes of the visual shapes of a robot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ SIDES = 24
 
 
 def surface(robot: Robot, shape: Shape) -> tuple[Points, Faces]:
-    """Returns vertices (n, 3) in m in the frame of the shape, and triangles (m, 3) of indices."""
+    """Returns the vertices and triangles of the surface of a visual shape.
+
+    The vertices (m) are in the frame of the shape, with the array shape (n, 3).  Each triangle has
+    three vertex indices, with the array shape (m, 3).
+    """
     if isinstance(shape, MeshShape):
         mesh = next(mesh for mesh in robot.meshes if mesh.name == shape.mesh)
         points, faces = _mesh(mesh.name, mesh.data)

@@ -1,4 +1,7 @@
-"""Videos of runs: the positions are stored during the run and drawn afterwards."""
+"""Draws videos of runs.
+
+The positions of the robots are stored during the run.  The pictures are drawn after the run.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ SIZES = {"mp4": (960, 540), "gif": (640, 360)}
 
 
 def encoder() -> str:
-    """Returns the path of ``ffmpeg``.  Raises ``PictureError`` if there is none."""
+    """Returns the path of the program ``ffmpeg``.
+
+    Raises ``PictureError`` if ``ffmpeg`` is not installed.
+    """
     path = shutil.which("ffmpeg")
     if path:
         return path
@@ -41,23 +47,29 @@ def encoder() -> str:
 
 
 class VideoRecorder:
-    """Stores the positions of a scene during a run, ``rate`` times per second, and draws them."""
+    """Stores the joint positions of a scene during a run, and draws a video from the positions.
+
+    ``rate`` is the number of pictures per second.
+    """
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
         self._positions: list[Any] = []
 
     def on_tick(self, scene: MujocoScene) -> None:
-        """Stores the positions if a picture is due.  Call it at each tick."""
+        """Stores the joint positions if the time of the next picture is reached.
+
+        Call the method ``on_tick`` after each tick.
+        """
         if scene.time >= len(self._positions) / self.rate - 1e-9:
             self.store(scene)
 
     def store(self, scene: MujocoScene) -> None:
-        """Stores the positions for the next picture."""
+        """Stores the joint positions of the scene for the next picture."""
         self._positions.append(scene.data.qpos.copy())
 
     def __len__(self) -> int:
-        """Number of pictures."""
+        """Returns the number of pictures."""
         return len(self._positions)
 
     def write(
@@ -68,11 +80,13 @@ class VideoRecorder:
         view: View | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        """Draws the scene of ``files`` (the ``mjcf`` outputs) at the stored positions.
+        """Draws a video of the scene at the stored joint positions.
 
-        The suffix of ``path`` selects MP4 or GIF.  The camera follows the robots.
-        ``progress`` is called with the number of pictures drawn so far.  An existing file is
-        replaced when the new one is complete.  Raises ``PictureError`` and ``OSError``.
+        ``files`` are the outputs of the ``mjcf`` backend.  The suffix of ``path`` selects the
+        format MP4 or GIF.  The camera follows the robots.  ``progress`` is called with the number
+        of finished pictures.  An existing file is replaced only when the new video is complete.
+        Raises ``PictureError`` if MuJoCo or the video encoder fails.  Raises ``OSError`` if the
+        file cannot be written.
         """
         video_format = path.suffix.lower().lstrip(".")
         size = size or SIZES[video_format]
@@ -98,7 +112,7 @@ class VideoRecorder:
         view: View,
         progress: Callable[[float], None] | None,
     ) -> Iterator[Any]:
-        """Yields pictures as arrays (height, width, 3) of bytes."""
+        """Yields the pictures as arrays of bytes with the shape (height, width, 3)."""
         import numpy as np
 
         scene = picture_scene(files, size, view, quick=True)
@@ -113,7 +127,8 @@ class VideoRecorder:
             cameras.append(fit_camera(points, view, size[0] / size[1]))
         if not cameras:
             raise PictureError("the run ended before its first picture")
-        # One distance for the whole video: that of the picture with the robots furthest apart.
+        # The camera distance is the same in all pictures of the video.  The picture in which the
+        # robots are furthest apart determines the camera distance.
         distance = max(camera.distance for camera in cameras)
         with renderer(scene, size, np.array(limits)) as drawing:
             for number, (position, camera) in enumerate(
@@ -132,7 +147,10 @@ class VideoRecorder:
 
 
 class BoundingBoxes:
-    """Bounding boxes of the visible geoms that can move: a fast estimate of the robots' extent."""
+    """Bounding boxes of the visible geoms that can move.
+
+    The bounding boxes are a fast estimate of the extent of the robots.
+    """
 
     def __init__(self, scene: MujocoScene) -> None:
         import numpy as np
@@ -145,7 +163,7 @@ class BoundingBoxes:
         self._local = centre + signs * half
 
     def corners(self, scene: MujocoScene) -> Points:
-        """Returns the corners of the boxes in the world, (n, 3)."""
+        """Returns the corners of all bounding boxes in the world frame (m), as an (n, 3) array."""
         import numpy as np
 
         if not len(self._geoms):

@@ -1,4 +1,7 @@
-"""A web page that shows a robot or a fleet in 3D: one file with all its data."""
+"""Creates a web page that shows a robot or a fleet in 3D.
+
+The web page is a single file that contains all data of the model.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,11 @@ PLACEHOLDER = "/*DATA*/"
 
 
 def robot_page(model: Robot | Fleet, template: str) -> str:
-    """Returns ``template`` with the model's data as JSON.
+    """Returns the web page ``template`` with the data of the model as JSON.
 
-    Lengths in m, angles in rad, quaternions wxyz, masses in kg.  The model must contain the
-    data of its meshes.  Robots of equal design share their data.  Raises ``ValueError`` if the
-    template has no placeholder.
+    Lengths are in m, angles in rad, masses in kg, and quaternions in the order wxyz.  The model
+    must contain the data of the meshes.  Robots with an equal design share one copy of the design
+    data.  Raises ``ValueError`` if the template has no placeholder for the data.
     """
     if template.count(PLACEHOLDER) != 1:
         raise ValueError(f"the template must have {PLACEHOLDER} exactly once")
@@ -49,13 +52,13 @@ def robot_page(model: Robot | Fleet, template: str) -> str:
         "designs": [json.loads(design) for design in designs],
         "shapes": shapes.meshes,
     }
-    # In a script element, `</script` would end the data.
+    # The text `</script` inside the JSON data would end the script element.
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
     return template.replace(PLACEHOLDER, text)
 
 
 class _Shapes:
-    """The meshes of all shapes; equal shapes share one."""
+    """The triangle meshes of all visual shapes.  Equal shapes share one mesh."""
 
     def __init__(self) -> None:
         self.meshes: list[dict[str, str]] = []
@@ -91,7 +94,7 @@ def _pose_values(pose: Pose) -> list[float]:
 
 
 def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
-    """Returns the data of a robot that do not depend on its pose."""
+    """Returns the data of a robot that do not depend on the pose of the robot."""
     driven = sum(wheel.driven for wheel in robot.wheels)
     steered = sum(wheel.steered for wheel in robot.wheels)
     tree = JointTree(robot.links, robot.joints)

@@ -1,1 +1,1 @@
-"""Records of runs: MCAP files, CSV files, and the joint logs of calibrations."""
+"""Reading and writing of recorded runs: MCAP files, CSV files and joint logs."""

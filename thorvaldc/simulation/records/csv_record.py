@@ -1,15 +1,16 @@
-"""Records as CSV files, one per robot: written during a run and read back.
+"""Writes and reads the record of a run as CSV files, one file per robot.
 
-SI units; the first column is ``time`` (s).  A record has one or more groups of columns:
+All values are in SI units.  The first column is ``time`` (s).  The other columns belong to one or
+more of these groups:
 
 ============  ==========================================================================
-``odometry``  ``odometry_x`` .. ``_yaw`` and ``odometry_vx`` .. ``_wz``: the estimate
-``truth``     ``true_*``: the same in the simulated world, with ``true_z``, roll and pitch
-``twist``     ``asked_*``: the commanded twist; ``aimed_*``: after limits and ramps
+``odometry``  ``odometry_x`` .. ``_yaw`` and ``odometry_vx`` .. ``_wz``: pose and twist
+``truth``     ``true_*``: true pose and twist, also ``true_z``, roll and pitch
+``twist``     ``asked_*``: commanded twist; ``aimed_*``: twist after limits and ramps
 ``joints``    ``<joint>_position``, ``_velocity`` and ``_command``
 ============  ==========================================================================
 
-An empty cell means that there is no number.
+An empty cell means that the value is unknown.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _POSTURE = ("z", "roll", "pitch")
 
 
 def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
-    """Returns the names of the columns of a robot's record."""
+    """Returns the column names of the record of a robot."""
     names = [TIME]
     if "odometry" in groups:
         names += [f"odometry_{part}" for part in (*_POSE, *_TWIST)]
@@ -59,10 +60,11 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
 
 
 class CsvRecorder:
-    """Writes a CSV file per robot, a line per sample.
+    """Writes one CSV file per robot, with one line per sample.
 
-    ``path`` is a folder for ``<robot>.csv``, or a file ``*.csv`` for a single robot.
-    ``groups`` are the groups of columns, ``every`` the time (s) between samples, 0 for all.
+    * ``path``: a folder for the files ``<robot>.csv``, or a file ``*.csv`` for a single robot.
+    * ``groups``: names of the groups of columns.
+    * ``every``: time between two recorded samples (s).  The value 0 records all samples.
     """
 
     def __init__(
@@ -72,7 +74,10 @@ class CsvRecorder:
         groups: Sequence[str],
         every: float = 0.0,
     ) -> None:
-        """Creates the folder and opens the files.  Raises ``OSError`` if that fails."""
+        """Creates the folder and opens the CSV files.
+
+        Raises ``OSError`` if the folder cannot be created or a file cannot be opened.
+        """
         self._groups = groups
         self._interval = SampleInterval(every)
         self._files: dict[str, TextIO] = {}
@@ -102,7 +107,11 @@ class CsvRecorder:
             self._files[robot].write(",".join(map(_text, values)) + "\n")
 
     def close(self) -> None:
-        """Closes all files, also after an error.  Raises the last ``OSError``."""
+        """Closes all CSV files.
+
+        If closing a file fails, the method closes the other files and then raises the last
+        ``OSError``.
+        """
         last_error: OSError | None = None
         while self._files:
             name, stream = self._files.popitem()
@@ -118,7 +127,7 @@ class CsvRecorder:
 def _values(
     robot: Robot, sample: Sample, commands: JointCommands | None, groups: Sequence[str]
 ) -> Iterator[float]:
-    """Yields the numbers of a line in the order of ``columns``."""
+    """Yields the numbers of one line of the CSV file, in the order of ``columns``."""
     yield sample.time
     if "odometry" in groups:
         yield from sample.pose_estimated
@@ -147,7 +156,7 @@ def _values(
 
 
 def _text(value: float) -> str:
-    """Returns nine digits, or an empty cell for a value that is not finite."""
+    """Returns a number with nine significant digits, or an empty text if not finite."""
     return f"{value:.9g}" if math.isfinite(value) else ""
 
 
@@ -157,9 +166,10 @@ def _text(value: float) -> str:
 def read_csv_record(
     path: Path, robots: Sequence[tuple[str, Robot]], report: Report
 ) -> dict[str, RecordedRun] | None:
-    """Returns the recorded runs by robot; ``None`` if a file is missing or invalid.
+    """Returns the recorded runs by robot name.
 
-    ``path`` is a folder of CSV files or the file of one robot.  Problems go to ``report``.
+    ``path`` is a folder of CSV files or the CSV file of one robot.  If a file is missing or
+    invalid, the function adds the problems to ``report`` and returns ``None``.
     """
     display = str(path)
     files: dict[str, Path] = {}
@@ -220,7 +230,7 @@ def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
 
 
 def _columns_match(table: Table, robot: Robot, groups: Sequence[str], report: Report) -> bool:
-    """Checks that the table has all columns of the robot's groups, and no other columns."""
+    """Checks that the table has exactly the columns of the groups of a robot."""
     known = columns(robot, GROUPS)
     unknown = next((column for column in table.columns if column not in known), None)
     missing = next((c for c in columns(robot, groups) if c not in table.columns), None)

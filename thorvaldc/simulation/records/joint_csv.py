@@ -1,7 +1,8 @@
-"""Joint logs: encoder readings as a CSV file, the input of ``calibrate``.
+"""Writes and reads joint logs: CSV files of encoder readings for the command ``calibrate``.
 
-The first line names the columns: ``time`` (s), then ``<joint>.<quantity>``.  One line per
-tick of the driver.
+The first line of a joint log contains the column names.  The first column is ``time`` (s), and
+the other column names are ``<joint>.<quantity>``.  Each further line has the values of one tick of
+the driver.
 
 ===============  =====================================================================
 drive joint      ``position`` (rad, not wrapped) or ``velocity`` (rad/s); optionally
@@ -9,9 +10,8 @@ drive joint      ``position`` (rad, not wrapped) or ``velocity`` (rad/s); option
 steering joint   ``position`` (rad)
 ===============  =====================================================================
 
-All values are raw encoder readings: the steering offsets of a calibration are not applied.  A
-calibration needs complete data, so the reader accepts no empty cells and no incomplete line;
-the records of ``csv_record`` may have both.
+All values are raw encoder readings without the steering offsets of a calibration.  The reader does
+not accept empty cells or incomplete lines, because a calibration requires complete data.
 """
 
 from __future__ import annotations
@@ -50,7 +50,10 @@ _ROW_RULES = RowRules(
 
 @dataclass(frozen=True, slots=True)
 class _Joint:
-    """A joint with an encoder, the index of its (first) wheel, and the encoder offset (rad)."""
+    """A joint with an encoder, the index of the first wheel on the joint, and the encoder offset.
+
+    The encoder offset is in rad.
+    """
 
     name: str
     wheel: int
@@ -58,7 +61,7 @@ class _Joint:
 
 
 def drive_joints(robot: Robot) -> list[_Joint]:
-    """Returns the spin joints that have a motor with an encoder, each once."""
+    """Returns the spin joints that have a motor with an encoder, without duplicates."""
     joints: dict[str, _Joint] = {}
     for i, wheel in enumerate(robot.wheels):
         if robot.actuator_of(wheel.spin_joint) is not None:
@@ -67,7 +70,7 @@ def drive_joints(robot: Robot) -> list[_Joint]:
 
 
 def steering_joints(robot: Robot) -> list[_Joint]:
-    """Returns the steering joints that have a motor, each once."""
+    """Returns the steering joints that have a motor, without duplicates."""
     joints: dict[str, _Joint] = {}
     for i, wheel in enumerate(robot.wheels):
         name = wheel.steering_joint
@@ -78,7 +81,7 @@ def steering_joints(robot: Robot) -> list[_Joint]:
 
 
 class JointLogWriter:
-    """Writes the joint states of each tick to a stream."""
+    """Writes the joint states of each tick of the driver to a text stream."""
 
     def __init__(self, robot: Robot, stream: TextIO) -> None:
         self._stream = stream
@@ -88,7 +91,10 @@ class JointLogWriter:
         self._quantities: tuple[str, ...] = ()
 
     def record(self, state: DriverState) -> None:
-        """Writes a line, unless the joint states of the tick are missing, faulty or repeated."""
+        """Writes the joint states of a tick as one line of the joint log.
+
+        Joint states that are missing, faulty or repeated are not written.
+        """
         joints, command = state.joints, state.command
         if joints is None or command is None or state.fault or not joints.time > self._time:
             return
@@ -108,7 +114,7 @@ class JointLogWriter:
         self._stream.write(",".join(cells) + "\n")
 
     def on_tick(self, loop: ControlLoop) -> None:
-        """Records the tick of a simulation (a ``TickCallback``)."""
+        """Writes the joint states after a tick of a simulation (a ``TickCallback``)."""
         self.record(loop.driver.state)
 
     def _write_header(self) -> None:
@@ -125,11 +131,12 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class JointLog:
-    """The columns of a log by joint name, in the order of the robot's joints.
+    """The columns of a joint log by joint name, in the order of the joints of the robot.
 
-    A drive joint is in ``positions`` (rad) or in ``velocities`` (rad/s), not in both; if they
-    were recorded, its commands (rad/s) are in ``commands``.  ``angles`` (rad) are the positions
-    of the steering joints.
+    * ``positions``: positions of the drive joints (rad).
+    * ``velocities``: velocities (rad/s) of the drive joints that are not in ``positions``.
+    * ``commands``: commanded velocities of the drive joints (rad/s), if the log has commands.
+    * ``angles``: positions of the steering joints (rad).
     """
 
     times: list[float]
@@ -140,9 +147,10 @@ class JointLog:
 
 
 def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog | None:
-    """Reads the log of ``robot``; returns ``None`` if it is invalid.
+    """Reads the joint log of a robot.
 
-    Problems go to ``report`` with line and column; ``display`` is the name of the file in them.
+    If the joint log is invalid, the function adds the problems with line and column to ``report``
+    and returns ``None``.  ``display`` is the name of the file for the diagnostics.
     """
     text = read_utf8(path, display, report)
     if text is None:
@@ -171,7 +179,7 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
 
 
 def _header(line: str, display: str, report: Report) -> list[str] | None:
-    """Returns the names of the columns; ``None`` if the file is not a joint log."""
+    """Returns the column names, or ``None`` if the file is not a joint log."""
     names = [name.strip() for name in line.split(",")]
     for i, name in enumerate(names):
         span = cell_span(display, 1, line, i)
@@ -196,7 +204,10 @@ def _header(line: str, display: str, report: Report) -> list[str] | None:
 
 
 def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Report) -> bool:
-    """Checks that the log has all motorised joints of the robot, and only joints of the robot."""
+    """Checks that the joints of a joint log are the joints of the robot.
+
+    A joint log must contain all joints with a motor, and no joint of another robot.
+    """
     line = ",".join(header)
     known = {joint.name for joint in robot.joints}
     logged = list(dict.fromkeys(name.rpartition(".")[0] for name in header if name != TIME))

@@ -1,4 +1,4 @@
-"""Reads records from MCAP files, and from any ROS bag with the same topics."""
+"""Reads recorded runs from MCAP files, and from ROS bags with the same topics."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ _NO_TWIST = Twist(math.nan, math.nan, math.nan)
 def read_mcap_record(
     path: Path, robots: Sequence[tuple[str, Robot]], report: Report
 ) -> dict[str, RecordedRun] | None:
-    """Returns the recorded runs by robot; ``None`` if the bag is invalid.
+    """Returns the recorded runs by robot name.
 
-    Problems go to ``report``.  Raises ``MissingPackageError`` if rosbags is not installed.
+    If the bag is invalid, the function adds the problems to ``report`` and returns ``None``.
+    Raises ``MissingPackageError`` if rosbags is not installed.
     """
     display = str(path)
     bag = read_bag(path, display, Span(display), _record_topics, report)
@@ -80,7 +81,10 @@ def read_mcap_record(
 
 
 def _record_topics(topics: Mapping[str, str]) -> set[str]:
-    """Returns the topics of a bag that belong to a record, from all topics and their types."""
+    """Returns the topics of a bag that belong to a record.
+
+    ``topics`` has the message type of each topic of the bag.
+    """
     of_robots = {
         topic
         for topic, type_ in topics.items()
@@ -92,7 +96,8 @@ def _record_topics(topics: Mapping[str, str]) -> set[str]:
 class _BagRun:
     """The messages of one robot in a bag, grouped by time.
 
-    A sample of a record is spread over several topics; its messages have equal times.
+    A sample of a record consists of messages on several topics.  All messages of a sample have the
+    same time.
     """
 
     def __init__(
@@ -112,7 +117,10 @@ class _BagRun:
                     self._start = _pose(pose.translation, pose.rotation, 0.0)[0]
 
     def read(self, report: Report) -> RecordedRun | None:
-        """Returns the samples; ``None`` if messages are missing or of another robot."""
+        """Returns the recorded run of the robot.
+
+        Returns ``None`` if messages are missing or belong to another robot.
+        """
         topic_of = {
             "odometry": ODOM,
             "truth": TRUE_ODOM,
@@ -142,7 +150,7 @@ class _BagRun:
         return run
 
     def _joints_match(self, report: Report) -> bool:
-        """Checks that the recorded joints are those of the robot."""
+        """Checks that the recorded joint names are the joint names of the robot."""
         first = next(iter(self._by_time.get(JOINTS, {}).values()), None)
         if first is None:
             return True
@@ -164,7 +172,11 @@ class _BagRun:
         return True
 
     def _sample(self, time: float, last_yaws: list[float]) -> Sample:
-        """Returns the sample at ``time``; updates the last estimated and true yaw (rad)."""
+        """Returns the sample at ``time``.
+
+        ``last_yaws`` are the estimated and the true yaw (rad) of the previous sample.  The function
+        replaces both values by the yaw angles of the returned sample.
+        """
         estimated, pose, true, pose_true = _NO_TWIST, _NO_POSE, _NO_TWIST, _NO_POSE
         posture = (math.nan, math.nan, math.nan)
         message = self._message(ODOM, time)
@@ -229,10 +241,10 @@ def _twist(message: Any) -> Twist:
 def _pose(
     position: Any, orientation: Any, last_yaw: float
 ) -> tuple[Pose2, tuple[float, float, float]]:
-    """Returns the planar pose, and height (m), roll and pitch (rad).
+    """Returns the planar pose, and the height (m), roll (rad) and pitch (rad), of a message.
 
-    A quaternion has the yaw only modulo a turn; the yaw within half a turn of ``last_yaw`` is
-    the one that is not wrapped.
+    A quaternion determines the yaw angle only up to full turns.  The function returns the yaw
+    angle that differs from ``last_yaw`` by at most half a turn.
     """
     q = orientation
     roll, pitch, yaw = matrix_to_rpy(quat_to_matrix((q.w, q.x, q.y, q.z)))

@@ -1,6 +1,7 @@
-"""Writes records of runs as one MCAP file of ROS 2 messages, with rosbags.
+"""Writes the record of a run as an MCAP file of ROS 2 messages, with the library rosbags.
 
-Topics of each robot, in its name space, at simulated times from 0 on:
+The message times are the simulated times, from 0 on.  The topics of a robot are in the name space
+of the robot:
 
 ====================  ===============  ====================================================
 ``odom``              Odometry         the estimate of the odometry from the encoders
@@ -11,7 +12,7 @@ Topics of each robot, in its name space, at simulated times from 0 on:
 ``joint_commands``    JointState       the joint commands of the driver
 ====================  ===============  ====================================================
 
-Frames in ``/tf`` and ``/tf_static``::
+The topics ``/tf`` and ``/tf_static`` have these frames::
 
     map --(static: start pose)--> odom --(estimated)--> base_link
      \\--(true)--> base_link_true
@@ -73,10 +74,11 @@ _BATCH = 500
 
 
 class McapRecorder:
-    """Writes one MCAP file of all robots; ``groups`` and ``every`` as for ``CsvRecorder``.
+    """Writes the samples of all robots to one MCAP file.
 
-    Equal runs give equal bytes.  During the run the file grows in a hidden folder next to
-    ``path``; ``close`` moves it to ``path``, also after an error or Ctrl-C.
+    The arguments ``groups`` and ``every`` have the same meaning as for ``CsvRecorder``.  Equal
+    runs give files with equal bytes.  During the run, the MCAP file is in a hidden folder next to
+    ``path``.  The method ``close`` moves the MCAP file to ``path``, also after an error or Ctrl-C.
     """
 
     def __init__(
@@ -86,7 +88,11 @@ class McapRecorder:
         groups: Sequence[str],
         every: float = 0.0,
     ) -> None:
-        """Raises ``MissingPackageError`` without rosbags, ``OSError`` if it cannot be written."""
+        """Opens the MCAP file in a hidden folder.
+
+        Raises ``MissingPackageError`` if rosbags is not installed.  Raises ``OSError`` if the file
+        cannot be written.
+        """
         require_rosbags()
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -123,7 +129,7 @@ class McapRecorder:
             return
         self._robots[robot].send(sample, commands)
         if len(self._pending) >= _BATCH:
-            # Ctrl-C in the middle of a message would make the whole chunk unreadable.
+            # Ctrl-C while a message is written would make a whole chunk of the file unreadable.
             with uninterrupted(), errors_with_name(self.path):
                 self._write()
 
@@ -135,7 +141,8 @@ class McapRecorder:
                 self._write()
                 self._writer.close()
             except OSError:
-                # The disk is full: keep the messages so far; the file has no index.
+                # If the disk is full, the file keeps all messages that were written, but has no
+                # index.
                 with contextlib.suppress(OSError):
                     self._writer.abort()
                 raise
@@ -145,11 +152,11 @@ class McapRecorder:
                 self._remove_folder()
 
     def send(self, connection: Any, time: int, data: bytes) -> None:
-        """Queues a message for ``time`` (ns)."""
+        """Queues a message with the time ``time`` (ns) for the next write."""
         self._pending.append((connection, time, data))
 
     def send_tf(self, time: int, data: bytes, *, static: bool = False) -> None:
-        """Queues a TFMessage."""
+        """Queues a TFMessage with the time ``time`` (ns) for the next write."""
         self.send(self._tf_static if static else self._tf, time, data)
 
     def _write(self) -> None:
@@ -178,7 +185,10 @@ class McapRecorder:
 
 
 class _RobotTopics:
-    """Encodes the samples of one robot; ``connections`` by topic without the name space."""
+    """Encodes the samples of one robot as ROS 2 messages.
+
+    ``connections`` has the connection of each topic, by the topic name without the name space.
+    """
 
     def __init__(self, robot: Robot, connections: dict[str, Any], recorder: McapRecorder) -> None:
         self._connections = connections
@@ -198,7 +208,7 @@ class _RobotTopics:
         self._start: Pose2 | None = None
 
     def send(self, sample: Sample, commands: JointCommands | None) -> None:
-        """Queues the messages of a sample."""
+        """Encodes a sample and queues the messages for the next write."""
         connections, send = self._connections, self._recorder.send
         time = round(sample.time * 1e9)
         poses: tuple[float, ...] = ()
@@ -235,7 +245,11 @@ class _RobotTopics:
             send(connections[COMMANDS], time, data)
 
     def _state_numbers(self, joints: JointStates) -> list[float]:
-        """Returns the positions, then the velocities, in the order of the joint names."""
+        """Returns the numbers of a JointState message from joint states.
+
+        The positions of all joints are followed by the velocities of all joints, in the order of
+        the joint names.
+        """
         drives, steering = self._drives, self._steering
         positions = joints.positions
         return [
@@ -246,7 +260,11 @@ class _RobotTopics:
         ]
 
     def _command_numbers(self, commands: JointCommands) -> list[float]:
-        """Returns a position per steering joint and a velocity per drive; nan for the others."""
+        """Returns the numbers of a JointState message from joint commands.
+
+        A steering joint has a commanded position, and a drive joint has a commanded velocity.  All
+        other numbers are nan.
+        """
         drives, steering = self._drives, self._steering
         return [
             *(math.nan for _ in drives),
@@ -257,9 +275,9 @@ class _RobotTopics:
 
 
 def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
-    """Returns the drive joints and the steering joints with the index of their (first) wheel.
+    """Returns the drive joints and the steering joints of a robot.
 
-    Two wheels may share a joint.
+    Both mappings give the index of the first wheel on a joint.  Two wheels may share a joint.
     """
     drives: dict[str, int] = {}
     steering: dict[str, int] = {}

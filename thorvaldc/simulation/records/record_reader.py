@@ -1,4 +1,4 @@
-"""Reads records of runs: the CSV files and MCAP files that ``sim --record`` writes."""
+"""Reads recorded runs from the CSV and MCAP files that ``sim --record`` writes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from thorvaldc.simulation.records.recorded_run import RecordedRun
 def read_record(
     path: Path, robots: Sequence[tuple[str, Robot]], report: Report
 ) -> dict[str, RecordedRun] | None:
-    """Returns the recorded runs by robot; ``None`` if the record is invalid.
+    """Returns the recorded runs by robot name.
 
-    ``path`` is an MCAP file, a folder of CSV files or the CSV file of one robot.  The record
-    of a single robot may have another robot name.  Problems go to ``report``.  Raises
-    ``MissingPackageError`` if rosbags is needed and not installed.
+    ``path`` is an MCAP file, a folder of CSV files or the CSV file of one robot.  The robot name
+    in a record of a single robot may differ from the name in ``robots``.  If the record is invalid,
+    the function adds the problems to ``report`` and returns ``None``.  Raises
+    ``MissingPackageError`` if the record is an MCAP file and rosbags is not installed.
     """
     display = str(path)
     if not path.exists():

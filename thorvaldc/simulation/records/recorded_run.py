@@ -1,4 +1,4 @@
-"""The samples of one robot, read from a record, and the diagnostic for a robot that is missing."""
+"""The recorded samples of one robot, and the diagnostic for a robot without samples."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from thorvaldc.simulation.control_loop import Sample
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """The samples of one robot, and the joint commands of each sample.
+    """The recorded samples of one robot, and the joint commands of each sample.
 
-    Values of a group that is not in ``groups`` are nan, or ``None``.
+    ``groups`` has the names of the recorded groups of values.  All values of a group that was not
+    recorded are nan or ``None``.
     """
 
     groups: tuple[str, ...]
@@ -24,7 +25,11 @@ class RecordedRun:
 
 
 def report_missing_robot(name: str, recorded: Iterable[str], display: str, report: Report) -> None:
-    """Reports that the record ``display``, with the robots ``recorded``, has no robot ``name``."""
+    """Reports that a record has no robot with the name ``name``.
+
+    ``recorded`` are the names of the recorded robots.  ``display`` is the name of the record for
+    the diagnostic.
+    """
     known = sorted(recorded)
     names = ", ".join(known[:6]) + (" .." if len(known) > 6 else "")
     report.add(

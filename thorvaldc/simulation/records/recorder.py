@@ -1,4 +1,4 @@
-"""Recorders: the interface that takes the samples of a run, and the hash of a run."""
+"""The interface of recorders of a run, and a recorder that computes the hash of a run."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
 
 
 class Recorder(Protocol):
-    """Takes the samples of a run, those of each robot in order of time.
+    """A recorder receives the samples of a run.
 
-    ``commands`` are the joint commands of the driver (``None`` before the first command).
-    ``close`` may be called twice.
+    The samples of a robot arrive in the order of their times.  ``commands`` are the joint commands
+    of the driver, or ``None`` before the first command.  The method ``close`` may be called twice.
     """
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None: ...
@@ -27,7 +27,7 @@ class Recorder(Protocol):
 
 
 def record_ticks(recorders: Sequence[Recorder]) -> TickCallback:
-    """Returns a callback of a run that passes each tick to the recorders."""
+    """Returns a callback that passes the sample of each tick to all recorders."""
 
     def on_tick(loop: ControlLoop) -> None:
         sample, command = loop.sample(), loop.driver.state.command
@@ -39,9 +39,9 @@ def record_ticks(recorders: Sequence[Recorder]) -> TickCallback:
 
 @contextlib.contextmanager
 def errors_with_name(path: Path) -> Iterator[None]:
-    """Puts the name of the file into each ``OSError`` of the block.
+    """Adds the file name ``path`` to each ``OSError`` that the ``with`` block raises.
 
-    Errors of ``write`` and ``close`` (a full disk) have no file name of their own.
+    An ``OSError`` from ``write`` or ``close``, for example on a full disk, has no file name.
     """
     try:
         yield
@@ -51,14 +51,18 @@ def errors_with_name(path: Path) -> Iterator[None]:
 
 
 class SampleInterval:
-    """Selects the samples to record: one in ``every`` s of each robot, all samples for 0."""
+    """Selects the samples to record.
+
+    One sample of each robot is recorded in each interval of ``every`` s.  If ``every`` is 0, all
+    samples are recorded.
+    """
 
     def __init__(self, every: float) -> None:
         self._every = every
         self._next: dict[str, float] = {}
 
     def is_due(self, robot: str, time: float) -> bool:
-        """Reports if the sample at ``time`` (s) is to be recorded."""
+        """Returns true if the sample of the robot at ``time`` (s) must be recorded."""
         if self._every <= 0.0:
             return True
         if time < self._next.get(robot, 0.0) - 1e-9:
@@ -68,7 +72,10 @@ class SampleInterval:
 
 
 class RunHash:
-    """A recorder that hashes every number of a run: equal hashes mean bit-equal runs."""
+    """A recorder that computes a hash of every number of a run.
+
+    Two runs with the same hash have the same numbers to the last bit.
+    """
 
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
@@ -81,7 +88,7 @@ class RunHash:
         return
 
     def hexdigest(self) -> str:
-        """Returns the SHA-256 of all samples so far."""
+        """Returns the SHA-256 hash of all samples that the recorder received."""
         return self._hash.hexdigest()
 
 

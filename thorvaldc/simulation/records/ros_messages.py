@@ -1,17 +1,19 @@
-"""ROS 2 messages of a record, encoded as CDR; times in ns, all other values in SI.
+"""Encodes the ROS 2 messages of a record as CDR.  Times are in ns, other values in SI units.
 
 CDR (OMG DDS-XTypes 7.4, version 1, little-endian) is the byte format of ROS 2 messages::
 
     00 01 00 00 | sec   | nanosec | length | frame_id \\0 | .. | x      | y      | ..
     header      | int32 | uint32  | uint32 | bytes       | 0s | double | double | ..
 
-Every value begins at a multiple of its size, counted after the header.  A text is its length
-with the final zero byte, and its bytes; a sequence is its count and its values.
+The offset of a value, counted from the end of the header, is a multiple of the size of the value.
+A string consists of the length, the characters and a final zero byte.  The length of a string
+includes the zero byte.  A sequence consists of the number of items and the items.
 
-Only the times and the numbers change from one message of a topic to the next, so a
-``MessageTemplate`` writes all other bytes once.  rosbags has a serialiser with equal output,
-which encodes the whole message every time: with it a recorded run of the 77 s mission
-(``bench/records.py``) takes 1.02 s, with templates 0.77 s, without a record 0.53 s.
+Two messages of the same topic differ only in the times and the numbers.  For this reason a
+``MessageTemplate`` writes all other bytes only once.  The serialiser of rosbags has the same output
+but encodes the whole message every time.  A recorded run of the 77 s mission in
+``bench/records.py`` takes 1.02 s with the serialiser of rosbags, and 0.77 s with message templates.
+The same run without a record takes 0.53 s.
 """
 
 from __future__ import annotations
@@ -35,34 +37,35 @@ _POSE_NUMBERS, _TWIST_NUMBERS, _COVARIANCE_NUMBERS = 7, 6, 36
 
 
 class MessageTemplate:
-    """The bytes of a message with gaps for its times and its numbers (float64)."""
+    """The bytes of a ROS 2 message with gaps for times and numbers (float64)."""
 
     def __init__(self) -> None:
         self._data = bytearray(_CDR_HEADER)
         self._stamps: list[int] = []
-        # Numbers side by side are written in one call: (offset, format, first, end).
+        # Each item is (offset, format, first, end) of a block of adjacent numbers.  One call writes
+        # all numbers of a block.
         self._runs: list[tuple[int, struct.Struct, int, int]] = []
         self._count = 0
 
     def stamp(self) -> None:
-        """Appends a time."""
+        """Appends a gap for a time to the template."""
         self._align(4)
         self._stamps.append(len(self._data))
         self._data += bytes(_STAMP.size)
 
     def text(self, text: str) -> None:
-        """Appends a string."""
+        """Appends the string ``text`` to the template."""
         data = text.encode() + b"\0"
         self.count(len(data))
         self._data += data
 
     def count(self, count: int) -> None:
-        """Appends the length of a sequence or of a text."""
+        """Appends ``count``, the length of a sequence or string, to the template."""
         self._align(4)
         self._data += struct.pack("<I", count)
 
     def numbers(self, count: int) -> None:
-        """Appends ``count`` numbers."""
+        """Appends gaps for ``count`` numbers to the template."""
         self._align(8)
         run = struct.Struct(f"<{count}d")
         self._runs.append((len(self._data), run, self._count, self._count + count))
@@ -70,7 +73,7 @@ class MessageTemplate:
         self._count += count
 
     def header(self, frame: str) -> None:
-        """Appends a ``std_msgs/Header``."""
+        """Appends a ``std_msgs/Header`` with a gap for the time to the template."""
         self.stamp()
         self.text(frame)
 
@@ -78,7 +81,11 @@ class MessageTemplate:
         self._data += bytes(-(len(self._data) - len(_CDR_HEADER)) % size)
 
     def encode(self, time: int, numbers: Sequence[float]) -> bytes:
-        """Returns the message with the time (ns) in all its stamps, and the numbers in order."""
+        """Returns the bytes of a message.
+
+        The function writes ``time`` (ns) into all gaps for times, and ``numbers`` into the gaps for
+        numbers.
+        """
         data = self._data
         for offset in self._stamps:
             _STAMP.pack_into(data, offset, *divmod(time, _NANOSECONDS))
@@ -88,7 +95,11 @@ class MessageTemplate:
 
 
 def odometry_template(frame: str, child: str) -> MessageTemplate:
-    """Returns a ``nav_msgs/Odometry``: pose, its covariance, twist, its covariance."""
+    """Returns the template of a ``nav_msgs/Odometry`` message.
+
+    The numbers are the pose, the covariance of the pose, the twist, and the covariance of the
+    twist.
+    """
     message = MessageTemplate()
     message.header(frame)
     message.text(child)
@@ -97,7 +108,11 @@ def odometry_template(frame: str, child: str) -> MessageTemplate:
 
 
 def transforms_template(frames: Sequence[tuple[str, str]]) -> MessageTemplate:
-    """Returns a ``tf2_msgs/TFMessage`` of (parent, child) frames: the pose of each child."""
+    """Returns the template of a ``tf2_msgs/TFMessage`` message.
+
+    ``frames`` has a tuple (parent frame, child frame) for each transform.  The numbers are the
+    poses of the child frames.
+    """
     message = MessageTemplate()
     message.count(len(frames))
     for parent, child in frames:
@@ -108,7 +123,10 @@ def transforms_template(frames: Sequence[tuple[str, str]]) -> MessageTemplate:
 
 
 def twist_template(frame: str) -> MessageTemplate:
-    """Returns a ``geometry_msgs/TwistStamped``: the twist."""
+    """Returns the template of a ``geometry_msgs/TwistStamped`` message.
+
+    The numbers are the components of the twist.
+    """
     message = MessageTemplate()
     message.header(frame)
     message.numbers(_TWIST_NUMBERS)
@@ -116,7 +134,10 @@ def twist_template(frame: str) -> MessageTemplate:
 
 
 def joints_template(names: Sequence[str]) -> MessageTemplate:
-    """Returns a ``sensor_msgs/JointState``: the positions, then the velocities; no efforts."""
+    """Returns the template of a ``sensor_msgs/JointState`` message without efforts.
+
+    The numbers are the positions of all joints, followed by the velocities of all joints.
+    """
     message = MessageTemplate()
     message.header("")
     message.count(len(names))
@@ -131,22 +152,24 @@ def joints_template(names: Sequence[str]) -> MessageTemplate:
 
 
 def pose_numbers(pose: Pose2, posture: Posture = LEVEL) -> tuple[float, ...]:
-    """Returns a pose in the order of ROS: x, y, z, and a quaternion xyzw."""
+    """Returns the numbers of a ROS pose: x, y, z (m) and a quaternion xyzw."""
     z, roll, pitch = posture
     w, i, j, k = quat_from_rpy(roll, pitch, pose.yaw)
     return pose.x, pose.y, z, i, j, k, w
 
 
 def twist_numbers(twist: Twist) -> tuple[float, ...]:
-    """Returns a twist in the order of ROS: linear xyz, then angular xyz."""
+    """Returns the numbers of a ROS twist: linear velocity x, y, z and angular velocity x, y, z."""
     return twist.vx, twist.vy, 0.0, 0.0, 0.0, twist.wz
 
 
 def covariance_numbers(planar: Cov3, yaw: float = 0.0) -> tuple[float, ...]:
-    """Returns the 6x6 covariance of ROS (x, y, z, roll, pitch, yaw) by rows.
+    """Returns the numbers of a ROS covariance, a 6x6 matrix of (x, y, z, roll, pitch, yaw) by rows.
 
-    ``planar`` is the covariance (x, y, yaw) in a frame whose heading is ``yaw`` (rad) in the frame
-    of the message: C' = R C R^T.  Zero means unknown, as in ROS.
+    ``planar`` is the covariance C of (x, y, yaw).  The frame of ``planar`` is rotated by the angle
+    ``yaw`` (rad) relative to the frame of the message.  The covariance in the frame of the message
+    is R C R^T with the rotation matrix R.  By ROS convention, the value zero means an unknown
+    covariance.
     """
     if planar is ZERO_COV:
         return _UNKNOWN_COVARIANCE
@@ -164,7 +187,7 @@ def covariance_numbers(planar: Cov3, yaw: float = 0.0) -> tuple[float, ...]:
 
 
 class MessageTypes:
-    """The definitions of message types.  Needs rosbags."""
+    """The definitions of ROS message types from the library rosbags."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -173,7 +196,7 @@ class MessageTypes:
         self._definitions: dict[str, tuple[str, str]] = {}
 
     def definition(self, type_name: str) -> tuple[str, str]:
-        """Returns the text that defines a type, and its hash (REP 2016)."""
+        """Returns the text of a message definition and the type hash of REP 2016."""
         if type_name not in self._definitions:
             text, _ = self._store.generate_msgdef(type_name, ros_version=2)
             self._definitions[type_name] = (str(text), self._store.hash_rihs01(type_name))
@@ -181,7 +204,10 @@ class MessageTypes:
 
 
 def latched_qos() -> Any:
-    """Returns the quality of service of ``/tf_static``: late subscribers get the message too."""
+    """Returns the quality of service of the topic ``/tf_static``.
+
+    A subscriber that connects after the message was sent also receives the message.
+    """
     from rosbags.interfaces import (
         Qos,
         QosDurability,
