@@ -1,4 +1,4 @@
-"""Checks the links and joints of extras and adds them to the tree of the robot."""
+"""Checks the links and joints of extras, and adds them to the kinematic tree of the robot."""
 
 from __future__ import annotations
 
@@ -14,22 +14,30 @@ from thorvaldc.model import Joint, Link, Mesh, Pose
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A mounting position: ``pose`` in the frame of the link named ``link``."""
+    """A mounting position on a link.
+
+    ``link``: name of the link.
+    ``pose``: pose of the mounting position in the link frame.
+    """
 
     link: str
     pose: Pose
 
 
-# From the `parent` of an entry (None: the root module of the robot) to the mounting position;
-# None if the robot has no such module, port or link.
+# A function that returns the mounting position for the value of `parent` in an entry.  The value
+# `None` selects the root module of the robot.  The function returns `None` if the robot has no
+# module, module port or link of this name.
 FindAttachment = Callable[[str | None], Attachment | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Position of the root links of a file: parent and pose (xyz, rpy) of its entry.
+    """Position of the root links of a xacro file on the robot.
 
-    ``span`` is the span of the entry, ``placement_node`` the first of parent, xyz and rpy in it.
+    ``span``: source span of the entry in the robot file.
+    ``parent``: value of ``parent`` in the entry, or ``None`` for the root module of the robot.
+    ``pose``: pose of the root links relative to the mounting position of the parent.
+    ``placement_node``: first of the keys ``parent``, ``xyz`` and ``rpy`` that the entry contains.
     """
 
     span: Span
@@ -39,10 +47,11 @@ class Placement:
 
 
 class ExtrasJoiner:
-    """Adds extras to a robot, one file after the other.
+    """Adds the links and joints of extras to a robot, one xacro file after the other.
 
-    ``links`` and ``joints`` map all names so far to spans: those of the robot and of the
-    extras before.  An extra can therefore be mounted on an earlier one.
+    ``links``: source span of each link of the robot and of the extras already added.
+    ``joints``: source span of each joint of the robot and of the extras already added.
+    An extra can be mounted on a link of an extra that was added earlier.
     """
 
     def __init__(
@@ -62,7 +71,11 @@ class ExtrasJoiner:
         self.extensions: list[str] = []
 
     def add(self, entry: Placement, parts: UrdfParts) -> None:
-        """Checks the parts of one file and connects them to the robot."""
+        """Checks the links and joints of one xacro file, and connects them to the robot.
+
+        ``entry``: position of the root links on the robot.
+        ``parts``: links, joints and meshes of the file.
+        """
         links = self.new_file_links(parts.links)
         joint_to = self.joints_by_child(parts.joints, links)
         for mesh in parts.meshes:
@@ -73,7 +86,8 @@ class ExtrasJoiner:
         children: dict[str, list[Joint]] = {}
         for joint in (*mounts, *joint_to.values()):
             children.setdefault(joint.parent, []).append(joint)
-        # Depth first in file order, from the links of the robot: parents precede children.
+        # Visit the joints depth first, from the links of the robot, in the order of the file.
+        # In this order, each link comes after its parent link.
         stack = [
             joint
             for parent in reversed(children)
@@ -90,15 +104,16 @@ class ExtrasJoiner:
             self.new_joints.append(joint)
             stack += reversed(children.get(joint.child, []))
         unreached = [link for link in links.values() if link.name not in reached]
-        # If every root has a mount, only a cycle can be disconnected from the robot.
+        # If every root link is mounted on the robot, an unreached link belongs to a cycle.
         if unreached and len(mounts) == len(roots):
             self.report_cycle(unreached[0], joint_to)
         self.check_masses(links, children)
 
     def new_file_links(self, links: Sequence[Link]) -> dict[str, Link]:
-        """Returns the new links of a file by name.
+        """Returns the new links of a xacro file by name.
 
-        An empty link with the name of a link of the robot is not new: it refers to that link.
+        A URDF link without content can have the name of a link of the robot.  It then refers to
+        the link of the robot and is not a new link.
         """
         new: dict[str, Link] = {}
         for link in links:
@@ -118,7 +133,10 @@ class ExtrasJoiner:
     def joints_by_child(
         self, joints: Sequence[Joint], links: Mapping[str, Link]
     ) -> dict[str, Joint]:
-        """Returns the valid joints of a file by their child link.  ``links``: its new links."""
+        """Returns the valid joints of a xacro file by the name of the child link.
+
+        ``links``: new links of the file by name.
+        """
         joint_to: dict[str, Joint] = {}
         names: dict[str, Span] = {}
         for joint in joints:
@@ -162,7 +180,11 @@ class ExtrasJoiner:
         return joint_to
 
     def mount(self, entry: Placement, roots: Sequence[Link]) -> list[Joint]:
-        """Returns fixed joints that mount the root links of a file as its entry requests."""
+        """Returns the fixed joints that mount the root links of a xacro file on the robot.
+
+        ``entry``: mounting position that the robot file requests.
+        ``roots``: links of the file without a parent joint.
+        """
         if not roots:
             if entry.placement_node is not None:
                 self.report.add(
@@ -203,7 +225,10 @@ class ExtrasJoiner:
         return mounts
 
     def report_cycle(self, link: Link, joint_to: Mapping[str, Joint]) -> None:
-        """Reports the cycle that is reached from ``link`` towards the parents."""
+        """Reports a cycle of joints.
+
+        The path from ``link`` along the parent links ends in the cycle.
+        """
         path = [link.name]
         while path[-1] not in path[:-1]:
             path.append(joint_to[path[-1]].parent)
@@ -216,7 +241,10 @@ class ExtrasJoiner:
         )
 
     def check_masses(self, links: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
-        """Checks that each moving link has a mass, or a link fixed to it has one."""
+        """Checks that each moving link has a mass.
+
+        Links that are fixed to a moving link can provide its mass.
+        """
 
         def mass(name: str, visited: tuple[str, ...]) -> float:
             inertial = links[name].inertial
@@ -238,7 +266,10 @@ class ExtrasJoiner:
                     )
 
     def check_mimics(self) -> None:
-        """Checks that the leaders of mimic joints exist; call it after the last file."""
+        """Checks that the leader of each mimic joint exists.
+
+        Call this method after adding the last file, because a later file can define the leader.
+        """
         for joint in self.new_joints:
             if joint.mimic is not None and joint.mimic.joint not in self.joints:
                 self.report.add(

@@ -1,7 +1,8 @@
-"""Loads extras: xacro files whose links and joints are added to the robot.
+"""Loads extras.  An extra is a xacro file whose links and joints are added to the robot.
 
-``xacro_expand`` expands the files, ``urdf_reader`` converts them, ``join_extras`` adds the
-results to the robot.
+The module ``xacro_expand`` expands a xacro file.  The module ``urdf_reader`` converts the
+expanded file to links and joints.  The module ``join_extras`` adds the links and joints to the
+robot.
 """
 
 from __future__ import annotations
@@ -43,9 +44,12 @@ __all__ = ["Attachment", "ExtraParts", "load_extras"]
 
 @dataclass(frozen=True, slots=True)
 class ExtraParts:
-    """Links, joints and meshes of the extras; a parent link comes before its children.
+    """Links, joints and meshes of all extras of a robot.
 
-    ``files`` maps the names of the files in spans to paths, which start with ``base_dir``.
+    ``links``: new links.  A parent link comes before its child links.
+    ``urdf_extensions``: XML text of the elements that are written only to URDF.
+    ``files``: path of each xacro file, by the name of the file in source spans.  A path begins
+    with the path of the folder of the robot file, unless an installed package contains the file.
     """
 
     links: tuple[Link, ...] = ()
@@ -64,12 +68,16 @@ def load_extras(
     attach: FindAttachment,
     report: Report,
 ) -> ExtraParts:
-    """Loads the entries of ``extras`` of a robot file.
+    """Loads the extras of a robot.
 
-    ``base_dir`` is the folder of the robot file; ``links`` and ``joints`` map the names of
-    the robot's links and joints to their spans.  ``attach`` finds the parent of an entry.
-    After errors, which go to ``report``, the result is incomplete.  Without entries, no
-    process is started.
+    ``entries``: entries of the section ``extras`` in the robot file.
+    ``base_dir``: folder of the robot file.
+    ``links``: source span of each link of the robot, by the name of the link.
+    ``joints``: source span of each joint of the robot, by the name of the joint.
+    ``attach``: function that finds the mounting position of an entry.
+    ``report``: report that receives the errors.  If an extra has errors, the result does not
+    contain all its links and joints.
+    If ``entries`` is empty, no worker process is started.
     """
     if not entries:
         return ExtraParts()
@@ -100,7 +108,7 @@ def load_extras(
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """An entry of ``extras``."""
+    """An entry of the section ``extras`` in a robot file."""
 
     node: Node
     file: Path
@@ -108,7 +116,7 @@ class _Entry:
     packages: dict[str, str]
     parent: Node | None
     pose: Pose
-    placement_node: Node | None  # the first of parent, xyz and rpy in the entry
+    placement_node: Node | None  # first of the keys parent, xyz and rpy that the entry contains
 
     @property
     def span(self) -> Span:
@@ -174,14 +182,18 @@ def _package_folders(
 
 
 def _text(node: Node) -> str:
-    """Formats an argument as xacro expects it."""
+    """Returns the value of a xacro argument as text."""
     if isinstance(node.value, bool):
         return "true" if node.value else "false"
     return "" if node.value is None else str(node.value)
 
 
 def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
-    """Returns three numbers or quantities in SI; zeros if the node is missing."""
+    """Returns a vector of three quantities in SI units.
+
+    ``node``: a list of three numbers or quantities.  A missing node gives the zero vector.
+    ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
+    """
     if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
         return (0.0, 0.0, 0.0)
     values: list[float] = []
@@ -199,7 +211,7 @@ def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
 
 # -- from an expanded file to parts -------------------------------------------------
 
-# Kind of failure of ``xacro_worker`` -> code, message, hint.
+# Kind of an `ExpansionError` -> (name of the diagnostic code, message, hint).
 _FAILURES = {
     "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
     "root": ("extra-xml", "the root element of a xacro file must be <robot>, not {text}", None),
@@ -278,7 +290,7 @@ def _report_failure(
 
 
 def _without_folders(xml: str, packages: Mapping[str, str], paths: DisplayPaths) -> str:
-    """Replaces absolute package folders in an extension by ``package://``."""
+    """Replaces the absolute paths of ROS packages in a URDF extension by ``package://`` URLs."""
     for name in sorted(packages, key=lambda n: -len(packages[n])):
         for folder in (f"file://{packages[name]}", packages[name]):
             xml = re.sub(re.escape(folder.rstrip("/")) + r"(?=[/\"'<\s])", f"package://{name}", xml)

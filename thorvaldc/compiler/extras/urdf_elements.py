@@ -1,6 +1,7 @@
-"""The supported elements and attributes of URDF, and how to read them.
+"""Reads the attributes of URDF elements.
 
-``ELEMENTS`` lists them.  Everything else is ignored with a warning.
+The table ``ELEMENTS`` lists all supported elements and attributes of URDF.  The reader ignores
+other elements and attributes, and reports a warning.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 EXTENSIONS = ("gazebo", "transmission", "ros2_control", "sensor")
-"""Children of <robot> that are written to URDF only."""
+"""Child elements of <robot> that the compiler copies to the URDF output without reading them."""
 
 _Range = tuple[Callable[[float], bool], str]
 _LENGTH: _Range = (lambda value: value > 0.0, "must be greater than 0 m")
@@ -27,17 +28,29 @@ _FRACTION: _Range = (lambda value: 0.0 <= value <= 1.0, "must be between 0 and 1
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """An attribute of ``count`` numbers in SI; without a default it is required."""
+    """A URDF attribute that contains numbers in SI units.
+
+    ``count``: required number of numbers in the attribute.
+    ``default``: text of a missing attribute.  An attribute without a default is required.
+    ``range``: allowed range of each number.
+    ``range_code``: name of the diagnostic for a number outside the range.
+    """
 
     count: int = 1
     default: str | None = None
     range: _Range | None = None
-    range_code: str = "extra-number"  # the diagnostic of a number outside the range
+    range_code: str = "extra-number"
 
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """Allowed content of an element; the model has no counterpart of ``ignored`` children."""
+    """The allowed content of a URDF element.
+
+    ``children``: names of the supported child elements.
+    ``text``: names of the attributes that contain text.
+    ``numbers``: attributes that contain numbers, by name.
+    ``ignored``: names of the child elements of URDF that the model cannot represent.
+    """
 
     children: tuple[str, ...] = ()
     text: tuple[str, ...] = ()
@@ -90,14 +103,19 @@ ELEMENTS: dict[str, _Content] = {
 
 
 def call_labels(element: Element) -> tuple[Label, ...]:
-    """Returns labels at the macro calls that created the element, the innermost first."""
+    """Returns labels at the macro calls that created an element.
+
+    The innermost macro call comes first.
+    """
     return tuple(Label(span, "in the macro called here") for span in element.calls[:4])
 
 
 class ElementReader:
-    """Reads the attributes of elements.  ``macros`` are names of macros, for hints.
+    """Reads the attributes of URDF elements.
 
-    A method returns ``None`` after an error, which it has reported.
+    ``report``: report that receives the errors.
+    ``macros``: names of the xacro macros in the file.  Hints can suggest these names.
+    If an attribute has an error, a method adds a diagnostic and returns ``None``.
     """
 
     def __init__(self, report: Report, macros: Collection[str]) -> None:
@@ -120,7 +138,7 @@ class ElementReader:
         )
 
     def check_content(self, element: Element) -> None:
-        """Warns about children and attributes that are not in ``ELEMENTS``."""
+        """Reports a warning for each child element or attribute that is not in ``ELEMENTS``."""
         content = ELEMENTS[element.tag]
         for child in element.children:
             if child.tag in content.ignored:
@@ -137,16 +155,17 @@ class ElementReader:
                 self.add("extra-left-out", message, element, did_you_mean(name, attributes))
 
     def text(self, element: Element, name: str) -> str | None:
-        """Returns a required text attribute."""
+        """Returns the value of a required text attribute."""
         value = element.attributes.get(name, "").strip()
         if not value:
             self.add("extra-element", f"<{element.tag}> has no attribute `{name}`", element)
         return value or None
 
     def numbers(self, element: Element, names: Sequence[str] | None = None) -> Any:
-        """Returns the attributes ``names`` (default: all numeric ones) by name.
+        """Returns the values of the numeric attributes of an element, by name.
 
-        A value is a float, or a tuple if the attribute has several numbers.
+        ``names``: names of the attributes to read.  ``None`` reads all numeric attributes.
+        The value of an attribute is a float, or a tuple of floats for several numbers.
         """
         self.check_content(element)
         attributes = ELEMENTS[element.tag].numbers

@@ -1,7 +1,7 @@
 """Converts URDF elements to links and joints of the model.
 
-``urdf_elements`` lists the supported elements.  Each diagnostic has the line of the element in
-the xacro file.
+The module ``urdf_elements`` lists the supported URDF elements.  A diagnostic about an element
+has the source span of the element in the xacro file.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from thorvaldc.model.spatial import clean, clean3, norm, scale
 
 RGBA = tuple[float, float, float, float]
 
-# For visuals without a material.
+# Colour of a visual without a material.
 DEFAULT_COLOR: RGBA = (0.6, 0.6, 0.6, 1.0)
-# For materials that files use by a common name without a definition.
+# Colours of materials that many URDF files use without defining them.
 _COMMON_COLORS: dict[str, RGBA] = {
     "black": (0.05, 0.05, 0.05, 1.0),
     "blue": (0.0, 0.0, 0.8, 1.0),
@@ -55,7 +55,7 @@ MeshLoader = Callable[[str, Element, Vec3], Mesh | None]
 
 @dataclass(frozen=True, slots=True)
 class UrdfParts:
-    """The links, joints, meshes and URDF extensions of one file, in its order."""
+    """The links, joints, meshes and URDF extensions of one file, in the order of the file."""
 
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
@@ -70,16 +70,19 @@ def read_urdf(
     report: Report,
     macros: Collection[str] = (),
 ) -> UrdfParts:
-    """Converts the children of ``<robot>``.
+    """Converts the child elements of ``<robot>`` to links and joints of the model.
 
-    ``load_mesh`` loads the mesh file of an element at a scale, and reports its errors.
-    ``macros`` are the names of the macros in the file, for hints.
+    ``module``: name that identifies the extra in the model.
+    ``load_mesh``: function that loads the mesh file of an element.  Its arguments are the file
+    name, the element and the scale.
+    ``report``: report that receives the errors.
+    ``macros``: names of the xacro macros in the file.  Hints can suggest these names.
     """
     return _Reader(module, load_mesh, report, macros).read(elements)
 
 
 class _Reader(ElementReader):
-    """Reads the elements of one file."""
+    """Converts the URDF elements of one file."""
 
     def __init__(
         self, module: str, load_mesh: MeshLoader, report: Report, macros: Collection[str]
@@ -163,7 +166,8 @@ class _Reader(ElementReader):
         if inertial.mass == 0.0 and high > tolerance:
             self.add("extra-inertia", f"link `{link}` has an inertia but no mass", mass_element)
             return None
-        # A rigid body has no negative principal moment, and none exceeds the sum of the others.
+        # The principal moments of inertia of a rigid body are not negative.  The largest moment
+        # is at most the sum of the other moments (triangle inequality).
         if low < -tolerance or high > low + middle + tolerance:
             reason = "one is negative" if low < -tolerance else "one exceeds the sum of the others"
             moments = ", ".join(f"{moment:.4g}" for moment in (low, middle, high))
@@ -214,7 +218,10 @@ class _Reader(ElementReader):
     # -- materials ---------------------------------------------------------------
 
     def collect_materials(self, element: Element) -> None:
-        """Collects named materials: the whole file can use a material of any element."""
+        """Collects the named materials of an element and its child elements.
+
+        A visual can refer to a named material that any other element of the file defines.
+        """
         if element.tag == "material":
             self.check_content(element)
             color = element.find("color")
@@ -235,7 +242,8 @@ class _Reader(ElementReader):
             return self.materials[name]
         color = material.find("color")
         if color is not None:
-            # Without a name, the colour is for this visual only.  With a name, it is invalid.
+            # A material without a name defines the colour of a single visual.  If a material has
+            # a name but is not in `materials`, its colour is invalid and already reported.
             values = self.numbers(color) if not name else None
             return values["rgba"] if values is not None else DEFAULT_COLOR
         if material.find("texture") is not None:
@@ -308,7 +316,7 @@ class _Reader(ElementReader):
     def axis(self, joint: Element, name: str) -> Vec3 | None:
         element = joint.find("axis")
         if element is None:
-            return (1.0, 0.0, 0.0)  # default of URDF
+            return (1.0, 0.0, 0.0)  # default axis of a joint in URDF
         values = self.numbers(element)
         if values is None:
             return None
@@ -319,7 +327,10 @@ class _Reader(ElementReader):
         return clean3(scale(1.0 / length, values["xyz"]))
 
     def limits(self, joint: Element, kind: str, name: str) -> dict[str, float] | None:
-        """Returns the limits by the names of the attributes; a continuous joint needs none."""
+        """Returns the limits of a joint by the names of the URDF attributes.
+
+        ``kind``: type of the joint.  A continuous joint does not need limits.
+        """
         element = joint.find("limit")
         if kind == "continuous":
             if element is None:

@@ -1,13 +1,13 @@
-"""Expands xacro files in a worker process; the resulting elements have source spans.
+"""Expands xacro files in a worker process, and returns XML elements with source spans.
 
-Protocol with ``xacro_worker``:
+The diagram shows the protocol between the compiler and the worker (``xacro_worker``):
 
     compiler                                worker
        | -- stdin: one JSON request, EOF ---> |
        | <--- stdout: one JSON line per file- |  at most WALL_SECONDS per line
        | -- SIGKILL ------------------------> |  if a line is late or too long
 
-After a failure, another worker expands the remaining files.
+If the worker process ends early, another worker process expands the remaining files.
 """
 
 from __future__ import annotations
@@ -34,10 +34,14 @@ MAX_LINE_BYTES = 64 << 20
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An XML element of the expanded file.
+    """An XML element of an expanded xacro file.
 
-    ``calls`` are the spans of the macro calls that created it, the innermost first.
-    ``xml`` is its XML text if its content is not read (``<gazebo>`` and other extensions).
+    ``tag``: name of the element.
+    ``span``: source span at which a xacro file defines the element.
+    ``calls``: source spans of the macro calls that created the element, the innermost first.
+    ``file``: xacro file that defines the element.
+    ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The text is empty for a link, a
+    joint or a material.
     """
 
     tag: str
@@ -56,7 +60,12 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Macro:
-    """A macro that a file defines; ``required`` are its parameters without a default."""
+    """A xacro macro.
+
+    ``required``: names of the parameters without a default.
+    ``span``: source span of the definition.
+    ``called``: whether the file calls the macro.
+    """
 
     name: str
     required: tuple[str, ...]
@@ -66,9 +75,13 @@ class Macro:
 
 @dataclass(frozen=True, slots=True)
 class ExpansionFailure:
-    """The reason why a file cannot be expanded.  ``kind``: see ``xacro_worker.ExpansionError``.
+    """The reason why a xacro file cannot be expanded.
 
-    ``trail`` lists the includes, calls and definitions that led to it.
+    ``kind``: kind of the failure, as in ``xacro_worker.ExpansionError``.
+    ``text``: description of the failure.
+    ``span``: source span of the failure, or ``None`` if it is unknown.
+    ``trail``: tuples (source span, text) of the includes, macro calls and property definitions
+    that led to the failure.
     """
 
     kind: str
@@ -79,10 +92,17 @@ class ExpansionFailure:
 
 @dataclass(frozen=True, slots=True)
 class ExpandedFile:
-    """The result of the expansion of one file.
+    """The result of the expansion of one xacro file.
 
-    ``packages`` maps the ROS packages that it used to folders.  ``files`` maps the names of
-    all files that were read, as in spans, to paths.
+    ``failure``: reason why the file cannot be expanded, or ``None``.
+    ``elements``: child elements of ``<robot>``.
+    ``macros``: macros that the file defines.
+    ``warnings``: tuples (text, source span) of the warnings of xacro.
+    ``unused_arguments``: names of the arguments that the robot file sets but xacro does not read.
+    ``known_arguments``: names of the arguments that xacro reads.
+    ``packages``: folder of each ROS package that the file refers to.
+    ``paths``: converter of absolute paths to file names in messages.
+    ``files``: path of each file that xacro read, by the name of the file in source spans.
     """
 
     failure: ExpansionFailure | None
@@ -98,7 +118,12 @@ class ExpandedFile:
 
 @dataclass(frozen=True, slots=True)
 class ExpansionRequest:
-    """A file to expand, all paths absolute; ``packages`` maps a ROS package to its folder."""
+    """A request to expand one xacro file.
+
+    ``file``: absolute path of the xacro file.
+    ``args``: xacro arguments by name.
+    ``packages``: absolute path of the folder of each ROS package that the robot file names.
+    """
 
     file: Path
     args: dict[str, str]
@@ -107,11 +132,14 @@ class ExpansionRequest:
 
 @dataclass(frozen=True, slots=True)
 class DisplayPaths:
-    """Converts absolute paths to the names in messages and outputs.
+    """Converts absolute paths to file names for messages and outputs.
 
-    Names are relative to ``folder``, the folder of the robot file, whose name in spans is
-    ``display``.  Files of an installed package (``installed``: name to folder) are named
-    ``package://...``.  So names do not depend on the folder of a checkout.
+    ``folder``: absolute path of the folder of the robot file.
+    ``display``: name of this folder in source spans.
+    ``installed``: folder of each installed ROS package, by the name of the package.
+    The name of a file in an installed package has the form ``package://...``.  The names of
+    other files are relative.  Messages and outputs therefore do not depend on the folder of a
+    checkout.
     """
 
     folder: Path
@@ -119,7 +147,10 @@ class DisplayPaths:
     installed: dict[str, str]
 
     def name(self, file: str) -> str:
-        """Returns the name of a file."""
+        """Returns the name of a file for messages and outputs.
+
+        ``file``: absolute path of the file.
+        """
         for package, folder in self.installed.items():
             if file.startswith(os.path.join(folder, "")):
                 return f"package://{package}/{os.path.relpath(file, folder)}".replace(os.sep, "/")
@@ -127,7 +158,7 @@ class DisplayPaths:
         return os.path.normpath(os.path.join(self.display, relative)).replace(os.sep, "/")
 
     def text(self, message: str) -> str:
-        """Replaces the absolute paths in a text by the names that ``name`` returns."""
+        """Replaces each absolute path in a text by the name of the file in messages."""
         for package, folder in self.installed.items():
             message = message.replace(os.path.join(folder, ""), f"package://{package}/")
         prefix = os.path.join(self.display, "") if self.display else ""
@@ -135,7 +166,11 @@ class DisplayPaths:
 
 
 def search_paths() -> dict[str, Sequence[str]]:
-    """Returns the search paths of ROS packages from the environment."""
+    """Returns the search paths of ROS packages from the environment variables.
+
+    ``ament``: folders in ``AMENT_PREFIX_PATH`` (ROS 2).
+    ``ros``: folders in ``ROS_PACKAGE_PATH`` (ROS 1).
+    """
     return {
         "ament": _split(os.environ.get("AMENT_PREFIX_PATH", "")),
         "ros": _split(os.environ.get("ROS_PACKAGE_PATH", "")),
@@ -147,7 +182,10 @@ def _split(paths: str) -> list[str]:
 
 
 def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[ExpandedFile]:
-    """Expands files in their order, in one worker process unless it fails."""
+    """Expands several xacro files, and returns one result per file in the same order.
+
+    One worker process expands all files, unless the process ends early.
+    """
     search = search_paths()
     entries = [
         {"file": str(r.file), "args": r.args, "packages": r.packages, "search": search}
@@ -169,7 +207,11 @@ def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[Ex
 
 
 def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Returns the answers of one worker; the last is a failure if the worker was ended early."""
+    """Starts a worker process and returns its answers, one per xacro file.
+
+    If the worker process ends early, the last answer is a failure.  The remaining files then
+    have no answer.
+    """
     if find_spec("xacro") is None:
         text = "the package xacro is not installed"
         return [{"failure": {"kind": "expression", "text": text}} for _ in entries]
@@ -181,16 +223,19 @@ def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     request = json.dumps({"path": path, "entries": entries}).encode()
     answers: list[dict[str, Any]] = []
     environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
-    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without it
+    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without this variable
         environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
     process = subprocess.Popen(
-        # no site packages, no user folder, no script folder on the path, no .pyc files
+        # The options exclude the site packages, the folder of the user and the folder of the
+        # script from the module path.  They also prevent the writing of .pyc files.
         [sys.executable, "-s", "-S", "-P", "-B", xacro_worker.__file__],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=environment,
-        start_new_session=True,  # Ctrl-C goes to this process only, which then ends the worker
+        # In a separate session, the worker does not receive Ctrl-C.  The compiler receives
+        # Ctrl-C and then ends the worker.
+        start_new_session=True,
     )
     stdin, stdout = process.stdin, process.stdout
     if stdin is None or stdout is None:
@@ -228,7 +273,7 @@ def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Ends the worker and its child processes."""
+    """Ends the worker process and its child processes with the signal SIGKILL."""
     if process.poll() is not None:
         return
     with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -239,7 +284,12 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]:
-    """Returns the failure of a worker that ended, from the bytes it sent and its exit status."""
+    """Returns the answer for a file during whose expansion the worker process ended.
+
+    ``received``: number of bytes of the incomplete answer.
+    ``timed_out``: whether the compiler ended the worker after ``WALL_SECONDS``.
+    ``status``: exit status of the worker process.
+    """
     if timed_out:
         text = f"its expansion took longer than {WALL_SECONDS:g} s"
     elif received >= MAX_LINE_BYTES:
@@ -252,7 +302,7 @@ def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]
 
 
 def _decode(answer: dict[str, Any], paths: DisplayPaths) -> ExpandedFile:
-    """Converts an answer of the worker."""
+    """Converts the JSON answer of the worker process for one xacro file."""
     files: list[str] = answer.get("files", [])
 
     def span(position: list[int] | None, length: int = 1) -> Span | None:

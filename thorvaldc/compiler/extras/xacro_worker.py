@@ -1,16 +1,17 @@
 """Expands xacro files in a separate process with limits.
 
-A xacro file is code: it evaluates Python and can read any file.  The compiler therefore
-starts this file as a process with an empty environment, limits on time and memory, and no
-right to write files.  It sends one JSON request to stdin and reads one line of JSON per file
-from stdout.  This module imports only the standard library and xacro, because the package is
-not on the path of the process; for the same reason it is one file.
+A xacro file contains Python expressions and can read any file.  For security, the compiler runs
+this module in a separate process.  The process has an empty environment, limits on time and
+memory, and no right to write files.  The compiler sends one JSON request to the standard input
+of the process.  The process writes one line of JSON per xacro file to its standard output.
+The package ``thorvaldc`` is not on the module path of the process.  Therefore this module is a
+single file and imports only xacro and the standard library.
 
-xacro does not keep line numbers.  ``_Builder`` therefore stores the position of each element
-of a source file as DOM user data, and cloning copies it.  ``Expansion.patches`` replaces
-functions of xacro by wrappers that use it: every element that comes from macros, blocks and
-includes then has the line where it was written and the macro calls that created it, and every
-error has the element where it occurred.
+xacro does not keep line numbers.  The class ``_Builder`` therefore stores the position of each
+XML element as DOM user data.  A clone of an element keeps the position of the original element.
+The method ``Expansion.patches`` replaces functions of xacro by wrappers that use the positions.
+Each element of the expanded file has the line at which a xacro file defines the element, and the
+macro calls that created the element.  Each error has the position of the element that causes it.
 """
 
 from __future__ import annotations
@@ -36,9 +37,12 @@ _KEY = "position"
 
 
 class ExpansionError(Exception):
-    """The expansion is not possible.
+    """Raised if a xacro file cannot be expanded.
 
-    ``kind`` selects the diagnostic: xml, root, limit, argument, package or expression.
+    ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``
+    or ``expression``.  The compiler reports a different diagnostic for each kind.
+    ``text``: description of the error.
+    ``position``: position of the error, or ``None`` if it is unknown.
     """
 
     def __init__(self, kind: str, text: str, position: Position | None = None) -> None:
@@ -53,11 +57,14 @@ def find_package(
     search: dict[str, Sequence[str]],
     near: str,
 ) -> str | None:
-    """Returns the folder of a ROS package, or ``None``.
+    """Returns the folder of a ROS package, or ``None`` if the package is not found.
 
-    Searches in this order: ``packages`` of the entry; ``share/<name>`` in the prefixes
-    ``search["ament"]``; ``search["ros"]`` (packages or folders of packages); the parent
-    folders of ``near`` and their subfolders, by folder name or by ``package.xml``.
+    The function searches the package in this order:
+
+    1. the folders in ``packages``, which the robot file sets
+    2. the folders ``share/<name>`` in the install prefixes ``search["ament"]``
+    3. the folders ``search["ros"]``, which are packages or contain packages
+    4. the parent folders of the file ``near``, and the subfolders of these folders
     """
     if name in packages:
         return packages[name]
@@ -85,7 +92,7 @@ def find_package(
 
 
 class _PositionKeeper:
-    """Handler of DOM user data: a clone keeps the position of its original."""
+    """A DOM user data handler that copies the position of an element to its clone."""
 
     def handle(self, operation: int, key: str, data: Any, source: Any, clone: Any) -> None:
         clone.setUserData(key, data, self)
@@ -95,7 +102,7 @@ _KEEPER = _PositionKeeper()
 
 
 class _Builder(expatbuilder.ExpatBuilderNS):
-    """The builder of minidom, extended to store the start position of each element."""
+    """A DOM builder that stores the position at which each XML element starts."""
 
     def __init__(self, file_index: int) -> None:
         super().__init__()
@@ -109,7 +116,7 @@ class _Builder(expatbuilder.ExpatBuilderNS):
 
 
 class _Arguments(dict[str, str]):
-    """The arguments of a file; records the names that the file uses."""
+    """The arguments of a xacro file.  Records the names of the arguments that xacro reads."""
 
     def __init__(self, arguments: dict[str, str]) -> None:
         super().__init__(arguments)
@@ -130,7 +137,11 @@ def _position(node: Any) -> Position | None:
 
 
 class Expansion:
-    """The expansion of one file: patches xacro, runs it and collects the results."""
+    """Expands one xacro file.
+
+    ``xacro``: the imported module xacro.
+    ``entry``: JSON object of the file in the request.
+    """
 
     def __init__(self, xacro: Any, entry: dict[str, Any]) -> None:
         self.xacro = xacro
@@ -142,22 +153,27 @@ class Expansion:
         self.properties: dict[str, Position | None] = {}
         self.packages: dict[str, str] = {}
         self.error_position: Position | None = None
-        self.trail: list[tuple[Position, str]] = []  # includes, calls, definitions to an error
-        self.current: Any = None  # the element whose attributes xacro reads
+        # Includes, macro calls and property definitions that lead to an error.
+        self.trail: list[tuple[Position, str]] = []
+        self.current: Any = None  # element whose attributes xacro reads
 
     # -- replacements of functions of xacro --------------------------------------
 
     def parse(self, inp: Any, filename: str | None = None) -> Any:
-        """Replaces ``parse``; limits the size and stores the positions of the elements."""
+        """Replaces the function ``parse`` of xacro.
+
+        Limits the size of a file and stores the position of each element.
+        """
         if inp is not None or filename is None:
             return inp
         try:
             with open(filename, "rb") as file:
                 data = file.read(MAX_SOURCE_BYTES + 1)
         except OSError as error:
-            self.xacro.filestack.pop()  # as in xacro: the error is in the including file
+            # As in xacro, the error belongs to the file that contains the include.
+            self.xacro.filestack.pop()
             text = f"file `{filename}` cannot be read: {error.strerror}"
-            # For optional includes, xacro expects an OSError inside its exception.
+            # For an optional include, xacro expects an OSError inside a XacroException.
             raise self.xacro.XacroException(exc=OSError(text)) from error
         if len(data) > MAX_SOURCE_BYTES:
             raise ExpansionError(
@@ -173,7 +189,11 @@ class Expansion:
             raise ExpansionError("xml", text, (index, error.lineno, error.offset + 1)) from error
 
     def with_position(self, function: Callable[..., Any], label: str = "") -> Callable[..., Any]:
-        """Wraps a function of an element; on an exception, stores the position of the element."""
+        """Wraps a function of xacro whose first argument is an element.
+
+        If the function raises an exception, the wrapper stores the position of the element.
+        ``label``: text of the entry that the wrapper adds to the trail of the error.
+        """
 
         def call(node: Any, *rest: Any) -> Any:
             try:
@@ -187,14 +207,14 @@ class Expansion:
                 elif label and position is not None and position != self.error_position:
                     self.trail.append((position, label))
                 raise
-            self.error_position = None  # the error was that of an optional include
+            self.error_position = None  # xacro has ignored the error of an optional include
             self.trail.clear()
             return result
 
         return call
 
     def with_current(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``reqd_attrs``; stores the element whose attributes xacro reads."""
+        """Wraps ``reqd_attrs`` of xacro, and stores the element whose attributes xacro reads."""
 
         def call(node: Any, names: Any) -> Any:
             self.current = node
@@ -203,7 +223,10 @@ class Expansion:
         return call
 
     def with_calls(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``replace_node``; adds the macro call to the elements that it inserts."""
+        """Wraps the function ``replace_node`` of xacro.
+
+        Stores the position of the macro call in each element that the macro call inserts.
+        """
 
         def call(node: Any, by: Any, content_only: bool = False) -> None:
             call_position = _position(node)
@@ -218,7 +241,7 @@ class Expansion:
         return call
 
     def recording_property(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``grab_property``; stores the position of the definition."""
+        """Wraps ``grab_property`` of xacro, and stores the position of a property definition."""
 
         def call(node: Any, table: Any) -> Any:
             self.properties[node.getAttribute("name")] = _position(node)
@@ -227,7 +250,10 @@ class Expansion:
         return self.with_position(call)
 
     def recording_macro(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``grab_macro``; stores the required parameters and the position."""
+        """Wraps the function ``grab_macro`` of xacro.
+
+        Stores the required parameters and the position of each macro definition.
+        """
 
         def call(node: Any, macros: Any) -> Any:
             name = node.getAttribute("name").removeprefix("xacro:")
@@ -240,7 +266,7 @@ class Expansion:
         return self.with_position(call)
 
     def recording_call(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``handle_macro_call``; stores the names of the called macros."""
+        """Wraps ``handle_macro_call`` of xacro, and stores the name of each called macro."""
 
         def call(node: Any, *rest: Any) -> Any:
             self.called[node.tagName.rpartition(":")[2].rpartition(".")[2]] = None
@@ -249,7 +275,10 @@ class Expansion:
         return self.with_position(call, "called here")
 
     def with_definition(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``Table._resolve_``; on an exception, adds the definition to the trail."""
+        """Wraps the method ``Table._resolve_`` of xacro.
+
+        If a property cannot be evaluated, adds its definition to the trail of the error.
+        """
 
         def call(table: Any, key: str) -> Any:
             try:
@@ -263,7 +292,11 @@ class Expansion:
         return call
 
     def find(self, name: str) -> str:
-        """Replaces ``$(find name)``, which would search the ROS installation."""
+        """Replaces the xacro substitution ``$(find name)``.
+
+        Returns the folder of a ROS package.  The original function of xacro would search the
+        ROS installation.
+        """
         near = self.xacro.filestack[-1] or self.entry["file"]
         folder = find_package(name, self.entry["packages"], self.entry["search"], near)
         if folder is None:
@@ -272,7 +305,10 @@ class Expansion:
         return folder
 
     def with_packages(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``abs_filename_spec``; supports package:// and file:// in includes."""
+        """Wraps the function ``abs_filename_spec`` of xacro.
+
+        An include can then have a URL that begins with ``package://`` or ``file://``.
+        """
 
         def call(spec: str) -> Any:
             if spec.startswith("package://"):
@@ -283,7 +319,11 @@ class Expansion:
         return call
 
     def with_substitutions(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``eval_extension``: ``$(find)`` uses our search, ``$(env)`` is an error."""
+        """Wraps the function ``eval_extension`` of xacro.
+
+        The substitution ``$(find)`` then calls ``find_package``.  The substitution ``$(env)``
+        raises an error, because the worker process has an empty environment.
+        """
 
         def environment(name: str) -> str:
             raise ExpansionError("expression", f"$(env {name}): the environment is not passed on")
@@ -306,7 +346,7 @@ class Expansion:
         return call
 
     def warn(self, *words: Any, **_: Any) -> str:
-        """Replaces the functions of xacro that print warnings and errors."""
+        """Replaces the functions ``warning`` and ``error`` of xacro, and stores the message."""
         text = " ".join(str(w) for w in words)
         if "deprecated" not in text:
             self.warnings.append((text, _position(self.current) if self.current else None))
@@ -315,7 +355,7 @@ class Expansion:
     # -- the run -----------------------------------------------------------------
 
     def patches(self) -> dict[str, Any]:
-        """Returns the replacements of functions of the module xacro by name."""
+        """Returns the functions that replace functions of the module xacro, by name."""
         x = self.xacro
         return {
             "parse": self.parse,
@@ -333,7 +373,7 @@ class Expansion:
         }
 
     def run(self) -> dict[str, Any]:
-        """Expands the file with the patched xacro."""
+        """Expands the xacro file.  The functions of xacro must already be replaced."""
         path = self.entry["file"]
         arguments = _Arguments(self.entry["args"])
         self.xacro.init_stacks(path)
@@ -356,7 +396,11 @@ class Expansion:
         }
 
     def answer(self) -> dict[str, Any]:
-        """Returns the expansion or its failure, with the files that positions refer to."""
+        """Returns the JSON answer with the expanded file or the reason of a failure.
+
+        The answer also contains the list of the files that xacro read.  A position refers to a
+        file by its index in this list.
+        """
         x = self.xacro
         resolve, evaluate = x.Table._resolve_, x.safe_eval
         patches = self.patches()
@@ -366,7 +410,7 @@ class Expansion:
                 setattr(x, name, value)
             x.Table._resolve_ = self.with_definition(resolve)
             x.safe_eval = _with_syntax_errors(evaluate)
-            # Functions that expressions can call as xacro.warning(...) and so on.
+            # Expressions in a xacro file can call these functions, as in `xacro.warning(...)`.
             functions = x._global_symbols["xacro"]
             for name in ("warning", "error", "message"):
                 function = self.warn if name != "message" else _ignore
@@ -391,7 +435,10 @@ class Expansion:
         }
 
     def describe(self, error: Exception) -> dict[str, Any]:
-        """Returns the failure of the answer for an exception of ``run``."""
+        """Returns the description of a failure for the JSON answer.
+
+        ``error``: exception that the method ``run`` raised.
+        """
         kind, position = "expression", self.error_position
         expansion_error = _find_cause(error, ExpansionError)
         if expansion_error is not None:
@@ -412,7 +459,10 @@ def _ignore(*_: Any, **__: Any) -> str:
 
 
 def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wraps ``safe_eval`` of xacro: a syntax error becomes an exception that names the text."""
+    """Wraps the function ``safe_eval`` of xacro.
+
+    For a syntax error, raises a ``ValueError`` whose message contains the expression.
+    """
 
     def call(expression: str, symbols: Any, more: Any = None) -> Any:
         try:
@@ -424,12 +474,15 @@ def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _find_cause(error: BaseException | None, type_: type[Any]) -> Any:
-    """Returns the first exception of a type among the causes of an exception, or ``None``."""
+    """Searches an exception and its causes for an exception of type ``type_``.
+
+    Returns the first such exception, or ``None``.
+    """
     count = 0
     while error is not None and count < 50:
         if isinstance(error, type_):
             return error
-        inner = getattr(error, "exc", None)  # of XacroException
+        inner = getattr(error, "exc", None)  # a XacroException stores its cause in `exc`
         error = inner if isinstance(inner, BaseException) else error.__cause__ or error.__context__
         count += 1
     return None
@@ -443,7 +496,10 @@ def _walk(node: Any) -> Iterator[Any]:
 
 
 def _encode(node: Any, root: Any) -> dict[str, Any]:
-    """Converts an element for the answer; an extension becomes XML text."""
+    """Converts an XML element to a JSON object for the answer.
+
+    The object of a URDF extension, such as ``<gazebo>``, contains the XML text of the element.
+    """
     position, calls = node.getUserData(_KEY) or (None, ())
     element = {
         "tag": node.tagName,
@@ -472,9 +528,10 @@ def _encode(node: Any, root: Any) -> dict[str, Any]:
 
 
 def _set_limits() -> None:
-    """Sets the limits of this process.
+    """Limits the memory and the file access of this process.
 
-    Systems without the module ``resource`` have only the time-out of the compiler.
+    On a system without the Python module ``resource``, the limits cannot be set.  The time-out
+    of the compiler is then the only limit.
     """
     try:
         import resource
@@ -482,7 +539,7 @@ def _set_limits() -> None:
         return
     for name, value in (
         ("RLIMIT_AS", MEMORY_BYTES),
-        ("RLIMIT_FSIZE", 0),  # prevents writing to files
+        ("RLIMIT_FSIZE", 0),  # the process cannot write to files
         ("RLIMIT_CORE", 0),
         ("RLIMIT_NOFILE", 128),
     ):
@@ -493,7 +550,7 @@ def _set_limits() -> None:
 
 
 def _set_cpu_limit() -> None:
-    """Limits the processor time from now on to ``CPU_SECONDS``."""
+    """Limits the processor time of the next expansion to ``CPU_SECONDS`` (s)."""
     try:
         import resource
 
@@ -505,9 +562,10 @@ def _set_cpu_limit() -> None:
 
 
 def main() -> None:
-    """Reads one JSON request from stdin and writes one line of JSON per entry to stdout."""
+    """Reads one JSON request from stdin, and writes one line of JSON per xacro file to stdout."""
     answers = os.fdopen(os.dup(1), "wb")
-    # Output of a xacro file must not mix with the answers.
+    # The output of a xacro file must not mix with the answers.  Therefore stdout and stderr are
+    # redirected to the null device.
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
     os.dup2(null, 2)
