@@ -1,7 +1,9 @@
-"""Builds the buses of a robot from its devices: node ids, frames, signals and scalings.
+"""Builds the CAN buses of a robot from its devices.
 
-The frames of a device are data: the `can` section of its module.  Expressions there can use
-the node id and the motors on the device's channels.  `bus_checks` checks the result.
+A bus consists of nodes with node ids, and of CAN frames with signals.  The section `can` of a
+module document defines the CAN frames of a device.  Expressions in this section can use the node
+id of the device and the parameters of the motors on its channels.  The module `bus_checks`
+checks each bus.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
-# Bitrates of CiA 301 above the default (bit/s), tried for a bus without a stated bitrate.
+# Bit rates of CiA 301 above the default, in bit/s.  If the robot file sets no bit rate for a bus
+# and the default is too slow, the compiler tries these bit rates.
 FASTER = (800_000, 1_000_000)
 
 NMT_COMMANDS = tuple((command.value, command.name.lower()) for command in NmtCommand)
@@ -54,12 +57,16 @@ def build_buses(
     foreign: source.Node | None = None,
     lock: Lock | None = None,
 ) -> tuple[Bus, ...]:
-    """Return the buses with their nodes, frames and signals, after all checks.
+    """Build and check the buses of a robot with their nodes, CAN frames and signals.
 
-    ``specs`` are in file order; a device that names no bus is on the first one.
-    ``sync_period`` (s) is the control cycle.  ``foreign`` is the robot's section of
-    foreign devices.  ``lock`` contains the node ids of the last build.  A robot without
-    devices has no buses.
+    ``devices``: module instances with a section `can`.
+    ``specs``: buses in the order of the robot file.  A device without a bus name is on the first
+    bus.
+    ``actuators``: motors of the robot.
+    ``sync_period``: control cycle in s.
+    ``foreign``: section `foreign_devices` of the robot file.
+    ``lock``: node ids of the last build, from the lock file.
+    Returns no buses for a robot without devices, or if a bit rate is not positive.
     """
     for spec in specs:
         if spec.bitrate <= 0:
@@ -85,7 +92,11 @@ def build_buses(
 
 
 def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tuple[Actuator, ...]:
-    """Return the actuators with ``node`` and ``channel`` of the controller that drives each."""
+    """Return the actuators with the names of the motor controller and the channel.
+
+    The names are in the attributes ``node`` and ``channel`` of an actuator.  An actuator without
+    a motor controller is returned unchanged.
+    """
     drives = {
         channel.actuator: (node.name, channel.name)
         for bus in buses
@@ -100,7 +111,11 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
 
 
 def _is_present(device: Device, report: Report) -> bool:
-    """Whether the module contains a device: an empty battery enclosure contains none."""
+    """Return whether a module instance contains a CAN device.
+
+    The key `when` in the section `can` can depend on parameters.  For example, an empty battery
+    enclosure contains no CAN device.
+    """
     present = device.scope.boolean(device.can.get("when"), True)
     if not present and device.address is not None:
         report.add(
@@ -136,9 +151,10 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
 
 
 def _timed(bus: Bus) -> Bus:
-    """Return the bus with its load and response times.
+    """Return the bus with its load and the response times of its CAN frames.
 
-    They are undefined while two frames have one identifier, which is reported elsewhere.
+    If two CAN frames have the same identifier, the response times are undefined, and the bus is
+    returned unchanged.  The module ``bus_checks`` reports the duplicate identifier.
     """
     if len({frame.cob_id for frame in bus.frames}) < len(bus.frames):
         return bus
@@ -148,7 +164,10 @@ def _timed(bus: Bus) -> Bus:
 
 
 def _fast_enough(bus: Bus, report: Report) -> Bus:
-    """Return a bus without stated bitrate, with a higher bitrate if its frames need one."""
+    """Increase the bit rate of a bus if the CAN frames exceed the load limit or their deadlines.
+
+    This function is called only for a bus whose bit rate is not in the robot file.
+    """
     faster_bus = bus
     for bitrate in FASTER:
         if faster_bus.load <= LOAD_WARNING and not late_frames(faster_bus):
@@ -172,7 +191,10 @@ def _fast_enough(bus: Bus, report: Report) -> Bus:
 def _master_frames(
     spec: BusSpec, placed: Sequence[Placed], sync_period: float
 ) -> Iterator[FrameDefinition]:
-    """Yield the frames that the master sends to all CANopen nodes, if there are any."""
+    """Yield the CAN frames NMT, SYNC and heartbeat, which the master sends to all CANopen nodes.
+
+    A bus without CANopen nodes does not have these frames.
+    """
     nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
     if not nodes:
         return

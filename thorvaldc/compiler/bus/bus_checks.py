@@ -1,6 +1,7 @@
-"""Checks of a whole bus: node ids, COB-IDs of all frames, names, heartbeats, load, deadlines.
+"""Checks the CAN buses of a robot.
 
-A diagnostic about two devices has the source spans of both.
+The checks cover node ids, bit rates, COB-IDs, names, heartbeats, bus load and deadlines.
+A diagnostic about two devices contains the source spans of both devices.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Bus, FrameDefinition
 
-# Identifiers that CiA 301 (table "restricted CAN-IDs") keeps for its own services.
+# First and last identifier of the ranges that CiA 301 reserves for its own services (table
+# "restricted CAN-IDs").
 RESTRICTED = (
     (0x000, 0x07F),
     (0x101, 0x180),
@@ -35,7 +37,7 @@ RESTRICTED = (
     (0x6E0, 0x6FF),
     (0x701, 0x7FF),
 )
-# COB-IDs of CANopen services that exist on every bus, although no device declares them.
+# COB-IDs of the CANopen services that exist on every bus, although no module declares the service.
 STANDARD = (
     (TIME_STAMP, "TIME"),
     (LSS_RESPONSE, "LSS response"),
@@ -48,7 +50,11 @@ LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 
 def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
-    """Check that each channel has at most one motor, and each motor one channel of its role."""
+    """Check the connections between motors and motor controllers.
+
+    A motor can be connected to only one channel, and the channel must have the role of the motor.
+    Reports motors without a controller and controllers without a motor.
+    """
     owners: dict[str, tuple[Device, Wire]] = {}
     for device in devices:
         roles = _roles(device)
@@ -117,7 +123,7 @@ def _roles(device: Device) -> dict[str, str]:
 
 
 def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Ids, bitrate, COB-IDs, heartbeats, load and response times of a bus."""
+    """Run all checks of one bus."""
     same = _check_ids(bus, placed, report)
     _check_bitrate(bus, placed, report)
     _check_restricted(placed, report)
@@ -129,7 +135,10 @@ def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
-    """Report ids that occur twice; return the names of the nodes with such an id."""
+    """Report node ids that two devices of a bus use.
+
+    Returns the name of the second device with each duplicate id.
+    """
     first: dict[tuple[str, int], Placed] = {}
     duplicates: dict[str, None] = {}
     for device in placed:
@@ -152,7 +161,7 @@ def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, 
 
 
 def check_serials(placed: Sequence[Placed], report: Report) -> None:
-    """Check that a serial number occurs once per vendor, over all buses."""
+    """Check that all devices of a vendor have different serial numbers, on all buses."""
     first: dict[tuple[int | None, int | str], Placed] = {}
     for device in placed:
         serial = device.node.serial
@@ -181,7 +190,7 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Report one diagnostic per bus, for all devices that do not support its bitrate."""
+    """Report the devices that do not support the bit rate of their bus, in one diagnostic."""
     limited = [device for device in placed if device.node.bitrates]
     unable = [device for device in limited if bus.bitrate not in device.node.bitrates]
     if not unable:
@@ -236,7 +245,11 @@ class _Claim(NamedTuple):
 def _check_cob_ids(
     bus: Bus, placed: Sequence[Placed], skipped: dict[str, None], report: Report
 ) -> None:
-    """No COB-ID may stand for two frames, those of the standard included."""
+    """Report COB-IDs that two CAN frames of a bus use.
+
+    The frames of the master and of the CANopen standard services are included.
+    ``skipped``: names of nodes with a duplicate node id, whose frames are not checked.
+    """
     first: dict[int, _Claim] = {}
     conflicts: dict[tuple[str, str], list[tuple[_Claim, _Claim]]] = {}
     for claim in _claims(bus, placed, skipped):
@@ -287,7 +300,10 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
 
 
 def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Check that names are unique: the DBC and the driver identify frames and nodes by name."""
+    """Check that the names of the nodes and of the CAN frames on a bus are unique.
+
+    The DBC file and the base driver identify nodes and CAN frames by name.
+    """
     spans = {frame.name: device.span for device in placed for frame in device.frames}
     seen: dict[str, FrameDefinition] = {}
     named: dict[str, Placed] = {}
@@ -336,7 +352,7 @@ def _check_load(bus: Bus, report: Report) -> None:
 
 
 def late_frames(bus: Bus) -> list[FrameDefinition]:
-    """Return the periodic frames whose worst-case response time is after their deadline."""
+    """Return the periodic CAN frames whose worst-case response time exceeds the deadline."""
     return [
         frame
         for frame in bus.frames
@@ -347,10 +363,11 @@ def late_frames(bus: Bus) -> list[FrameDefinition]:
 
 
 def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Check that every frame meets its deadline in the worst case."""
+    """Check that every periodic CAN frame meets its deadline in the worst case."""
     owners = {frame.name: device for device in placed for frame in device.frames}
     late = late_frames(bus)
-    if not late or not 0.0 < bus.load <= LOAD_LIMIT:  # not computed, or reported as overload
+    # A load of 0 means that the load was not computed.  `_check_load` reports an overload.
+    if not late or not 0.0 < bus.load <= LOAD_LIMIT:
         return
     worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
     named = ", ".join(f"`{frame.name}`" for frame in late[:3])
@@ -359,7 +376,7 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
     time = worst.response_time
     takes = f"{time * 1000:.4g} ms" if time is not None else "unlimited time"
     labels = []
-    if worst.name in owners:  # frames of the master are in no file
+    if worst.name in owners:  # no document defines the frames of the master
         labels = [
             Label(worst.span, f"`{worst.name}`"),
             Label(owners[worst.name].span, "of this device"),
@@ -375,7 +392,11 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
 
 
 def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Check heartbeat time-outs: two periods at least, and CiA 402 drives consume the master's."""
+    """Check the heartbeat time-outs of all nodes of a bus.
+
+    A time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the heartbeat
+    of the master, so that the drive stops if the master stops.
+    """
     for device in placed:
         node = device.node
         if node.is_cia402 and node.heartbeat_consumer_time is None:

@@ -1,4 +1,8 @@
-"""The frames of a device: those of its module, and those of its CANopen services."""
+"""Creates the CAN frames of a device.
+
+The document of a module type lists the CAN frames of the module.  The CANopen services of a
+device add further CAN frames, such as heartbeats.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.model.robot import FrameDefinition, Signal
 
-HEARTBEAT_PERIOD = 0.1  # s, default
+HEARTBEAT_PERIOD = 0.1  # default heartbeat period of a device in s
 LAST_PDO = 512
 NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtState)
 
@@ -61,7 +65,8 @@ def frames_of(
         kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
         sends = scope.text(node.get("direction"), "report") == "command"
         if sends and signals and not kept:
-            period = None  # the frame has no content: its motors are not in this robot
+            # No motor of this robot is connected to a channel in the frame, so it has no content.
+            period = None
         deadline = node.get("deadline")
         number, mapping = _pdo(device, node, length, report)
         synchronous = scope.boolean(node.get("synchronous"), False)
@@ -97,22 +102,27 @@ def frames_of(
 
 
 def _by_timer(cycle: float) -> float:
-    """Round a period down to whole milliseconds, the resolution of a node's event timer.
+    """Round a period (s) down to whole milliseconds.
 
-    So a report may come early, but never after the control cycle that needs it.
+    The event timer of a CANopen node has a resolution of 1 ms.  A period that is rounded down
+    ensures that a report arrives in each control cycle.
     """
     return max(math.floor(cycle * 1000 + 1e-6), 1) / 1000
 
 
 def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
-    """Return the least time (s) between two frames that a `rate` allows."""
+    """Return the minimum time between two CAN frames in s.
+
+    Returns ``None`` if the document sets no `rate` for the frame.  If the rate is not positive,
+    reports an error and returns ``None``.
+    """
     node = frame.get("rate")
     if node is None:
         return None
     rate = scope.quantity(node, "frequency", math.nan)
     if rate > 0.0:
         return 1.0 / rate
-    if not math.isnan(rate):  # NaN: reported already
+    if not math.isnan(rate):  # NaN means that an error of the value is already reported
         report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
     return None
 
@@ -127,9 +137,13 @@ def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[F
 def standard_frames(
     name: str, node_id: int, services: Node | None, heartbeat_period: float
 ) -> Iterator[FrameDefinition]:
-    """Yield the frames of a device's CANopen services (CiA 301, predefined connection set).
+    """Yield the CAN frames of the CANopen services of a device.
 
-    ``services`` is the list of their names in the document; ``heartbeat_period`` is in s.
+    The COB-IDs follow the predefined connection set of CiA 301.
+
+    ``name``: name of the device.
+    ``services``: list with the names of the services in the document.
+    ``heartbeat_period``: period of the heartbeat in s.
     """
     if services is None:
         return
@@ -199,7 +213,10 @@ def heartbeat(
 
 
 def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
-    """Yield the signals of a frame, each with its channel."""
+    """Yield a tuple (signal, name of the channel) for each signal of a CAN frame.
+
+    The name of the channel is ``None`` if the signal does not belong to a channel.
+    """
     scope = device.scope
     wires = {wire.channel: wire for wire in device.wires}
     commands = scope.text(frame.get("direction"), "report") == "command"
@@ -211,7 +228,8 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         wired = channel is None or channel in wires
 
         def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
-            # The numbers of a channel without a motor have no meaning and are not evaluated.
+            # An expression can use the parameters of the motor on a channel.  If the channel has
+            # no motor, the expression cannot be evaluated.
             number = get(key) if wired else None
             return (
                 otherwise if number is None else scope.quantity(number, "ratio", otherwise or 0.0)
@@ -240,12 +258,12 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
-    """Return the signal with the steering offset of the calibration in its own offset.
+    """Return a signal whose offset contains the calibrated offset of the steering encoder.
 
-    The angle on the bus is that of the encoder; the signal's value is the position of the joint:
-    ``position = encoder + encoder_offset``.  Only this function applies the offset, so every
-    user of the signal reads and writes positions.  The limits of a command are those of the
-    encoder: the range of the joint, shifted by the offset.
+    The CAN frame contains the angle of the encoder.  The value of the signal is the position of
+    the joint: ``position = encoder + encoder_offset``.  Only this function applies the encoder
+    offset, so all users of the signal read and write joint positions.  The limits of a command
+    signal are the limits of the joint plus the encoder offset.
     """
     offset = wire.actuator.encoder_offset
     low, high = signal.minimum, signal.maximum
@@ -263,7 +281,11 @@ def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
 def _pdo(
     device: Device, frame: Node, length: int, report: Report
 ) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
-    """Return the number and the mapping of a CANopen PDO."""
+    """Return the number and the object mapping of a CANopen PDO.
+
+    The mapping is a tuple (index, subindex, object type) for each mapped object.  If the frame
+    is not a PDO, or if the PDO has an error, returns ``(None, ())``.
+    """
     pdo_node = frame.get("pdo")
     if pdo_node is None:
         return None, ()
@@ -318,7 +340,7 @@ def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None
     value = device.scope.quantity(node, "ratio", math.nan)
     if 0 <= value <= 0x7FF and value.is_integer():
         return int(value)
-    if not math.isnan(value):  # NaN: reported already
+    if not math.isnan(value):  # NaN means that an error of the value is already reported
         report.add(
             "can-cob-id-range",
             f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
@@ -343,11 +365,11 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 
 
 def _time(device: Device, node: Node, report: Report) -> float | None:
-    """Return a positive time (s), or ``None`` after reporting the error."""
+    """Return a time in s.  If the time is not positive, report an error and return ``None``."""
     time = device.scope.quantity(node, "time", math.nan)
     if time > 0.0:
         return time
-    if not math.isnan(time):  # NaN: reported already
+    if not math.isnan(time):  # NaN means that an error of the value is already reported
         report.add(
             "can-period",
             f"a frame of `{device.path}` has the period {time:g} s; it must be positive",

@@ -1,4 +1,4 @@
-"""The devices of a robot before their buses are built, and readers of their sections."""
+"""Data classes for the CAN devices of a robot, and functions that read their `can` sections."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ CANOPEN = "canopen"
 
 
 class Wire(NamedTuple):
-    """A motor on a channel.  ``lower`` and ``upper`` (rad) limit its joint; ``None``: no limit.
+    """The connection of a motor to a channel of a motor controller.
 
-    ``span`` is that of the entry that connects the two.
+    ``channel``: name of the channel.
+    ``actuator``: the motor with its gear.
+    ``lower``, ``upper``: limits of the joint in rad, or ``None`` for a joint without limits.
+    ``span``: source span of the entry under ``channels`` in the robot file.
     """
 
     channel: str
@@ -30,11 +33,17 @@ class Wire(NamedTuple):
 
 
 class Device(NamedTuple):
-    """A module instance with a `can` section.
+    """A module instance whose module type has a `can` section.
 
-    ``can`` and ``channels`` are these sections of the module type.  ``address`` is the `can` entry
-    of the module in the robot's file: an id, ``auto``, a mapping, or ``None``.  ``span`` is that of
-    the module in the robot's file.
+    ``path``: path of the module instance in the robot.
+    ``name``: name of the device on the bus.
+    ``can``: section `can` of the module type.
+    ``channels``: section `channels` of the module type.
+    ``wires``: connections of motors to the channels.
+    ``address``: entry `can` of the module instance in the robot file.  The entry is an id, the
+    word ``auto`` or a mapping.
+    ``scope``: names and values for expressions in the module document.
+    ``span``: source span of the module instance in the robot file.
     """
 
     path: str
@@ -48,10 +57,15 @@ class Device(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A device with its node id.
+    """A device on a bus, with its node id.
 
-    ``span`` is that of its address in the robot's file, ``serial_span`` that of its serial number,
-    ``module_span`` that of the `can` section of its module type.
+    ``path``: path of the module instance in the robot.
+    ``bus``: name of the bus.
+    ``span``: source span of the address of the device in the robot file.
+    ``serial_span``: source span of the serial number in the robot file.
+    ``node``: node of the device in the model.
+    ``frames``: CAN frames of the device.
+    ``module_span``: source span of the section `can` in the module document.
     """
 
     path: str
@@ -64,7 +78,12 @@ class Placed(NamedTuple):
 
 
 class BusSpec(NamedTuple):
-    """A bus in the robot's file.  ``bitrate`` is in bit/s; ``stated``: the file contains it."""
+    """A bus of the robot.
+
+    ``bitrate``: bit rate in bit/s.
+    ``span``: source span of the bus in the robot file.
+    ``stated``: whether the robot file contains the bit rate.
+    """
 
     name: str
     bitrate: int
@@ -73,17 +92,20 @@ class BusSpec(NamedTuple):
 
 
 def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    """Return the entries of a mapping; none if the node is no mapping."""
+    """Return the entries of a mapping, or an empty list if the node is not a mapping."""
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 
 def items(node: source.Node | None) -> tuple[source.Node, ...]:
-    """Return the items of a list; none if the node is no list."""
+    """Return the elements of a list, or an empty tuple if the node is not a list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
 def integer(scope: Scope, node: source.Node | None, default: int) -> int:
-    """Return a whole number, or ``default`` if it is missing or invalid."""
+    """Return the value of a node as a whole number.
+
+    If the node is missing or its value is not a whole number, returns ``default``.
+    """
     if node is None:
         return default
     if type(node.value) is int:

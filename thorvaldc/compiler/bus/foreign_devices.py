@@ -1,4 +1,8 @@
-"""Foreign devices on a robot's bus: the driver relays their declared frames, and no others."""
+"""Reads the foreign devices of a robot.
+
+A foreign device is a device on a CAN bus of the robot that is not a module of the robot.
+The base driver relays only the CAN frames that the robot file declares for a foreign device.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,10 @@ PROTOCOL = "foreign"
 def foreign_devices(
     section: source.Node | None, specs: Sequence[BusSpec], report: Report
 ) -> list[Placed]:
-    """Return the devices of the section `foreign_devices` with the frames that are relayed."""
+    """Return the foreign devices of a robot with the CAN frames that the base driver relays.
+
+    ``section``: section `foreign_devices` of the robot file.
+    """
     scope = Scope(None, {}, Library(), report, None)
     devices = []
     for name, device in entries(section):
@@ -64,7 +71,7 @@ def _relayed(
     for key, node in entries(device.get("frames")):
         cob_id, length = node.get("cob_id"), node.get("length")
         if cob_id is None or type(cob_id.value) is not int:
-            continue  # reported
+            continue  # the schema check reports a missing or invalid COB-ID
         to_device = scope.text(node.get("direction")) == "command"
         yield FrameDefinition(
             f"{name}_{key}",

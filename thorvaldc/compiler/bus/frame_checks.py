@@ -1,4 +1,4 @@
-"""Checks of one frame of a module: its layout, and the range of its scaled signals."""
+"""Checks the layout of a CAN frame, and the physical range of its signals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROUNDING = 1e-9
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
-    """Check that the channel of every signal is one of the module's channels."""
+    """Check that the module has all channels that the signals of a CAN frame refer to."""
     known = [name for name, _ in entries(device.channels)]
     for _, node in entries(frame.get("signals")):
         channel = node.get("channel")
@@ -33,7 +33,15 @@ def check_layout(
     signals: Sequence[tuple[Signal, str | None]],
     report: Report,
 ) -> bool:
-    """Check that the signals are inside the frame, do not overlap, and that selectors are valid."""
+    """Check the layout of a CAN frame.  Return whether the layout is valid.
+
+    A frame has at most 8 bytes.  The signals must be inside the frame and must not overlap.
+    The named values of a signal must fit into its bits, and the multiplexer must be valid.
+
+    ``frame``: definition of the frame in the module document.
+    ``length``: length of the frame in bytes.
+    ``signals``: tuples (signal, name of the channel).
+    """
     if not 0 <= length <= 8:
         length_node = frame.get("length") or frame
         report.add(
@@ -116,11 +124,11 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
-    """Check that no two signals that occur at the same time share a bit."""
+    """Check that signals do not share bits, unless different multiplexer values select them."""
     if _masks_are_apart(signals):
         return True
     always: dict[int, Signal] = {}
-    selected: dict[int, dict[int, Signal]] = {}  # by bit and value of the multiplexer
+    selected: dict[int, dict[int, Signal]] = {}  # bit -> multiplexer value -> signal
     pairs: dict[tuple[str, str], tuple[Signal, Signal]] = {}
     for signal in signals:
         for bit in range(signal.start, signal.start + signal.length):
@@ -149,7 +157,10 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
 
 
 def _masks_are_apart(signals: Sequence[Signal]) -> bool:
-    """Whether no two signals overlap: a fast test with bit masks, without naming the signals."""
+    """Return whether no two signals overlap.
+
+    The test with bit masks is fast, but does not find out which signals overlap.
+    """
     always, selected = 0, dict[int, int]()
     for signal in signals:
         mask = ((1 << signal.length) - 1) << signal.start
@@ -175,7 +186,10 @@ def raw_range(signal: Signal) -> tuple[int, int]:
 def check_scales(
     device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
 ) -> None:
-    """Check that the signals of each joint cover its full speed and its full angle."""
+    """Check that each signal of a joint can represent the whole speed or angle range of the joint.
+
+    ``signals``: tuples (signal, name of the channel).
+    """
     wires = {wire.channel: wire for wire in device.wires}
     nodes = dict(entries(frame.get("signals")))
     for signal, channel in signals:
@@ -216,7 +230,7 @@ def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
     if unit == "rad/s":
         return -wire.actuator.max_velocity, wire.actuator.max_velocity
     if unit == "rad" and wire.lower is not None and wire.upper is not None:
-        # A calibrated steering's signal has the encoder's range: that of the joint, shifted.
+        # The calibration shifts the range of the steering signal by the offset of the encoder.
         offset = wire.actuator.encoder_offset
         return wire.lower + offset, wire.upper + offset
     return None

@@ -1,4 +1,4 @@
-"""Reads a document of injected faults for the buses of a compiled robot."""
+"""Reads a document with injected faults for the simulated CAN buses of a robot."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKi
 from thorvaldc.model.robot import Robot
 
 LONGEST = 86400.0
-"""Latest time of an injected fault (s): a day."""
+"""Latest start time of an injected fault in s (one day)."""
 _WHEN = ("fault", "bus", "at", "frame", "delay")
 _BATTERIES = "kc_battery"
 
 
 def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
-    """Return the injected faults, and report those of devices that the robot does not have."""
+    """Return the injected faults of a document.
+
+    Reports an error if a fault names a bus or a device that the robot does not have, or if a
+    device does not support a fault.
+    """
     scope = Scope(None, {}, Library(), report, None)
     quantities = BoundedQuantities(scope, report)
     seed = document.get("seed")
@@ -78,7 +82,11 @@ class _Reader:
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
-        """Return the bus, and the device if the fault has one; ``None`` if the robot lacks them."""
+        """Return the bus and the device of an injected fault.
+
+        The device is ``None`` for a fault of a whole bus.  If the robot does not have the bus or
+        the device, returns ``(None, None)``.
+        """
         buses = self.robot.buses
         bus_node, device = node.get("bus"), node.get("node")
         if bus_node is not None:
@@ -96,7 +104,7 @@ class _Reader:
         if device is None:
             if kind.node != "yes":
                 return buses[0] if buses else None, None
-            return None, None  # reported as a missing key
+            return None, None  # `_has_keys` reports the missing key
         for bus in buses:
             for candidate in bus.nodes:
                 if candidate.name == device.value:
@@ -111,7 +119,10 @@ class _Reader:
         return None, None
 
     def _has_keys(self, node: Node, name: str, kind: FaultKind) -> bool:
-        """Check that the entry has its required keys and a start, and no unknown keys."""
+        """Check that an injected fault has all required keys and exactly one start condition.
+
+        Also reports unknown keys.
+        """
         entries = node.value if isinstance(node.value, dict) else {}
         needs = (*(("node",) if kind.node == "yes" else ()), *kind.needs)
         complete = True
@@ -136,7 +147,7 @@ class _Reader:
         return complete
 
     def _suits(self, node: Node, name: str, device: Device) -> bool:
-        """Check that the device can have this fault."""
+        """Check that a device supports the injected fault ``name``."""
         frames = [f for bus in self.robot.buses for f in bus.frames if f.producer == device.name]
         kinds = {"heartbeat_stop": "heartbeat", "emcy": "emcy"}
         reason = ""

@@ -1,7 +1,9 @@
-"""The lock file beside a robot: an id that was chosen once does not change.
+"""Reads and writes the lock file of a robot.
 
-`robot.lock.yaml` belongs to `robot.yaml`.  Every command reads it, and `build` writes
-it; `docs/language.md` describes it.
+The lock file contains the node ids that the compiler chose for the devices of a robot.  With the
+lock file, a device keeps its node id when other devices are added.  The lock file of
+`robot.yaml` is `robot.lock.yaml`.  Every command reads the lock file, and the command `build`
+writes it.  The page `docs/language.md` describes the format of the lock file.
 """
 
 from __future__ import annotations
@@ -27,16 +29,16 @@ class Pin(NamedTuple):
     span: Span
 
 
-Lock = dict[tuple[str, str, str], Pin]  # by bus, id space and module
+Lock = dict[tuple[str, str, str], Pin]  # (bus, id space, module) -> node id
 
 
 def lock_path(robot: Path) -> Path:
-    """Return the path of a robot's lock file: `robot.lock.yaml` for `robot.yaml`."""
+    """Return the path of the lock file of a robot, such as `robot.lock.yaml` for `robot.yaml`."""
     return robot.with_name(f"{robot.stem}.lock.yaml")
 
 
 def read_lock(document: Node, report: Report) -> Lock:
-    """Return the ids in a lock file, and report its errors."""
+    """Return the node ids in a lock file.  Reports an error for each invalid entry."""
 
     def report_error(message: str, node: Node) -> None:
         report.add(
@@ -71,7 +73,10 @@ def read_lock(document: Node, report: Report) -> Lock:
 
 
 def lock_text(robot: Robot, file: str) -> str:
-    """Return the text of the lock file of a robot whose file is named ``file``."""
+    """Return the text of the lock file of a robot.
+
+    ``file``: name of the robot file, for the comment at the start of the lock file.
+    """
     lines = [HEAD.format(robot=file), f"{VERSION_KEY}: {VERSION}\n"]
     lines.append(f"{ADDRESSES}:\n" if has_pins(robot) else f"{ADDRESSES}: {{}}\n")
     for bus in robot.buses:
@@ -85,10 +90,14 @@ def lock_text(robot: Robot, file: str) -> str:
 
 
 def _key(name: str) -> str:
-    """Quote a name that YAML would not read as text; names are lower-case, so there are three."""
+    """Return a name as a YAML key.
+
+    The names `true`, `false` and `null` are put in quotes, because YAML does not read them as
+    text.  All names are lower-case, so no other name needs quotes.
+    """
     return f'"{name}"' if name in ("true", "false", "null") else name
 
 
 def has_pins(robot: Robot) -> bool:
-    """Whether the compiler chose any id of the robot."""
+    """Return whether the compiler chose at least one node id of the robot."""
     return any(node.automatic for bus in robot.buses for node in bus.nodes)

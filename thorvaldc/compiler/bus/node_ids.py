@@ -1,4 +1,8 @@
-"""Assigns node ids: first those in the robot's file, then those in the lock file, then free."""
+"""Assigns a node id to each device of a robot.
+
+A node id in the robot file has priority over a node id in the lock file.  A device without a
+node id in these files gets the lowest free node id of its range.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +31,20 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
-HEARTBEATS_MISSED = 3  # heartbeats after which a node counts as lost, if its module states no time
+# Number of missed heartbeats after which a node counts as lost.  This number applies if the
+# module document contains no `heartbeat_timeout`.
+HEARTBEATS_MISSED = 3
 
 
 class _Request(NamedTuple):
-    """The address of a device in the robot's file; ``id`` is ``None`` for `auto`."""
+    """The address of a device in the robot file.
+
+    ``bus``: name of the bus.
+    ``id``: requested node id, or ``None`` for `auto`.
+    ``serial``: serial number of the device, or ``None``.
+    ``span``: source span of the node id.
+    ``serial_span``: source span of the serial number.
+    """
 
     bus: str
     id: int | None
@@ -40,7 +53,7 @@ class _Request(NamedTuple):
     serial_span: Span
 
 
-Taken = dict[tuple[str, str], dict[int, None]]  # ids in use by bus and id space
+Taken = dict[tuple[str, str], dict[int, None]]  # (bus, id space) -> node ids in use
 
 
 def assign_ids(
@@ -51,7 +64,16 @@ def assign_ids(
     lock: Lock,
     report: Report,
 ) -> list[Placed]:
-    """Return the devices with node ids and frames; ``foreign`` devices already have theirs."""
+    """Assign a node id to each device, and create the CAN frames of the device.
+
+    ``devices``: devices without node ids.
+    ``foreign``: foreign devices, which already have node ids.
+    ``specs``: buses of the robot.
+    ``sync_period``: control cycle in s.
+    ``lock``: node ids of the last build.
+    Reports an error for a device that cannot get a node id.  The result does not contain such a
+    device.
+    """
     requests = [(device, _request(device, specs, report)) for device in devices]
     taken: Taken = {}
     for other in foreign:
@@ -106,7 +128,11 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
 
 
 def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report) -> str:
-    """Return the name of the bus; the first bus if none is named or the name is unknown."""
+    """Return the name of the bus of a device.
+
+    A device without a bus name is on the first bus of the robot file.  An unknown bus name is an
+    error, and the function returns the first bus.
+    """
     known = [spec.name for spec in specs]
     if node is None:
         return known[0]
@@ -129,7 +155,10 @@ def _id(
     taken: Taken,
     report: Report,
 ) -> int | None:
-    """Return the device's id, or ``None`` after reporting the reason."""
+    """Return the node id of a device.
+
+    Returns ``None`` and reports an error if the requested id is out of range or no id is free.
+    """
     id_space = _id_space(device)
     low, high = _id_range(device, "ids", (1, MASTER_ID))
     if request.id is not None:
@@ -167,7 +196,10 @@ def _pinned(
     lock: Lock,
     report: Report,
 ) -> dict[tuple[str, str, str], Pin]:
-    """Return the valid pins of the lock file, and report the others."""
+    """Return the valid node ids of the lock file by (bus, id space, module).
+
+    Reports a diagnostic for each invalid or unused node id of the lock file.
+    """
     if not lock:
         return {}
     owners: dict[tuple[str, str, int], tuple[str, Span]] = {}
@@ -289,7 +321,10 @@ def _node(
 
 
 def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
-    """Return a property: a quantity in SI, other text unchanged."""
+    """Return the value of a device property.
+
+    A quantity is converted to SI units.  Other text is returned unchanged.
+    """
     value = scope.evaluate(node)
     if isinstance(value, str) and not node.quoted:
         try:

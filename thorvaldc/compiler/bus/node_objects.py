@@ -1,7 +1,7 @@
-"""The entries of a CANopen node's object dictionary that the robot determines (CiA 301).
+"""Computes the values in the object dictionary of a CANopen node (CiA 301).
 
-A module lists entries under `objects`; those of identity, heartbeats and PDOs follow from the
-other sections.
+The section `objects` of a module document lists values of the object dictionary.  The objects
+for the identity, the heartbeats and the PDOs follow from other sections of the module document.
 """
 
 from __future__ import annotations
@@ -22,15 +22,20 @@ from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node, ObjectValue
 
 DEVICE_TYPE, ERROR_REGISTER, SYNC_COB_ID, EMCY_COB_ID = 0x1000, 0x1001, 0x1005, 0x1014
 HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER, IDENTITY = 0x1016, 0x1017, 0x1018
-LONGEST_TIME = 0xFFFF  # ms, in 16 bits
-RPDO, TPDO = 0x1400, 0x1800  # communication parameters; the mappings are 0x200 further
-AT_SYNC, ON_EVENT = 1, 255  # transmission types
+LONGEST_TIME = 0xFFFF  # longest time in ms that fits into 16 bits
+# Index of the communication parameters of the first PDO.  The index of the mapping parameters is
+# 0x200 higher.
+RPDO, TPDO = 0x1400, 0x1800
+AT_SYNC, ON_EVENT = 1, 255  # values of the PDO transmission type
 
 
 def objects_of(
     device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> tuple[ObjectValue, ...]:
-    """Return the entries in order of index; none for a node without SDO."""
+    """Return the objects of a CANopen node in the order of their indices.
+
+    Returns an empty tuple if the node has no SDO service, because objects are written by SDO.
+    """
     if node.id_space != CANOPEN or not any(f.kind == "sdo" for f in frames):
         return ()
     objects: dict[tuple[int, int], tuple[ObjectValue, Span]] = {}
@@ -51,7 +56,10 @@ def objects_of(
 
 
 def type_range(name: str) -> tuple[int, int]:
-    """Return the smallest and the largest value of a type of ``OBJECT_TYPES``."""
+    """Return the smallest and the largest value of an object type.
+
+    ``name``: name of the type, a key of ``OBJECT_TYPES``.
+    """
     bits = OBJECT_TYPES[name][1]
     if name.startswith("integer"):
         return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
@@ -63,7 +71,7 @@ def _shown(index: int, subindex: int) -> str:
 
 
 def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
-    """Yield the entries under `objects` of the module."""
+    """Yield the objects in the section `objects` of a module document, with source spans."""
     wired = {wire.channel for wire in device.wires}
     channels = [name for name, _ in entries(device.channels)]
     for name, node in entries(device.can.get("objects")):
@@ -80,7 +88,7 @@ def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
         index = integer(device.scope, node.get("index"), 0)
         subindex = integer(device.scope, node.get("subindex"), 0)
         if value is None or type_name not in OBJECT_TYPES:
-            continue  # reported
+            continue  # the schema check reports the missing or invalid value
         invalid = next(
             (
                 key_node
@@ -161,7 +169,7 @@ def _derived(
 
 
 def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[ObjectValue]:
-    """Yield the communication and mapping parameters of a PDO."""
+    """Yield the objects with the communication and mapping parameters of a PDO."""
     received = frame.producer == MASTER
     base = (RPDO if received else TPDO) + (frame.pdo or 1) - 1
     name = f"{'rpdo' if received else 'tpdo'}{frame.pdo}"
@@ -181,7 +189,10 @@ def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[Obj
 
 
 def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
-    """Yield the objects mapped into PDOs, named after the signals at the same bits."""
+    """Yield the objects that are mapped into PDOs.
+
+    The name of an object is the name of the signal that has the same bits in the PDO.
+    """
     for frame in frames:
         start = 0
         for index, subindex, type_name in frame.mapping:
@@ -196,7 +207,10 @@ def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
 
 
 def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
-    """Return a time as the object dictionary stores it: whole milliseconds in 16 bits."""
+    """Return a time (s) in ms, as the object dictionary stores it.
+
+    Reports an error if the time is not a whole number of milliseconds from 1 to 65535.
+    """
     number = round(time * 1000)
     if not 1 <= number <= LONGEST_TIME or abs(time * 1000 - number) > 1e-6 * number:
         report.add(
@@ -210,7 +224,10 @@ def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
 
 
 def serial_number(text: str | None) -> int | None:
-    """Return a serial number as object 0x1018:4 (32 bits), or ``None`` if it is no number."""
+    """Return a serial number as an integer of 32 bits, as in object 0x1018:4.
+
+    Returns ``None`` if the text is not an integer of 32 bits.
+    """
     if text is None:
         return None
     try:

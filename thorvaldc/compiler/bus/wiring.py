@@ -1,4 +1,4 @@
-"""Collects the buses, devices and motor connections of a robot for the bus pass."""
+"""Collects the buses, the CAN devices and the motor connections of a robot."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ DEFAULT_BUS = "main"
 
 
 class Wiring(NamedTuple):
-    """The devices of a robot and the motors on their channels.
+    """Collects the CAN devices of a robot and the motors on their channels.
 
-    ``actuators`` and ``joints`` are those of the model, by name.  ``scope`` is that of the
-    robot document.  ``lock`` contains the ids of the last build.
+    ``document``: robot document.
+    ``resolver``: resolver of the references to motors.
+    ``scope``: names and values for expressions in the robot document.
+    ``actuators``: actuators of the model, by name.
+    ``joints``: joints of the model, by name.
+    ``lock``: node ids of the last build, from the lock file.
     """
 
     document: Node
@@ -33,7 +37,11 @@ class Wiring(NamedTuple):
     report: Report
 
     def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
-        """Return the robot's buses; ``period`` (s) is the control cycle."""
+        """Return the buses of a robot.
+
+        ``robot``: root of the tree of module instances.
+        ``period``: control cycle of the base driver in s.
+        """
         devices: list[Device] = []
         for leaf in robot.leaves():
             can = leaf.type.document.get("can") if leaf.type is not None else None
