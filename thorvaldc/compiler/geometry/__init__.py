@@ -1,1 +1,1 @@
-"""Wheel geometry, static loads, meshes, and checks of a robot's statics and mobility."""
+"""Computes wheel geometry and static wheel loads, reads meshes, and checks complete robots."""

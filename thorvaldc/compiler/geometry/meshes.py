@@ -1,8 +1,9 @@
-"""Reads mesh files, checks them and converts them to a format that every target reads.
+"""Reads, checks and converts mesh files.
 
-URDF readers and MuJoCo both read STL and OBJ: these files are copied unchanged, except that text
-STL becomes binary STL, because MuJoCo reads only that.  Other formats are converted to binary STL
-here, so that no backend has to.
+Binary STL files and OBJ files are copied without conversion, because URDF readers and MuJoCo can
+read both formats.  Text STL files are converted to binary STL, because MuJoCo reads only binary
+STL.  All other formats are converted to binary STL, too, so that no backend needs to convert a
+mesh.
 """
 
 from __future__ import annotations
@@ -20,22 +21,28 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Mesh, Vec3
 
-# Limit of MuJoCo's STL reader.
+# The STL reader of MuJoCo accepts at most this number of triangles.
 MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
-MAX_EXTENT = 20.0  # m; a larger mesh is most likely in millimetres
+MAX_EXTENT = 20.0  # Largest size of a mesh (m).  The unit of a larger mesh is probably mm.
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
 _RECORD = struct.Struct("<12xfffffffff2x")
-# Fast tests of coordinates by the highest byte of a little-endian float32, for ``translate``:
-# bytes of numbers below 1.7e38 (above are also inf and nan), and of magnitudes below 8.
+# ``bytes.translate`` with these tables tests the last byte of each little-endian float32.  The
+# last byte contains the sign and the upper 7 bits of the exponent.  The first table contains the
+# bytes of numbers with a magnitude below 1.7e38, which excludes infinity and NaN.  The second
+# table contains the bytes of numbers with a magnitude below 8.
 _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
 _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 
 
 class _MeshError(NamedTuple):
-    """An error of a mesh file; ``text`` continues "mesh file `x` ..."."""
+    """An error of a mesh file.
+
+    ``code`` is the name of the diagnostic.  ``text`` is the end of a message that begins with
+    "mesh file `name`".  ``hint`` tells the user how to correct the error.
+    """
 
     code: str
     text: str
@@ -43,7 +50,11 @@ class _MeshError(NamedTuple):
 
 
 class _LoadedMesh(NamedTuple):
-    """A mesh in the format ``suffix``; ``is_large``: a coordinate may be 8 m or more."""
+    """A mesh that was read from a file.
+
+    ``suffix`` is the format of the mesh data, ``stl`` or ``obj``.  ``is_large`` is true if a
+    coordinate may have a magnitude of 8 m or more.
+    """
 
     mesh: Mesh
     suffix: str
@@ -58,12 +69,21 @@ def load_mesh(
     display: str,
     scale: Vec3 = (1.0, 1.0, 1.0),
 ) -> Mesh | None:
-    """Returns the mesh of the file at ``path``, or ``None`` if there are errors (reported).
+    """Reads a mesh file.
 
-    ``span`` is where the document names the file, ``display`` the file's name in messages.
-    ``scale`` is used only to check the size.  The name of the mesh contains a hash of its
-    content, so that files of equal names do not collide.  A file is read once per process unless
-    its size or time changes.
+    Returns ``None`` and reports an error if the file cannot be read or is not valid.  The name of
+    the returned mesh contains a hash of the content, so that two mesh files of the same name have
+    different mesh names.  A process reads a file again only if the size or the modification time
+    of the file has changed.
+
+    Parameters
+    ----------
+    path : path of the mesh file.
+    span : span of the file name in the document.
+    report : collects the diagnostics.
+    display : name of the file in messages.
+    scale : scale factors of the mesh along x, y and z.  The factors are used only to check the
+        size of the mesh.
     """
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
@@ -106,9 +126,10 @@ def load_mesh(
 
 
 def binary_stl(triangles: Iterable[tuple[Vec3, Vec3, Vec3]]) -> bytes:
-    """Returns the binary STL of triangles with the given corners (m); computes the normals.
+    """Returns the content of a binary STL file with the given triangles.
 
-    Raises ``OverflowError`` if a coordinate does not fit in a float32.
+    Each triangle has three corners (m).  The function computes the normal vectors.  Raises
+    ``OverflowError`` if a coordinate does not fit in a float32.
     """
     body = bytearray()
     count = 0
@@ -124,7 +145,11 @@ def binary_stl(triangles: Iterable[tuple[Vec3, Vec3, Vec3]]) -> bytes:
 
 @functools.lru_cache(maxsize=512)
 def _read(path: Path, mtime_ns: int, size: int) -> _LoadedMesh | _MeshError:
-    """Reads, checks and converts a file; ``mtime_ns`` is only part of the cache key."""
+    """Reads, checks and converts a mesh file.
+
+    The results are cached.  ``mtime_ns`` is the modification time of the file (ns).  A file with
+    a new modification time is read again.
+    """
     if size > MAX_FILE_BYTES:
         return _too_large(f"has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} are read")
     try:
@@ -164,10 +189,14 @@ def _too_large(text: str) -> _MeshError:
 
 
 def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
-    """Returns the binary STL without trailing bytes, and true if it may be large.
+    """Checks the content of an STL file, and converts text STL to binary STL.
 
-    Format: 80 bytes of header, the number of triangles (uint32), and 50 bytes per triangle:
-    normal and three corners (float32 each) and 2 bytes of attributes.
+    Returns the content of the binary STL file without trailing bytes.  The second result is true
+    if a coordinate may have a magnitude of 8 m or more.
+
+    A binary STL file contains a header of 80 bytes, the number of triangles as a uint32, and 50
+    bytes for each triangle.  The 50 bytes are a normal vector and three corners as float32 values,
+    followed by 2 bytes of attributes.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
     if count is None or len(data) != 84 + 50 * count:
@@ -187,7 +216,8 @@ def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
         return _too_large(f"has {count} triangles; at most {MAX_TRIANGLES} are read")
     is_large = False
     for k in range(9):
-        high_bytes = data[84 + 12 + 4 * k + 3 :: 50]  # of the k-th coordinate of each triangle
+        # The last byte of the k-th coordinate of each triangle.
+        high_bytes = data[84 + 12 + 4 * k + 3 :: 50]
         if high_bytes.translate(None, _BELOW_HUGE):
             return _invalid("has a coordinate that is not a finite number")
         is_large = is_large or bool(high_bytes.translate(None, _BELOW_8))
@@ -225,7 +255,7 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
     for number, line in enumerate(data.split(b"\n"), start=1):
         word = line[:7].split(None, 1)[:1]
         if word in ([b"mtllib"], [b"usemtl"]):
-            continue  # Material files are not copied: colours come from the model.
+            continue  # Material files are not copied, because the model defines the colours.
         lines.append(line)
         if word == [b"f"]:
             faces += len(line.split()) - 3
@@ -246,8 +276,9 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
 
 
 def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
-    """Converts a scene of another format to one binary STL, in m and z up."""
-    # trimesh treats an interrupt as a missing package and continues without it.
+    """Converts a mesh file of another format to binary STL, in metres and with the z axis up."""
+    # If an interrupt occurs while trimesh imports an optional package, trimesh continues without
+    # the package.  Interrupts are therefore delayed.
     with uninterrupted():
         return _convert_by_trimesh(path, data, suffix)
 
@@ -272,20 +303,23 @@ def _convert_by_trimesh(path: Path, data: bytes, suffix: str) -> tuple[bytes, bo
             if suffix == "dae":
                 corners = corners @ _collada_axes(data)
             rows = corners.reshape(-1, 9).tolist()
-    except (AttributeError, TypeError, LookupError):  # not of this format, or empty
+    except (AttributeError, TypeError, LookupError):  # The file is empty or has another format.
         return _invalid(f"is not a {suffix} file, or has no triangles")
-    except Exception as error:  # the readers raise exceptions of many types
+    except Exception as error:  # The readers of trimesh raise exceptions of many types.
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         return _invalid(f"cannot be read as {suffix}: {reason}")
     return _binary([((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8])) for r in rows])
 
 
 def _collada_axes(data: bytes) -> list[list[float]]:
-    """Returns the matrix M of a Collada file for row vectors: ``p_z_up_in_m = p @ M``."""
+    """Returns the matrix that converts the points of a Collada file to metres and z up.
+
+    With the matrix M and a point p as a row vector, the converted point is ``p @ M``.
+    """
     from xml.etree import ElementTree
 
     root = ElementTree.fromstring(data)
-    unit, up = 1.0, "Y_UP"  # defaults of Collada 1.4, element <asset>
+    unit, up = 1.0, "Y_UP"  # Default values of the element <asset> in Collada 1.4.
     for element in root.iter():
         name = element.tag.rpartition("}")[2]
         if name == "unit":
@@ -304,7 +338,7 @@ def _collada_axes(data: bytes) -> list[list[float]]:
 
 @functools.lru_cache(maxsize=512)
 def _extent(data: bytes, suffix: str) -> Vec3:
-    """Returns the edge lengths of the bounding box, in the unit of the mesh."""
+    """Returns the edge lengths of the bounding box of a mesh, in the unit of the mesh."""
     if suffix == "obj":
         points = [
             [float(n) for n in line.split()[1:4]]

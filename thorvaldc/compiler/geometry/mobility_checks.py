@@ -1,12 +1,12 @@
-"""Checks of the motions that a robot's wheels allow and control.
+"""Checks which twists the wheels of a robot allow, and which twists the motors control.
 
-Notation of Campion, Bastin and d'Andrea-Novel, "Structural properties and classification of
-kinematic and dynamic models of wheeled mobile robots" (1996).  A wheel at (x, y) with the heading
-angle b rolls without sliding sideways if
+The notation follows Campion, Bastin and d'Andrea-Novel, "Structural properties and classification
+of kinematic and dynamic models of wheeled mobile robots" (1996).  A wheel at the position (x, y)
+with the heading angle b does not slide sideways if the twist (vx, vy, wz) satisfies
 
-    (-sin b, cos b, x cos b + y sin b) . (vx, vy, wz) = 0          (lateral row),
+    (-sin b, cos b, x cos b + y sin b) . (vx, vy, wz) = 0          (lateral row).
 
-and its motor sets the speed along the heading
+The motor of a driven wheel sets the speed v of the wheel along the heading:
 
     (cos b, sin b, x sin b - y cos b) . (vx, vy, wz) = v           (rolling row).
 """
@@ -24,9 +24,10 @@ Row = tuple[float, float, float]
 
 
 def check_steering_range(robot: Robot, report: Report) -> None:
-    """Checks that steered wheels reach every direction, if fixed wheels do not limit them.
+    """Checks that each steered wheel can point in every direction.
 
-    With reversing, half a turn of steering is enough.
+    A range of half a turn is enough, because a wheel can also roll backwards.  A robot with fixed
+    wheels is not checked, because fixed wheels limit the directions of motion.
     """
     if feasible_twists(robot) < 3:
         return
@@ -46,15 +47,15 @@ def check_steering_range(robot: Robot, report: Report) -> None:
 
 
 def feasible_twists(robot: Robot) -> int:
-    """Returns the number of components of the twist that the fixed wheels leave free, 0 to 3."""
+    """Returns the number of independent twists that the fixed wheels allow, from 0 to 3."""
     return 3 - _rank(_fixed_rows(robot))
 
 
 def check_controllable(robot: Robot, report: Report) -> None:
-    """Checks that the wheels determine all of the twist (vx, vy, wz) for some steering angles.
+    """Checks that the wheels determine the twist (vx, vy, wz) for some steering angles.
 
-    Each wheel that is not a caster gives a lateral row, each driven wheel also a rolling row.
-    The rows must have rank 3.
+    Each wheel that is not a caster contributes a lateral row.  Each driven wheel also contributes
+    a rolling row.  The matrix of all rows must have rank 3.
     """
     if not any(wheel.driven for wheel in robot.wheels):
         return
@@ -68,7 +69,8 @@ def check_controllable(robot: Robot, report: Report) -> None:
         )
         return
     rank = 0
-    for turn in (0.3, 1.1, 2.0):  # Arbitrary angles (rad): special ones can lower the rank.
+    # The steering angles (rad) are arbitrary.  Special angles, such as 0, can lower the rank.
+    for turn in (0.3, 1.1, 2.0):
         rows = []
         for k, wheel in enumerate(robot.wheels):
             if wheel.swivel_joint is not None:
@@ -108,7 +110,10 @@ def _fixed_rows(robot: Robot) -> list[Row]:
 
 
 def _cannot_turn(robot: Robot) -> bool:
-    """Returns true if the fixed wheels prevent turning: wz depends on their rows."""
+    """Returns true if the fixed wheels do not allow any twist with a turning rate wz.
+
+    The fixed wheels prevent turning if (0, 0, 1) is a linear combination of the lateral rows.
+    """
     rows = _fixed_rows(robot)
     return _rank([*rows, (0.0, 0.0, 1.0)]) == _rank(rows)
 
@@ -126,9 +131,9 @@ def _rolling_row(wheel: Wheel, angle: float) -> Row:
 
 
 def _rank(rows: Sequence[Row], tolerance: float = 1e-4) -> int:
-    """Computes the rank of a matrix of three columns by Gram-Schmidt.
+    """Computes the rank of a matrix with three columns by the Gram-Schmidt process.
 
-    ``tolerance`` is the length (m) below which a remainder counts as 0.
+    A row depends on the other rows if the length of the remainder is at most ``tolerance`` (m).
     """
     basis: list[Row] = []
     for row in sorted(rows, key=lambda r: -sum(v * v for v in r)):

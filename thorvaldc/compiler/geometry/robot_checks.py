@@ -1,4 +1,4 @@
-"""Checks of a complete robot model: masses, wheels on the ground, stability and loads."""
+"""Checks the masses, wheels, stability and wheel loads of a complete robot model."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 
-WHEEL_OFF_GROUND = 2e-3  # m; suspensions and tyres compensate smaller gaps
+WHEEL_OFF_GROUND = 2e-3  # Suspensions and tyres compensate a gap of up to this height (m).
 
 
 def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> None:
-    """Runs all checks; each adds its diagnostics to the report."""
+    """Runs all checks of this module and adds the diagnostics to the report."""
     check_masses(robot, report)
     check_inertias(robot, report)
     check_wheels_present(robot, report)
@@ -33,7 +33,10 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
 
 
 def check_masses(robot: Robot, report: Report) -> None:
-    """Checks that each movable link, with the links fixed to it, has mass: physics needs it."""
+    """Checks that each moving link has a mass, which the physics simulation needs.
+
+    The mass of a moving link includes the links that are fixed to the moving link.
+    """
     masses = {link.name: link.inertial.mass if link.inertial else 0.0 for link in robot.links}
     fixed_children: dict[str, list[str]] = {}
     for joint in robot.joints:
@@ -60,7 +63,11 @@ def check_masses(robot: Robot, report: Report) -> None:
 
 
 def check_inertias(robot: Robot, report: Report) -> None:
-    """Checks that principal moments are positive and satisfy the triangle inequality."""
+    """Checks that a real body can have the inertia of each link.
+
+    The principal moments of inertia of a real body are positive and satisfy the triangle
+    inequality.
+    """
     for link in robot.links:
         if link.inertial is None or link.inertial.mass <= 0.0:
             continue
@@ -76,7 +83,7 @@ def check_inertias(robot: Robot, report: Report) -> None:
 
 
 def check_wheels_present(robot: Robot, report: Report) -> None:
-    """Checks that the robot has wheels and that one of them is driven."""
+    """Checks that the robot has wheels and that at least one wheel is driven."""
     if not robot.wheels:
         report.add("no-wheels", "the robot has no wheels", robot.span)
     elif not any(wheel.driven for wheel in robot.wheels):
@@ -84,7 +91,10 @@ def check_wheels_present(robot: Robot, report: Report) -> None:
 
 
 def check_wheels_on_ground(robot: Robot, report: Report) -> None:
-    """Checks that every wheel reaches the ground, which is at the lowest wheel."""
+    """Checks that every wheel touches the ground.
+
+    The ground is at the height of the contact point of the lowest wheel.
+    """
     lowest = min(robot.wheels, key=lambda wheel: wheel.contact_height)
     for wheel in robot.wheels:
         if wheel.contact_height > WHEEL_OFF_GROUND:
@@ -100,10 +110,10 @@ def check_wheels_on_ground(robot: Robot, report: Report) -> None:
 
 
 def check_parts_above_ground(robot: Robot, report: Report) -> None:
-    """Checks that no link's centre of mass is below the ground.
+    """Checks that no link has a centre of mass below the ground.
 
-    Such a link is mounted upside down or too low.  Other points of a link may be below the
-    ground, as those of a tool in the soil.
+    A link with a centre of mass below the ground is mounted upside down or too low.  Other points
+    of a link may be below the ground, for example the tip of a tool in the soil.
     """
     pose = JointTree(robot.links, robot.joints).pose
     for link in robot.links:
@@ -123,8 +133,9 @@ def check_parts_above_ground(robot: Robot, report: Report) -> None:
 def check_wheels_overlap(robot: Robot, report: Report) -> None:
     """Checks that no two wheels overlap.
 
-    Seen from above and at steering angle 0, a wheel is a rectangle.  Two wheels on one axle
-    (a double wheel) may touch.  A grid of cells larger than any wheel keeps the comparisons few.
+    The check treats each wheel as a rectangle in the ground plane, at the steering angle 0.  Two
+    wheels of a double wheel may touch.  The wheels are sorted into a grid with cells larger than
+    any wheel.  A wheel is then compared only with the wheels in the neighbouring cells.
     """
     cells: dict[tuple[int, int], list[Wheel]] = {}
     size = 2 * max(max(w.radius, w.width) for w in robot.wheels) + 1e-6
@@ -139,8 +150,8 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
         ]
         overlapping = next((n for n in neighbours if _rectangles_overlap(wheel, n)), None)
         if overlapping is not None:
-            # One diagnostic per wheel: a thousand wheels in one position would otherwise cause
-            # half a million.
+            # A wheel causes at most one diagnostic.  Otherwise a thousand wheels in one position
+            # would cause half a million diagnostics.
             report.add(
                 "wheels-overlap",
                 f"the wheels of `{overlapping.module}` and `{wheel.module}` overlap",
@@ -153,7 +164,11 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
 
 
 def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
-    """Tests two oriented rectangles of 2 radius by width by the separating axis theorem."""
+    """Returns whether the rectangles of two wheels overlap.
+
+    The rectangle of a wheel has the length 2 * radius along the heading, and the width of the
+    wheel.  The test uses the separating axis theorem.
+    """
     (ax, ay), (bx, by) = contact_point(a), contact_point(b)
     tolerance = 1e-6  # m
     for heading in (a.heading, b.heading):
@@ -171,9 +186,10 @@ def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
 
 
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:
-    """Checks the tip-over angle: atan(distance of the centre of mass from the hull, height).
+    """Checks the tip-over angle of the robot.
 
-    The hull is the convex hull of the contact points.
+    The tip-over angle is atan(d / h).  d is the horizontal distance of the centre of mass from the
+    nearest edge of the convex hull of the contact points.  h is the height of the centre of mass.
     """
     hull = _convex_hull([contact_point(wheel) for wheel in robot.wheels])
     x, y, z = robot.inertial.com
@@ -214,9 +230,9 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
 
 
 def _convex_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Returns the convex hull, counter-clockwise and without collinear points.
+    """Returns the corners of the convex hull of points, counter-clockwise.
 
-    Andrew's monotone chain algorithm.
+    Collinear points are left out.  The function uses Andrew's monotone chain algorithm.
     """
     ordered = sorted(set(points))
     if len(ordered) < 3:
@@ -237,7 +253,7 @@ def _convex_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, flo
 
 
 def check_wheel_loads(robot: Robot, report: Report) -> None:
-    """Checks that each wheel on the ground carries part of the weight."""
+    """Checks that each wheel on the ground carries a part of the robot's weight."""
     weight = robot.inertial.mass * GRAVITY
     for wheel in robot.wheels:
         if wheel.contact_height <= WHEEL_OFF_GROUND and wheel.load < 1e-3 * weight:
@@ -250,10 +266,12 @@ def check_wheel_loads(robot: Robot, report: Report) -> None:
 
 
 def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> None:
-    """Checks that motors and grip can hold the robot on the required slope.
+    """Checks that the robot can climb the required slope.
 
-    Force along the slope: weight and rolling resistance.  Available force: motor torque / radius,
-    and friction of the driven wheels.
+    The needed force is the component of the weight along the slope plus the rolling resistance.
+    The force of the motors is the sum of the motor torques divided by the wheel radii.  The grip
+    is the friction force of the driven wheels.  The force of the motors and the grip must both be
+    at least as large as the needed force.
     """
     if design.slope is None:
         return

@@ -1,14 +1,16 @@
-"""Static wheel loads, in N, and the rest positions of springs.
+"""Computes the static wheel loads (N) and the rest positions of springs.
 
-The wheels of a standing robot carry its weight W.  With contact points (x_i, y_i) and the centre
-of mass at (x, y), the loads N_i satisfy
+The wheels of a standing robot carry the weight W of the robot.  The wheel i has the contact point
+(x_i, y_i) and the load N_i.  The centre of mass of the robot is at (x, y).  The loads satisfy
 
     sum N_i = W,   sum N_i x_i = W x,   sum N_i y_i = W y.
 
-For more than three wheels these equations have many solutions.  Wheels of equal vertical
-stiffness under a rigid body deflect in a plane, so N_i = a + b x_i + c y_i.  The same solution
-has the least sum of squares of N_i.  A rocker adds one equation: its wheels balance about its
-joint; then the solution of least squares is computed directly.
+For more than three wheels, the three equations have many solutions.  If all wheels have the same
+vertical stiffness and the body is rigid, the loads are N_i = a + b x_i + c y_i.  The solution of
+this form is also the solution with the least sum of squares of the loads.
+
+A rocker adds one equation, because the moments of the wheels about the joint of the rocker are in
+balance.  The loads of a robot with rockers are computed directly as the least-squares solution.
 """
 
 from __future__ import annotations
@@ -25,11 +27,15 @@ from thorvaldc.model.statics.joint_tree import JointTree
 
 
 class Pivot(NamedTuple):
-    """A joint without motor and spring, such as that of a rocker, which its wheels balance.
+    """A joint without motor and spring, for example the joint of a rocker.
 
-    ``levers`` (m): for each wheel of the robot, the moment about the joint per upward force of
-    1 N at the wheel.  ``moment`` (N m): the moment of the weight that the joint carries; the
-    wheel loads balance it.
+    The moments of the wheel loads and of the weight about the joint axis are in balance.
+
+    Attributes
+    ----------
+    levers : lever arm (m) of each wheel of the robot about the joint axis.  The lever arm times
+        the wheel load is the moment of the wheel load.
+    moment : moment (N m) about the joint axis of the weight that the joint carries.
     """
 
     levers: tuple[float, ...]
@@ -39,7 +45,8 @@ class Pivot(NamedTuple):
 def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
     """Returns the pivots of a robot.
 
-    Spin, steering and swivel joints of wheels are none.  ``actuated`` are the joints with motors.
+    The spin, steering and swivel joints of wheels are not pivots.  ``actuated`` contains the names
+    of the joints with motors, which are not pivots.
     """
     pivots: list[Pivot] = []
     joints_of_wheels = {
@@ -56,7 +63,8 @@ def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[s
         (ox, oy, _), (ax, ay, _) = pose.xyz, pose.rotate(joint.axis)
 
         def lever(x: float, y: float, line: tuple[float, ...] = (ox, oy, ax, ay)) -> float:
-            # Moment of an upward unit force at (x, y) about the axis (ax, ay) through (ox, oy).
+            # The moment, about the axis (ax, ay) through (ox, oy), of an upward force of 1 N that
+            # acts at the point (x, y).
             return line[2] * (y - line[1]) - line[3] * (x - line[0])
 
         levers = [lever(*contact_point(w)) if w.link in links else 0.0 for w in wheels]
@@ -71,11 +79,17 @@ def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[s
 def static_loads(
     points: Sequence[tuple[float, float]], body: Inertial, pivots: Sequence[Pivot] = ()
 ) -> list[float]:
-    """Returns the loads of the wheels in N.
+    """Returns the static load of each wheel in N.
 
-    ``points`` are their contact points, ``body`` is the whole robot.  A wheel with a negative
-    load would have to pull the robot down: its load is set to 0 and the others are computed
-    again.  If all wheels are on one line, only the moment about the line's normal is balanced.
+    A wheel cannot pull the robot down.  If the load of a wheel is negative, the load is set to 0
+    and the loads of the other wheels are computed again.  If all contact points are on one line,
+    the wheels balance only the moment about the normal of the line.
+
+    Parameters
+    ----------
+    points : contact points (x, y) of the wheels in m.
+    body : mass and centre of mass of the whole robot.
+    pivots : joints about which the wheel loads are in balance.
     """
     active = list(range(len(points)))
     weight = body.mass * GRAVITY
@@ -100,10 +114,11 @@ def _least_squares_loads(
     pivots: Sequence[Pivot],
     active: Sequence[int],
 ) -> list[float]:
-    """Returns the loads of least squares that satisfy every balance ``row . loads = value``.
+    """Returns the wheel loads (N) with the least sum of squares that satisfy all balances.
 
-    Gram-Schmidt makes the rows orthonormal; a row that depends on the earlier ones is dropped.
-    The solution of least squares is then the sum of the rows times their values.
+    Each balance is an equation ``row . loads = value``.  The Gram-Schmidt process makes the rows
+    orthonormal.  A row that depends on earlier rows is dropped.  The least-squares solution is the
+    sum of each orthonormal row times the value of the row.
     """
     weight = body.mass * GRAVITY
     balances = [
@@ -130,7 +145,11 @@ def _least_squares_loads(
 def _plane_loads(
     points: Sequence[tuple[float, float]], com: tuple[float, float], weight: float
 ) -> list[float]:
-    """Returns N_i = W / n + b (x_i - mean x) + c (y_i - mean y), with the moments in balance."""
+    """Returns the wheel loads N_i = W / n + b (x_i - mean x) + c (y_i - mean y) in N.
+
+    W is the weight and n is the number of wheels.  The factors b and c follow from the balance of
+    the moments.
+    """
     n = len(points)
     mx, my = sum(p[0] for p in points) / n, sum(p[1] for p in points) / n
     sxx = sum((p[0] - mx) ** 2 for p in points)
@@ -142,7 +161,8 @@ def _plane_loads(
         b = weight * (syy * dx - sxy * dy) / det
         c = weight * (sxx * dy - sxy * dx) / det
     else:
-        # All points are on one line: the wheels balance only the moment about its normal.
+        # If all contact points are on one line, the wheels balance only the moment about the
+        # normal of the line.
         trace = sxx + syy
         if trace == 0.0:
             return [weight / n] * n
@@ -156,10 +176,14 @@ def _plane_loads(
 def spring_reference(
     joint: Joint, tree: JointTree, wheels: Sequence[Wheel], loads: Sequence[float]
 ) -> float:
-    """Returns the rest position of a spring (m or rad) whose joint is at 0 under the static load.
+    """Returns the rest position (m or rad) of the spring in a joint.
 
-    The spring's force at 0 balances the force of the wheels minus the weight below the joint:
-    stiffness * reference = -(wheel loads - weight below), along the axis.
+    The joint is at position 0 under the static load.  At position 0, the force of the spring
+    balances the wheel loads minus the weight of the links below the joint::
+
+        stiffness * rest position = -(wheel loads - weight below the joint) * axis_z
+
+    axis_z is the vertical component of the joint axis.
     """
     below = set(tree.links_below(joint.child))
     wheel_force = sum(

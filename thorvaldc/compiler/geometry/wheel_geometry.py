@@ -1,10 +1,12 @@
-"""Geometry of the wheels in ``base_link``, with every joint at zero.
+"""Computes the geometry of the wheels in the frame ``base_link``, with every joint at zero.
 
-A wheel is a circle of ``radius`` in its middle plane.  Its contact point is the lowest point of
-that circle, also if the wheel leans (camber).  The wheel turns about a steering or swivel axis;
-``Wheel.x`` and ``y`` are the point where this axis meets the plane of the contact point, and
-``trail`` and ``lateral_offset`` go from there to the contact point, along the heading and to the
-left of it.  A caster from its right side, rolling to the right::
+A wheel is modelled as a circle in the middle plane of the wheel.  The contact point is the lowest
+point of the circle, also for a wheel with camber.  A wheel may turn about a steering or swivel
+axis.  ``Wheel.x`` and ``Wheel.y`` are the coordinates of the turning point, where the steering or
+swivel axis meets the horizontal plane through the contact point.  ``Wheel.trail`` is the distance
+from the turning point to the contact point along the heading.  ``Wheel.lateral_offset`` is the
+distance from the turning point to the contact point to the left of the heading.  The drawing
+shows a caster that rolls to the right, seen from the right side::
 
                   | swivel axis
             _     |
@@ -26,12 +28,12 @@ from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, norm, scale
 from thorvaldc.model.statics.joint_tree import JointTree
 
 UP: Vec3 = (0.0, 0.0, 1.0)
-_MIN_FORWARD = 0.17  # sin(10 deg): least angle between spin axis and the vertical
-_MIN_UPRIGHT = 0.5  # cos(60 deg): largest tilt of a steering axis
+_MIN_FORWARD = 0.17  # Sine of 10 deg, the least angle between a spin axis and the vertical.
+_MIN_UPRIGHT = 0.5  # Cosine of 60 deg, the largest tilt of a steering axis.
 
 
 class PlacedWheel(NamedTuple):
-    """A module's wheel in the robot, before its geometry is computed."""
+    """A wheel of a robot before the wheel geometry is computed."""
 
     name: str
     module: str
@@ -41,7 +43,10 @@ class PlacedWheel(NamedTuple):
 
 
 class _WheelJoints(NamedTuple):
-    """The movable joints above a wheel by their roles; ``axis`` is the spin axis."""
+    """The movable joints between a wheel and the base of the robot.
+
+    ``axis`` is the direction of the spin axis in ``base_link``, a unit vector.
+    """
 
     spin: Joint
     steering: Joint | None
@@ -51,7 +56,16 @@ class _WheelJoints(NamedTuple):
 
 
 class _TurningPoint(NamedTuple):
-    """Where the steering axis meets the contact plane (m), and the contact point from there."""
+    """Turning point of a wheel, and the position of the contact point.
+
+    Attributes
+    ----------
+    x, y : point where the steering axis meets the horizontal plane through the contact point (m).
+    trail : distance from the turning point to the contact point along the heading (m).
+    lateral_offset : distance from the turning point to the contact point, to the left of the
+        heading (m).
+    sign : 1 if the steering axis points up, -1 if the steering axis points down.
+    """
 
     x: float
     y: float
@@ -61,11 +75,11 @@ class _TurningPoint(NamedTuple):
 
 
 def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
-    """Returns the lowest point of a wheel's circle.
+    """Returns the lowest point of the circle of a wheel.
 
-    ``axis`` is the spin axis, a unit vector.  The direction from the centre to the lowest point
-    is the downward vector without its part along the axis, normalized:
-    ``-(UP - axis_z axis) / sqrt(1 - axis_z^2)``.
+    ``axis`` is the direction of the spin axis, a unit vector.  The direction from the centre to
+    the lowest point is the projection of the downward vector onto the plane of the wheel,
+    normalized: ``-(UP - axis_z axis) / sqrt(1 - axis_z^2)``.
     """
     horizontal = math.sqrt(max(1.0 - axis[2] * axis[2], 1e-12))
     down: Vec3 = (axis[0] * axis[2], axis[1] * axis[2], axis[2] * axis[2] - 1.0)
@@ -73,7 +87,7 @@ def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
 
 
 def contact_point(wheel: Wheel) -> tuple[float, float]:
-    """Returns the wheel's contact point in ``base_link`` (x, y in m), every joint at zero."""
+    """Returns the contact point (x, y in m) of a wheel in ``base_link``, with all joints at 0."""
     c, s = math.cos(wheel.heading), math.sin(wheel.heading)
     return (
         wheel.x + c * wheel.trail - s * wheel.lateral_offset,
@@ -82,12 +96,15 @@ def contact_point(wheel: Wheel) -> tuple[float, float]:
 
 
 def spin_joint(tree: JointTree, link: str) -> Joint | None:
-    """Returns the nearest movable joint above a wheel's link."""
+    """Returns the nearest movable joint between a wheel's link and the root of the robot."""
     return next((joint for joint in tree.joints_above(link) if joint.type != "fixed"), None)
 
 
 def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
-    """Returns the height (m) by which to raise the robot: its lowest wheel is then at z = 0."""
+    """Returns the height (m) by which the robot must be raised.
+
+    After the robot is raised, the contact point of the lowest wheel is at z = 0.
+    """
     heights = []
     for wheel in wheels:
         joints = _wheel_joints(tree, wheel, report)
@@ -103,7 +120,10 @@ def make_wheels(
     actuators: Mapping[str, Actuator],
     report: Report,
 ) -> list[Wheel]:
-    """Returns the wheels of the model, with load 0.  ``actuators`` are by their joints."""
+    """Returns the wheels of the model.  The wheel loads are 0 and are computed later.
+
+    ``actuators``: actuators of the robot, by the name of the joint.
+    """
     wheels: list[Wheel] = []
     for wheel in placed:
         joints = _wheel_joints(tree, wheel, report)
@@ -185,9 +205,10 @@ def _turning_point(
     heading: float,
     report: Report,
 ) -> _TurningPoint | None:
-    """Returns the turning point; without a steering or swivel joint, the contact point.
+    """Returns the turning point of a wheel.
 
-    Returns ``None`` and reports if the axis is too far off the vertical.
+    The turning point of a wheel without steering or swivel joint is the contact point.  Returns
+    ``None`` and reports an error if the steering or swivel axis is tilted too much.
     """
     turning_joint = joints.steering or joints.swivel
     if turning_joint is None:
@@ -213,7 +234,10 @@ def _turning_point(
 
 
 def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree: JointTree) -> None:
-    """Adds the collision cylinder of each wheel to its link in ``links``, along the spin axis."""
+    """Adds a collision cylinder for each wheel to the link of the wheel.
+
+    The axis of the cylinder is the spin axis.  The function replaces elements of ``links``.
+    """
     index = {link.name: i for i, link in enumerate(links)}
     for wheel in wheels:
         spin = spin_joint(tree, wheel.link)
@@ -228,9 +252,10 @@ def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree:
 
 
 def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
-    """Returns the quaternion (wxyz) of the shortest rotation from z to a unit vector.
+    """Returns the quaternion (w, x, y, z) of the shortest rotation from the z axis to a vector.
 
-    For -z, where the shortest rotation is not unique: half a turn about x.
+    ``axis`` is a unit vector.  The shortest rotation to -z is not unique.  In this case, the
+    function returns half a turn about x.
     """
     if axis[2] < -1 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)
