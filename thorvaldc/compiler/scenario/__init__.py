@@ -1,1 +1,1 @@
-"""Fleets and scenarios: placement, world, script, variations."""
+"""Reads fleets and scenarios: robot placement, world, script of commands and variations."""

@@ -1,4 +1,4 @@
-"""Places the robots of a fleet: names, poses, grids, and a check that they do not overlap."""
+"""Computes the names and poses of the robots of a fleet, and checks that no robots overlap."""
 
 from __future__ import annotations
 
@@ -14,15 +14,21 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Placement, Pose, Robot
 
-# Without a valid spacing the robots of a grid are far apart (m), so that they do not overlap.
+# Distance (m) of the robots in a grid if the document contains no valid spacing.  The distance is
+# large, so that the robots do not overlap.
 DEFAULT_SPACING = 100.0
 
 
 class _Footprint(NamedTuple):
-    """The area of a placed robot, in m.
+    """The ground area that a placed robot covers.
 
-    ``radius`` is that of a circle about (x, y) that contains all wheels.  ``wheels`` are the
-    contact points and half widths.
+    Attributes
+    ----------
+    entry : name of the entry of the document that places the robot.
+    name : name of the robot.
+    x, y : position of the robot (m).
+    radius : radius (m) of a circle about the position that contains all wheels of the robot.
+    wheels : contact point (x, y) and half width of each wheel (m).
     """
 
     entry: str
@@ -40,7 +46,7 @@ class _Footprint(NamedTuple):
 
 
 class Placements:
-    """Collects the placed robots of a fleet, entry by entry of the document."""
+    """Collects the placed robots of a fleet."""
 
     def __init__(self, report: Report) -> None:
         self.placed: list[Placement] = []
@@ -50,7 +56,14 @@ class Placements:
         self._footprints: list[_Footprint] = []
 
     def add(self, entry: str, node: Node, robot: Robot) -> None:
-        """Places the robot of an entry, or all robots of its grid."""
+        """Places one robot, or a grid of robots, as an entry of the document describes.
+
+        Parameters
+        ----------
+        entry : name of the entry.
+        node : content of the entry.
+        robot : model of the robot.
+        """
         reported_entries: set[str] = set()
         for name, pose in self._poses(entry, node):
             first_span = self._spans.setdefault(name, node.where)
@@ -68,7 +81,10 @@ class Placements:
             self.placed.append(placement)
 
     def _poses(self, entry: str, node: Node) -> Iterator[tuple[str, Pose]]:
-        """Yields the name and pose of each robot; a grid is filled row by row."""
+        """Yields the name and the pose of each robot of an entry.
+
+        The robots of a grid are placed row by row.
+        """
         first = self._quantities.planar_pose(node)
         grid = node.get("grid")
         if grid is None:
@@ -82,7 +98,10 @@ class Placements:
             yield f"{entry}_{k + 1}", replace(first, xyz=xyz).clean()
 
     def _check_overlap(self, footprint: _Footprint, span: Span, reported_entries: set[str]) -> None:
-        """Reports an overlap with a robot placed before, once per pair of entries."""
+        """Reports an overlap of a robot with a robot that was placed earlier.
+
+        Each pair of entries causes at most one report.
+        """
         for earlier in self._footprints:
             if earlier.entry not in reported_entries and footprint.overlaps(earlier):
                 reported_entries.add(earlier.entry)
@@ -98,7 +117,7 @@ class Placements:
 
 
 def robots_of(node: Node) -> int:
-    """Returns the number of robots of an entry."""
+    """Returns the number of robots that an entry of the document places."""
     grid = node.get("grid")
     return 1 if grid is None else _count(grid, "rows") * _count(grid, "columns")
 

@@ -1,4 +1,7 @@
-"""Expands the obstacles of a world to single blocks: kerbs, rails, crops, tunnels, shapes."""
+"""Reads the obstacles of a world and converts each obstacle to simple geometric shapes.
+
+The obstacles are kerbs, rails, crop rows, polytunnels, boxes, spheres and cylinders.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,15 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Block, Box, Cylinder, Pose, Shape, Sphere
 
 MAX_BLOCKS = 5000
-"""A simulation with more geoms takes minutes to load."""
+"""Greatest number of blocks in a world.
+
+MuJoCo needs minutes to load a world with more geoms.
+"""
 _KEYS_OF_SHAPES = {"box": ("size",), "sphere": ("diameter",), "cylinder": ("diameter", "height")}
 
 
 class ObstacleReader:
-    """Reads the obstacles of the mapping ``world``."""
+    """Reads the obstacles in the section ``world`` of a scenario document."""
 
     def __init__(self, quantities: BoundedQuantities, report: Report, world: Node) -> None:
         self._quantities = quantities
@@ -25,7 +31,10 @@ class ObstacleReader:
         self._blocks: list[Block] = []
 
     def blocks(self) -> tuple[Block, ...]:
-        """Returns all blocks; none if there are too many."""
+        """Returns all blocks of the world.
+
+        Returns an empty tuple and reports an error if the world has too many blocks.
+        """
         for key, add in (
             ("kerbs", self._add_kerb),
             ("rails", self._add_rails),
@@ -50,7 +59,10 @@ class ObstacleReader:
         self._blocks.append(Block(kind, name, shape, pose.clean()))
 
     def _line(self, node: Node) -> tuple[Pose, float]:
-        """Returns the centre of the line from `from` to `to`, with x along it; its length (m)."""
+        """Returns the pose and the length (m) of the line between the points `from` and `to`.
+
+        The origin of the pose is the centre of the line.  The x axis points along the line.
+        """
         x0, y0 = self._quantities.pair(node, "from", (0.0, 0.0))
         x1, y1 = self._quantities.pair(node, "to", (1.0, 0.0))
         length = math.hypot(x1 - x0, y1 - y0)
@@ -73,7 +85,7 @@ class ObstacleReader:
         )
 
     def _add_rails(self, node: Node, name: str) -> None:
-        """Adds two pipe rails, with ramps at their ends if `ramp` is more than 0."""
+        """Adds two pipe rails.  If `ramp` is greater than 0, each rail has a ramp at each end."""
         center, length = self._line(node)
         gauge = self._quantities.positive(node, "gauge", "length", 0.6)
         diameter = self._quantities.positive(node, "diameter", "length", 0.051)
@@ -86,7 +98,8 @@ class ObstacleReader:
             self._add("rail", f"{name}_{side}", Cylinder(diameter / 2, length), center * rail_pose)
             if ramp <= 0.0:
                 continue
-            # A ramp starts half buried in the ground; its axis meets the axis of the rail.
+            # The lower end of a ramp is half buried in the ground.  At the upper end, the axis of
+            # the ramp meets the axis of the rail.
             rise = height - diameter / 2
             pipe = Cylinder(diameter / 2, math.hypot(ramp, rise))
             for end, direction in (("begin", -1), ("end", 1)):
@@ -125,7 +138,11 @@ class ObstacleReader:
         self._add("obstacle", name, shape, pose * _offset(0.0, 0.0, height / 2))
 
     def _add_crop(self, node: Node, name: str) -> None:
-        """Adds rows of plants along x, from the pose of the first plant."""
+        """Adds rows of plants.
+
+        The pose in the document is the pose of the first plant.  The rows run along the x axis of
+        the pose.
+        """
         first, quantities = self._quantities.planar_pose(node), self._quantities
         rows, plants = _count(node, "rows"), _count(node, "plants")
         row_spacing = quantities.positive(node, "row_spacing", "length", 1.0)
@@ -145,7 +162,11 @@ class ObstacleReader:
                 self._add("crop", f"{name}_{row + 1}_{i + 1}", plant, pose)
 
     def _add_tunnel(self, node: Node, name: str) -> None:
-        """Adds the two rows of posts of a polytunnel along x, from its middle at the entrance."""
+        """Adds the two rows of posts of a polytunnel.
+
+        The pose in the document is the middle of the entrance.  The rows run along the x axis of
+        the pose.
+        """
         entrance, quantities = self._quantities.planar_pose(node), self._quantities
         length = quantities.positive(node, "length", "length", 10.0)
         width = quantities.positive(node, "width", "length", 6.5)

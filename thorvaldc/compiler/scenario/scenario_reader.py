@@ -1,4 +1,4 @@
-"""Reads a scenario document whose fleet is already compiled."""
+"""Reads a scenario document after the robots of the scenario have been compiled."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenar
 
 MAX_DURATION = 86400.0  # s: one day
 
-# Parameter of an injected fault: key, quantity, least, most.
+# For each type of injected fault: the key of the parameter, the kind of quantity, the least value
+# and the greatest value in SI units.
 _FAULT_VALUES = {
     "steering_offset": ("angle", "angle", -1.0, 1.0),
     "radius_error": ("error", "number", -0.5, 1.0),
@@ -47,9 +48,10 @@ _METRICS = {
 
 
 def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
-    """Returns the scenario; its ``fleet`` is the given one in the document's world.
+    """Returns the scenario of a document.
 
-    Also checks each value of the document's variations.
+    The fleet of the scenario contains the robots of ``fleet`` and the world of the document.  The
+    function also checks each value in the section ``variations`` of the document.
     """
     scenario = _read(document, fleet, report)
     if document.get("variations") is not None:
@@ -58,13 +60,13 @@ def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
 
 
 def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
-    """Reports the errors that each single varied value causes in the document."""
+    """Reports the errors that each value of a variation causes in the scenario document."""
     variations = read_variations(document, (), None, None, report)
     if report.has_errors:
         return
     for change in variations.single_changes():
         if change.path.partition(".")[0] in ("robots", "fleet"):
-            continue  # Other robots would have to be compiled.
+            continue  # A check of the value would require the compilation of another robot.
         shape, content = Report(), Report()
         varied = without_variations(with_changes(document, [change], content))
         check(varied, "scenario", shape)
@@ -105,13 +107,13 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
 
 
 def _record_groups(record: Node | None) -> tuple[str, ...]:
-    """Returns the groups of columns to record; by default all."""
+    """Returns the groups of columns that a run records.  The default is all groups."""
     named = {str(node.value) for node in items(record.get("what") if record else None)}
     return tuple(group for group in GROUPS if not named or group in named)
 
 
 class _SectionReader:
-    """Reads the sections of a scenario that refer to its robots."""
+    """Reads the sections of a scenario document that refer to the robots of the scenario."""
 
     def __init__(self, fleet: Fleet, quantities: BoundedQuantities, report: Report) -> None:
         self.robots = {placement.name: placement.robot for placement in fleet.placements}
@@ -119,13 +121,14 @@ class _SectionReader:
         self.report = report
 
     def commands(self, script: Node | None) -> tuple[tuple[str, tuple[Command, ...]], ...]:
-        """Returns the scripted commands of each robot, in order of time.
+        """Returns the scripted commands of each robot in the order of time.
 
-        A script that names a log has none: ``scenario_compilation`` reads the log.
+        The script may name a log instead of commands.  In this case, the method returns no
+        commands, and the module ``scenario_compilation`` reads the log.
         """
         commands: dict[str, list[Command]] = {name: [] for name in self.robots}
         if script is not None and (robot_node := script.get("robot")) is not None:
-            self._robot_names(robot_node)  # of a log
+            self._robot_names(robot_node)  # Check the robot name of a script that names a log.
         last_time = 0.0
         for node in items(script):
             time = self.quantities(
@@ -209,7 +212,10 @@ class _SectionReader:
         return WheelFault(fault_type, robot, str(wheel.value), motor, value, start, end, node.span)
 
     def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
-        """Checks that the robot has the wheel, and the wheel the motor (empty: none needed)."""
+        """Checks that the robot has a wheel of this name and that the wheel has the motor.
+
+        ``motor``: ``drive`` or ``steering``, or empty if the wheel needs no motor.
+        """
         for wheel in robot.wheels:
             if wheel.name != node.value:
                 continue
@@ -232,7 +238,10 @@ class _SectionReader:
         return False
 
     def _robot_names(self, node: Node) -> Sequence[str]:
-        """Returns the robot that a key names; reports an unknown one and returns none."""
+        """Returns a list with the robot name in a node.
+
+        Returns an empty list and reports an error if the scenario has no robot of this name.
+        """
         if node.value in self.robots:
             return [str(node.value)]
         names = list(self.robots)
@@ -271,7 +280,7 @@ class _SectionReader:
         for metric, bounds in entries(node).items():
             quantity = _METRICS.get(metric)
             if quantity is None:
-                continue  # The schema check has reported it.
+                continue  # The schema check has reported the unknown metric.
             least, most = (
                 self.quantities(bounds, key, quantity) if bounds.get(key) is not None else None
                 for key in ("min", "max")

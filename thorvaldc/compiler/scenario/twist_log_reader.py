@@ -1,4 +1,4 @@
-"""Reads recorded twists as the script of a scenario, from CSV files and ROS bags."""
+"""Reads the script of a scenario from recorded twists in CSV files or ROS bags."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thorvaldc.model.scenario import Command
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _COMPONENTS = ("vx", "vy", "wz")
-_LARGEST = 1e9  # m/s, rad/s; a larger velocity is an error of the log
+_LARGEST = 1e9  # Largest plausible velocity in a log (m/s or rad/s).
 
 
 def read_twists(
@@ -34,15 +34,18 @@ def read_twists(
     files: dict[str, Path],
     report: Report,
 ) -> dict[str, tuple[Command, ...]]:
-    """Returns the commands of each robot by its name; times count from the start of the log.
+    """Returns the commands of each robot in a log, by the name of the robot.
+
+    The times of the commands count from the start of the log.
 
     Parameters
     ----------
-    path : a record folder, a bag or a CSV file.
-    display : its name in diagnostics.
-    span : where the document names the log.
-    topic : topic of a bag; empty: the topic of each robot.
-    files : gets the files that are read, by their names in spans.
+    path : path of a record folder, a ROS bag or a CSV file.
+    display : name of the log in diagnostics.
+    span : span of the name of the log in the document.
+    robots : name and model of each robot.
+    topic : name of a topic in a ROS bag.  Empty: the topic is chosen by the name of each robot.
+    files : the function adds each file that was read, by the name of the file in spans.
     """
     if not path.exists():
         report.add("script-log", f"there is no file `{display}`", span)
@@ -77,7 +80,11 @@ def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] |
 
 
 def _commands_of_table(table: Table, report: Report) -> tuple[Command, ...] | None:
-    """Returns the commanded twists of a record or table; missing components are 0."""
+    """Returns the commanded twists in a table.
+
+    The table is a CSV file of a record or of the user.  A component of the twist without a column
+    is 0.
+    """
     columns = table.columns
     prefix = "asked_" if "asked_vx" in columns else ""
     names = [prefix + component for component in _COMPONENTS]
@@ -108,7 +115,7 @@ def _commands_of_table(table: Table, report: Report) -> tuple[Command, ...] | No
 
 
 def _append(commands: list[Command], command: Command) -> None:
-    """Appends a command unless its twist equals that of the last command."""
+    """Appends a command to the list, unless the last command in the list has the same twist."""
     last = commands[-1] if commands else Command(0.0, 0.0, 0.0, 0.0)
     if (command.vx, command.vy, command.wz) != (last.vx, last.vy, last.wz):
         commands.append(command)
@@ -158,8 +165,9 @@ def _read_bag(
                 hint=f"add `topic:`; {_list_topics(candidates)}" if candidates else None,
             )
             continue
-        # In a record of this program a twist is valid until the next one.  In the log of a robot
-        # it is valid for the driver's command time-out.
+        # In a record of this program, a twist is valid until the next twist.  In a log of a real
+        # robot, a twist is valid for the command time-out of the base driver.  Only records of
+        # this program contain a topic with limited twists.
         limited_topic = f"{robot_topic.removesuffix(COMMANDED_TWIST)}{LIMITED_TWIST}"
         timeout = math.inf if limited_topic in bag.topics else robot.driver.command_timeout
         commands = _commands_of_messages(bag.messages[robot_topic], timeout)
@@ -176,7 +184,10 @@ def _read_bag(
 
 
 def _twist_topics(topics: Mapping[str, str]) -> list[str]:
-    """Returns the topics of commanded twists, sorted, without the limited twists of records."""
+    """Returns the sorted names of the topics with commanded twists.
+
+    The limited twists in records of this program are left out.
+    """
     twists = {name for name, type_ in topics.items() if type_ in (TWIST, TWIST_STAMPED)}
     limited_suffix = f"/{LIMITED_TWIST}"
     limited_twists = {
@@ -189,7 +200,11 @@ def _twist_topics(topics: Mapping[str, str]) -> list[str]:
 
 
 def _topic_of(robot: str, candidates: Sequence[str]) -> str | None:
-    """Returns the topic of a robot: that with its name, else the only one."""
+    """Returns the topic with the commanded twists of a robot.
+
+    The topic name contains the name of the robot.  If there is no topic with the name of the robot
+    and only one candidate, the candidate is returned.  Otherwise the function returns ``None``.
+    """
     robot_topic = f"/{robot}/{COMMANDED_TWIST}"
     if robot_topic in candidates:
         return robot_topic
@@ -203,9 +218,10 @@ def _list_topics(topics: Sequence[str]) -> str:
 def _commands_of_messages(
     messages: Iterable[tuple[float, Any]], timeout: float
 ) -> tuple[Command, ...] | None:
-    """Returns the commands; zero when a twist is older than ``timeout`` (s).
+    """Returns the commands that the messages of a topic contain.
 
-    Returns ``None`` if a velocity is not a number or too large.
+    If no message arrives for ``timeout`` (s), a command with the twist 0 is added.  Returns
+    ``None`` if a velocity is not a number or is too large.
     """
     commands: list[Command] = []
     last_time = math.inf

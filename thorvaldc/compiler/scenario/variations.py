@@ -1,4 +1,7 @@
-"""Variations of a scenario document: all combinations of values, and draws from ranges."""
+"""Creates variations of a scenario document.
+
+A scenario is run with all combinations of listed values and with random values from ranges.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,25 @@ from thorvaldc.diagnostics import Report, Span
 MAX_RUNS = 100_000
 NOISE_SEED = "noise.seed"
 
-# A number, optionally with a unit: `-0.5 deg`.
+# A quantity is a number with an optional unit, for example `-0.5 deg`.
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*([^\d\s.][^.]*?)?\s*", re.ASCII)
 _RANGE = re.compile(rf"(\s*{_NUMBER}[^.]*?)\.\.({_NUMBER}.*)", re.ASCII)
 
 
 class Change(NamedTuple):
-    """A new value at a dotted path of a document; ``value.where`` is the span of the path."""
+    """A new value for an entry of a document.
+
+    ``path`` is the dotted path of the entry.  ``value`` is the new value.  ``value.where`` is the
+    span of the path.
+    """
 
     path: str
     value: Node
 
     @property
     def text(self) -> str:
-        """The value as text for a table."""
+        """Text of the new value for a table."""
         plain = self.value.plain()
         if isinstance(plain, str):
             return plain
@@ -43,9 +50,19 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class VariedPath:
-    """The values of one path: ``choices``, or a range from ``least`` to ``most`` in ``unit``.
+    """The values that one entry of a scenario document gets.
 
-    ``whole``: only whole numbers of the range are drawn.
+    The values are either a list or a range.
+
+    Attributes
+    ----------
+    path : dotted path of the entry.
+    choices : listed values.  Empty for a range.
+    least : lower limit of the range.
+    most : upper limit of the range.
+    unit : unit of the limits.
+    whole : if true, only whole numbers are drawn from the range.
+    span : span of the list or range.
     """
 
     path: str
@@ -57,9 +74,10 @@ class VariedPath:
     span: Span | None = None
 
     def draw(self, seed: int, number: int) -> Node:
-        """Returns the random value of draw ``number``.
+        """Returns a random value from the range.
 
-        It depends only on the seed, the number and the path, so that other paths do not change it.
+        The value depends only on ``seed``, on ``number`` (the number of the draw) and on the path.
+        Another varied path in the document therefore does not change the value.
         """
         key = f"{seed} {number} {self.path}"
         generator = random.Random(hashlib.sha256(key.encode()).digest())
@@ -68,7 +86,7 @@ class VariedPath:
         return self._node(generator.uniform(self.least, self.most))
 
     def limits(self) -> tuple[Node, Node]:
-        """Returns the least and the largest value of a range."""
+        """Returns the least and the greatest value of the range."""
         return self._node(self.least), self._node(self.most)
 
     def _node(self, value: float) -> Node:
@@ -79,9 +97,14 @@ class VariedPath:
 
 @dataclass(frozen=True, slots=True)
 class Variations:
-    """The varied paths, the number of draws from the ranges, and the seed of the draws.
+    """All variations of a scenario document.
 
-    ``noise_seed`` is the seed of the scenario's noise; ``None`` without noise.
+    Attributes
+    ----------
+    varied : the varied paths with their values.
+    draws : number of random draws from the ranges.
+    seed : seed of the random draws.
+    noise_seed : seed of the sensor noise in the scenario, or ``None`` for a scenario without noise.
     """
 
     varied: tuple[VariedPath, ...]
@@ -91,17 +114,19 @@ class Variations:
 
     @property
     def size(self) -> int:
-        """The number of runs."""
+        """Number of runs of the scenario."""
         size = self.draws
         for varied in self.varied:
             size *= max(len(varied.choices), 1)
         return size
 
     def runs(self) -> Iterator[tuple[Change, ...]]:
-        """Yields the changes of every run.
+        """Yields the changes of the scenario document for each run.
 
-        Combinations come in order, the last path varies fastest, and each has all draws.  Draw k
-        is the same for all combinations.  With several draws, each has its own noise.
+        The combinations of listed values are yielded in order.  The value of the last path varies
+        fastest.  Each combination is run with all random draws.  The draw number k has the same
+        random values in all combinations.  If there are several draws, each draw has another seed
+        of the sensor noise.
         """
         lists = [varied for varied in self.varied if varied.choices]
         ranges = [varied for varied in self.varied if not varied.choices]
@@ -118,7 +143,7 @@ class Variations:
                 yield tuple(changes)
 
     def single_changes(self) -> Iterator[Change]:
-        """Yields each value of each path; of ranges, the limits."""
+        """Yields a change for each listed value and for each limit of a range."""
         for varied in self.varied:
             for value in varied.choices or varied.limits():
                 yield Change(varied.path, value)
@@ -127,11 +152,17 @@ class Variations:
 def read_variations(
     document: Node, settings: Sequence[str], draws: int | None, seed: int | None, report: Report
 ) -> Variations:
-    """Returns the ``variations`` of a scenario document, changed by command line options.
+    """Reads the section ``variations`` of a scenario document and options of the command line.
 
-    A setting is ``PATH=VALUES`` with values separated by commas, or a range ``LOW..HIGH``.  It
-    replaces the document's values of the path.  ``draws`` and ``seed`` replace those of the
-    document.
+    Parameters
+    ----------
+    document : the scenario document.
+    settings : texts of the form ``PATH=VALUES``.  The values are separated by commas, or the
+        values are a range ``LOW..HIGH``.  A setting replaces the values of the path in the
+        document.
+    draws : number of random draws, or ``None`` for the number in the document.
+    seed : seed of the random draws, or ``None`` for the seed in the document.
+    report : collects the diagnostics.
     """
     node = document.get("variations")
     vary = node.get("vary") if node is not None else None
@@ -158,7 +189,10 @@ def read_variations(
 
 
 def _read_values(path: str, node: Node, report: Report) -> VariedPath | None:
-    """Reads an entry of `vary`: a list of values, or a range with `min` and `max`."""
+    """Reads the values of a path in the section `vary` of a scenario document.
+
+    The entry is a list of values, or a range with the keys `min` and `max`.
+    """
     if isinstance(node.value, tuple):
         choices = tuple(value._replace(key_span=value.span) for value in node.value)
         return VariedPath(path, choices, span=node.where)
@@ -169,7 +203,7 @@ def _read_values(path: str, node: Node, report: Report) -> VariedPath | None:
 
 
 def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
-    """Reads the values of a setting as YAML."""
+    """Reads the values of a path from a setting of the command line, as YAML."""
     span = Span(f"{SETTING}{path}")
     limits = _RANGE.fullmatch(text)
     if limits is not None:
@@ -189,7 +223,10 @@ def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
 
 
 def _with_span(node: Node, span: Span) -> Node:
-    """Returns the node with ``span`` everywhere: a command line has no line numbers."""
+    """Returns a copy of a node in which every value has the same span.
+
+    Values from the command line have no line numbers.
+    """
     value = node.value
     if isinstance(value, dict):
         value = {key: _with_span(entry, span) for key, entry in value.items()}
@@ -199,7 +236,10 @@ def _with_span(node: Node, span: Span) -> Node:
 
 
 def _read_range(path: str, low: str, high: str, span: Span, report: Report) -> VariedPath | None:
-    """Reads the limits of a range; they need the same unit, except that 0 needs none."""
+    """Reads the limits of a range.
+
+    Both limits must have the same unit.  A limit of 0 needs no unit.
+    """
     first, last = _QUANTITY.fullmatch(low), _QUANTITY.fullmatch(high)
     if first is None or last is None:
         invalid = low if first is None else high
@@ -240,14 +280,17 @@ def _integer(node: Node | None, key: str, default: int) -> int:
 
 
 def with_changes(document: Node, changes: Sequence[Change], report: Report) -> Node:
-    """Returns the document with other values at some paths; adds missing mappings."""
+    """Returns the document with the changes applied.
+
+    Missing mappings on the path of a change are added.
+    """
     for change in changes:
         document = _with_change(document, change.path.split("."), change, report)
     return document
 
 
 def without_variations(document: Node) -> Node:
-    """Returns the document without its ``variations``."""
+    """Returns the document without the section ``variations``."""
     if not isinstance(document.value, dict):
         return document
     rest = {key: node for key, node in document.value.items() if key != "variations"}
@@ -255,7 +298,10 @@ def without_variations(document: Node) -> Node:
 
 
 def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
-    """Returns the node with the changed value at a path of keys and list indices."""
+    """Returns a node with one changed value.
+
+    ``keys``: keys and list indices that lead from the node to the changed value.
+    """
     if not keys:
         return change.value
     key, value = keys[0], node.value

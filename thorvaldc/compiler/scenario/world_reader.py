@@ -1,4 +1,4 @@
-"""Reads the world of a scenario document: the ground, its zones and the obstacles on it."""
+"""Reads the ground, the ground zones and the obstacles of the world in a scenario document."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from thorvaldc.model import Ground, Robot, World
 
 _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")
-DEFAULT_SIZE = (30.0, 30.0)  # m; of rough ground
+DEFAULT_SIZE = (30.0, 30.0)  # Default length and width of rough ground (m).
 
 
 def read_world(document: Node, quantities: BoundedQuantities, report: Report) -> World:
-    """Returns the document's ``world``; by default level ground."""
+    """Returns the world of a scenario document.  The default is level ground without obstacles."""
     node = document.get("world")
     if node is None:
         return World(Ground())
@@ -32,7 +32,10 @@ def read_world(document: Node, quantities: BoundedQuantities, report: Report) ->
 
 
 def wheel_friction(document: Node, quantities: BoundedQuantities) -> float | None:
-    """Returns the friction coefficient of all wheels in this world; ``None``: their own."""
+    """Returns the friction coefficient that replaces the coefficients of all wheels.
+
+    Returns ``None`` if the document contains no friction coefficient for the world.
+    """
     node = document.get("world")
     if node is None or node.get("friction") is None:
         return None
@@ -84,7 +87,10 @@ def _ground(node: Node, quantities: BoundedQuantities, report: Report) -> Ground
 def _rough_size(
     node: Node, wavelength: float, quantities: BoundedQuantities, report: Report
 ) -> tuple[float, float]:
-    """Returns the size (m) of rough ground, limited by the number of height field cells."""
+    """Returns the length and the width of rough ground (m).
+
+    Rough ground with too many height field cells is reported, and the default size is returned.
+    """
     size = quantities.pair(node, "size", DEFAULT_SIZE)
     cells = math.prod(edge / wavelength * CELLS_PER_WAVE for edge in size)
     if min(size) >= 1.0 and cells <= MAX_CELLS:

@@ -1,4 +1,4 @@
-"""Reads the zones of a scenario's ground, and checks the start poses of the robots."""
+"""Reads the zones of the ground in a scenario, and checks the start poses of the robots."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from thorvaldc.model import Fleet, Zone
 
 MAX_CELLS = 1_000_000
 CELLS_PER_WAVE = 10
-"""Height field cells per wave of rough ground: with fewer cells, edges add rolling resistance."""
-LARGEST_CELL = 0.1  # m
+"""Number of height field cells per wave of rough ground.
+
+With fewer cells per wave, the edges between cells add rolling resistance.
+"""
+LARGEST_CELL = 0.1  # Largest edge length of a height field cell (m).
 
 
 def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report) -> Iterator[Zone]:
-    """Yields the valid zones of the `zones` list."""
+    """Yields each valid zone in the list `zones` of a scenario document."""
     for zone_node in items(node):
         size = quantities.pair(zone_node, "size", (1.0, 1.0))
         amplitude = quantities(zone_node, "amplitude", "length", least=0.0, most=1.0)
@@ -56,7 +59,10 @@ def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report)
 
 
 def _check_keys(zone_node: Node, report: Report) -> None:
-    """Reports keys that have no effect because the key that they depend on is missing."""
+    """Reports each key of a zone that has no effect because another key is missing.
+
+    For example, `wavelength` has no effect in a zone without `amplitude`.
+    """
     for key, base in (("wavelength", "amplitude"), ("seed", "amplitude"), ("slope", "height")):
         entry = zone_node.get(key)
         if entry is not None and zone_node.get(base) is None:
@@ -69,7 +75,10 @@ def _check_keys(zone_node: Node, report: Report) -> None:
 
 
 def _coefficient(node: Node, key: str, quantities: BoundedQuantities, most: float) -> float | None:
-    """Returns a coefficient of the zone; ``None``: the wheels keep their own."""
+    """Returns the friction or rolling resistance coefficient of a zone.
+
+    Returns ``None`` if the zone does not change the coefficient of the wheels.
+    """
     if node.get(key) is None:
         return None
     return quantities(node, key, "number", least=0.0, most=most)
@@ -81,7 +90,7 @@ def check_starts(fleet: Fleet, document: Node, report: Report) -> None:
     zone_nodes = items(world.get("zones") if world is not None else None)
     zones = fleet.world.zones if fleet.world is not None else ()
     if len(zone_nodes) != len(zones):
-        return  # Some zones are invalid.
+        return  # The numbers of nodes and zones differ if some zones are invalid.
     for node, zone in zip(zone_nodes, zones, strict=True):
         if zone.level:
             continue
