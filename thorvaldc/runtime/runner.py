@@ -170,8 +170,7 @@ class BaseRunner:
         watch: Watch | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        """Runs cycles at absolute deadlines, until ``until`` (s) or until ``stop()`` returns
-        ``True``.
+        """Runs cycles at absolute deadlines until ``until`` (s) or until ``stop()`` is true.
 
         The loop sends frames only during cycles.
         """

@@ -1,9 +1,10 @@
-"""Base calculators over arrays of states, for replay, learning and sweeps.
+"""Evaluates a base calculator for arrays of states, for replay, learning and sweeps.
 
-Arrays are float64 with a row per component and a column per state: twists (3, n) as
-vx, vy, wz of ``base_link`` (m/s, m/s, rad/s), joints (wheels, n) in the order of the
-robot's wheels.  Results are written into the caller's arrays, in pieces that fit into the cache of
-a processor core, so that no array of the size of the input is allocated.
+All arrays are float64 with a row per component and a column per state.  Twists have the shape (3,
+n) with the rows vx, vy and wz of ``base_link`` (m/s, m/s, rad/s).  Joint values have the shape
+(wheels, n), in the order of the robot's wheels.  The functions write their results into arrays of
+the caller.  The input is processed in pieces that fit into the cache of a processor core, so no
+array of the size of the input is allocated.
 """
 
 from __future__ import annotations
@@ -23,13 +24,16 @@ from thorvaldc.simulation.vectorised.inverse_batch import InverseBatch
 
 Array = NDArray[np.float64]
 _PIECE_SIZE = 8192
-"""States per piece."""
+"""Number of states in a piece."""
 MAX_VALUE = 1e9
-"""Joint states and twists (SI) from this size on are rejected as errors."""
+"""Joint states and twists (SI units) from this size on are rejected as errors."""
 
 
 class CalculatorBatch:
-    """A calculator over arrays; its results equal those of the calculator to 1e-12."""
+    """Evaluates a base calculator for arrays of states.
+
+    The results equal the results of the calculator to 1e-12.
+    """
 
     def __init__(self, calculator: BaseCalculator) -> None:
         self.calculator = calculator
@@ -39,11 +43,13 @@ class CalculatorBatch:
     def inverse(self, twists: Array, speeds: Array, angles: Array) -> None:
         """Computes wheel speeds (rad/s) and steering angles (rad) for ``twists``.
 
-        Each twist is independent: the result is that of the calculator's command after a reset,
-        without joint states, so steering joints choose their angles from 0.  Raises ``ValueError``
-        for arrays of wrong shape and for wheels with their contact ahead of or behind their
-        axis, ``NotFiniteError`` for twists that are not finite or not below 1e9, and
-        then writes nothing.
+        Each twist is independent.  The result for a twist is the command that the calculator
+        computes after a reset without joint states.  Steering joints therefore choose their angles
+        from the position 0.
+
+        Raises ``ValueError`` if an array has the wrong shape, or if the contact of a steered wheel
+        lies ahead of or behind its steering axis.  Raises ``NotFiniteError`` if a twist is not
+        finite or not below 1e9.  Nothing is written then.
         """
         n = self._size(twists)
         for array in (speeds, angles):
@@ -57,10 +63,16 @@ class CalculatorBatch:
     def least_squares(
         self, speeds: Array, angles: Array, twists: Array, rates: Array | None = None
     ) -> None:
-        """Computes unweighted least-squares twists, as ``TwistEstimator.least_squares``.
+        """Computes the same unweighted least-squares twists as ``TwistEstimator.least_squares``.
 
-        ``speeds`` (rad/s) and ``angles`` (rad) of wheels; ``rates`` (rad/s) of their steering
-        joints, which matter only for a contact beside its axis.  Raises as ``inverse``.
+        - ``speeds``: wheel speeds, rad/s.
+        - ``angles``: steering angles, rad.
+        - ``twists``: array for the results.
+        - ``rates``: steering rates, rad/s.  They affect only wheels whose contact lies beside,
+          ahead of or behind the steering axis.
+
+        Raises ``ValueError`` if an array has the wrong shape, and ``NotFiniteError`` if a value is
+        not finite or not below 1e9.
         """
         n = self._check_joints(speeds, angles, twists, rates)
         estimator = self.calculator.estimator
@@ -86,10 +98,16 @@ class CalculatorBatch:
     ) -> None:
         """Computes weighted least-squares twists with covariances and chi-squares of the wheels.
 
-        ``covariances`` (6, n): xx, xy, xw, yy, yw, ww of the twist in SI;
-        ``chi_squares`` (wheels, n); ``yaw_rates`` (n): of a gyro, rad/s.  As
-        ``TwistEstimator.estimate`` with ``faulty`` = 0: no wheel is left out.  Raises as
-        ``inverse``.
+        The results equal the results of ``TwistEstimator.estimate`` with ``faulty`` = 0, so no
+        wheel is left out.
+
+        - ``speeds``, ``angles``, ``twists``, ``rates``: the same arrays as in ``least_squares``.
+        - ``covariances``: array (6, n) for the elements xx, xy, xw, yy, yw and ww of the twist's
+          covariance, in SI units.
+        - ``chi_squares``: array (wheels, n) for the chi-squares.
+        - ``yaw_rates``: yaw rates (n) measured by a gyro, rad/s.
+
+        Raises the same errors as ``least_squares``.
         """
         self._estimate(
             speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=False
@@ -105,10 +123,11 @@ class CalculatorBatch:
         rates: Array | None = None,
         yaw_rates: Array | None = None,
     ) -> dict[int, tuple[int, ...]]:
-        """Computes the estimates of ``TwistEstimator.estimate``, without the faulty wheels.
+        """Computes the same twists as ``TwistEstimator.estimate``, which leaves out faulty wheels.
 
-        Arrays as in ``weighted``.  Returns the wheels that are left out, by state.  The few
-        states in which a wheel disagrees go through the scalar estimator.  Raises as ``inverse``.
+        The parameters are the same as in ``weighted``.  Returns the indices of the wheels that are
+        left out, for each state with such wheels.  The scalar estimator computes the few states in
+        which a wheel disagrees with the other wheels.  Raises the same errors as ``least_squares``.
         """
         return self._estimate(
             speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=True
@@ -178,7 +197,9 @@ class CalculatorBatch:
         return TwistEstimator(self.calculator.geometry, estimator.noise, options)
 
     def _put_twist(self, twist: tuple[Array, Array, Array], out: Array) -> None:
-        """Writes the twists of ``base_link`` for those about the centroid."""
+        """Converts twists about the centroid to twists of ``base_link``, and stores them in
+        ``out``.
+        """
         vx, vy, wz = twist
         xm, ym = self.calculator.geometry.centre
         np.add(vx, ym * wz, out=out[0])
@@ -242,7 +263,7 @@ def _indices(mask: NDArray[np.bool_] | None) -> list[int]:
 def _state(
     speeds: Array, angles: Array, rates: Array | None, yaw_rates: Array | None, k: int
 ) -> JointStates:
-    """Returns state ``k`` for the scalar estimator."""
+    """Returns the joint states in column ``k`` for the scalar estimator."""
     turning = [0.0] * len(speeds) if rates is None else rates[:, k].tolist()
     yaw_rate = None if yaw_rates is None else float(yaw_rates[k])
     return JointStates(0.0, speeds[:, k].tolist(), angles[:, k].tolist(), turning, None, yaw_rate)

@@ -1,6 +1,6 @@
-"""``twist_fit`` over arrays: weighted fits of the twists of many states, with tests of the wheels.
+"""Fits the twists of many states by weighted least squares, and tests the wheels.
 
-The equations are those of ``thorvaldc.runtime.calculators.twist_fit``.
+The module ``thorvaldc.runtime.calculators.twist_fit`` derives the equations.
 """
 
 from __future__ import annotations
@@ -26,11 +26,14 @@ Array = NDArray[np.float64]
 Value = Array | float
 
 _SINGULAR = 1e-250
-"""Determinants below this are 0 but for underflow."""
+"""Determinants below this limit count as 0.  They are not exactly 0 because of underflow."""
 
 
 class MeasurementBatch(NamedTuple):
-    """Measurements of one wheel, as ``twist_fit.Measurement``; a plain number: for all states."""
+    """Measurements of one wheel in all states, with the fields of ``twist_fit.Measurement``.
+
+    A field that is a plain number has the same value in all states.
+    """
 
     wheel: WheelConstants
     c: Value
@@ -42,7 +45,10 @@ class MeasurementBatch(NamedTuple):
 
 
 class WeightedBatch(NamedTuple):
-    """Linearised measurements of one wheel, as ``twist_fit.WeightedMeasurement``."""
+    """Linearised measurements of one wheel in all states.
+
+    The fields are the fields of ``twist_fit.WeightedMeasurement``.
+    """
 
     wheel: WheelConstants
     c: Value
@@ -56,7 +62,12 @@ class WeightedBatch(NamedTuple):
 
 
 class FitBatch(NamedTuple):
-    """Twists about the centroid, the upper halves of their covariances, and the measurements."""
+    """Fitted twists of all states about the centroid.
+
+    - ``twist``: components vx, vy and wz.
+    - ``covariance``: upper halves of the covariance matrices.
+    - ``measurements``: linearised measurements of each wheel.
+    """
 
     twist: tuple[Array, Array, Array]
     covariance: tuple[Array, Array, Array, Array, Array, Array]
@@ -66,7 +77,12 @@ class FitBatch(NamedTuple):
 def measure(
     estimator: TwistEstimator, speeds: Array, angles: Array, rates: Array | None
 ) -> list[MeasurementBatch]:
-    """Converts joint states (wheels, n) in rad/s, rad and rad/s (``None``: 0) to measurements."""
+    """Converts joint states to measurements.  All arrays have the shape (wheels, n).
+
+    - ``speeds``: wheel speeds, rad/s.
+    - ``angles``: steering angles, rad.
+    - ``rates``: steering rates, rad/s.  ``None`` if all rates are 0.
+    """
     measurements = []
     for wheel in estimator.wheels:
         z_l, z_t = speeds[wheel.number] * wheel.radius, 0.0
@@ -75,8 +91,8 @@ def measure(
         x: Value = wheel.x
         y: Value = wheel.y
         if wheel.steered:
-            # One tangent instead of sine and cosine: with t = tan(direction / 2),
-            # c = 2 / (1 + t^2) - 1 and s = t (1 + c).
+            # One tangent is faster than a sine and a cosine.  With t = tan(direction / 2), the
+            # cosine is c = 2 / (1 + t^2) - 1 and the sine is s = t (1 + c).
             t = angles[wheel.number] * (wheel.sign / 2.0)
             if wheel.heading:
                 t += wheel.heading / 2.0
@@ -105,10 +121,11 @@ def unweighted_fit(
     yaw_rates: Array | None,
     n: int,
 ) -> tuple[tuple[Array, Array, Array], NDArray[np.bool_] | None]:
-    """Returns the unweighted least-squares twists about the centroid, and the mask of low ranks.
+    """Returns the unweighted least-squares twists about the centroid, and a mask of low ranks.
 
-    The mask is ``None`` if no rank is low, and if ``estimator.inverse`` applies: all states then
-    have the rank that it contains.
+    The mask is ``True`` for states whose rank is below 3.  The mask is ``None`` if no rank is low.
+    It is also ``None`` if ``estimator.inverse`` is used, because all states then have the rank in
+    ``estimator.inverse``.
     """
     b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
     if estimator.inverse is not None and yaw_rates is None:
@@ -163,7 +180,7 @@ def fit_twists(
     predicted: tuple[Array, Array, Array],
     yaw_rates: Array | None,
 ) -> FitBatch:
-    """Computes one Gauss-Newton step from the predicted twists, as ``twist_fit.fit_twist``."""
+    """Computes the same Gauss-Newton step from predicted twists as ``twist_fit.fit_twist``."""
     vx, vy, wz = predicted
     ratio2, angle2, floor2, slip2, skid2, gyro2 = estimator.squares
     a11, a12, a13, a22, a23, a33, b1, b2, b3 = (np.zeros_like(vx) for _ in range(9))
@@ -239,7 +256,10 @@ def fit_twists(
 
 
 def chi_squares(fit: FitBatch, result: Array) -> None:
-    """Writes D of each wheel into ``result`` (wheels, n), as ``twist_fit.chi_squares``."""
+    """Writes the chi-square D of each wheel into ``result`` (wheels, n).
+
+    ``twist_fit.chi_squares`` explains D.
+    """
     vx, vy, wz = fit.twist
     p11, p12, p13, p22, p23, p33 = fit.covariance
     for d, (wheel, c, s, x, y, mx, my, v_l, v_t) in zip(result, fit.measurements, strict=True):
@@ -262,7 +282,8 @@ def chi_squares(fit: FitBatch, result: Array) -> None:
         det = s11 * s22 - s12 * s12
         regular = det > UNTESTABLE * v_l * v_t
         if not regular.all():
-            # S has rank 1 at most; see ``twist_fit.compare_with_others``.
+            # The covariance S of the residual has rank 1 at most.
+            # ``twist_fit.compare_with_others`` explains this case.
             h_l = c * c * u11 + 2.0 * c * s * u12 + s * s * u22
             scale = (v_l - h_l) / v_l + (v_t - (u11 + u22 - h_l)) / v_t
             r_l, r_t = c * rx + s * ry, c * ry - s * rx
@@ -277,9 +298,10 @@ def chi_squares(fit: FitBatch, result: Array) -> None:
 def _inverse(
     a11: Array, a12: Array, a13: Array, a22: Array, a23: Array, a33: Array
 ) -> tuple[tuple[Array, Array, Array, Array, Array, Array], Array]:
-    """Inverts symmetric matrices by cofactors; returns upper halves and determinants.
+    """Inverts symmetric matrices by cofactors.
 
-    The result for a singular matrix is its adjugate.
+    Returns the upper halves of the inverse matrices, and the determinants.  The result for a
+    singular matrix is its adjugate.
     """
     p11 = a22 * a33 - a23 * a23
     p12 = a13 * a23 - a12 * a33

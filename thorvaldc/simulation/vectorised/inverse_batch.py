@@ -1,4 +1,4 @@
-"""Inverse kinematics over arrays: wheel speeds and steering angles for many twists."""
+"""Computes the inverse kinematics of many twists: wheel speeds and steering angles."""
 
 from __future__ import annotations
 
@@ -17,16 +17,24 @@ from thorvaldc.runtime.se2 import Twist
 Array = NDArray[np.float64]
 
 _SMALL = 1e-3
-"""Size of the twists (m/s, rad/s) that sample the linear map; they reach no limit."""
+"""Size of the twists (m/s, rad/s) that sample the linear map from twists to wheel speeds.
+
+No wheel reaches a limit at this size.
+"""
 _SCAN = 720
-"""Number of directions at which the choice of an angle is sampled before the bisection."""
+"""Number of directions at which the choice of the angle is sampled before the bisection."""
 
 
 class BranchTable(NamedTuple):
-    """Half turns that a steering joint at rest at 0 adds, as a step function of the direction.
+    """Number of half turns that a steering joint adds to its angle, for each direction of motion.
 
-    ``first``: half turns from the direction -pi on; ``None``: no angle is reachable.
-    ``steps``: (direction in rad, half turns beyond it).
+    The joint is at rest at the angle 0 before it chooses its new angle.  The number of half turns
+    is a step function of the direction.
+
+    - ``first``: number of half turns from the direction -pi to the first step.  ``None`` if no
+      angle is reachable.
+    - ``steps``: for each step, the direction (rad) and the number of half turns beyond this
+      direction.
     """
 
     first: int | None
@@ -34,7 +42,11 @@ class BranchTable(NamedTuple):
 
 
 def tabulate_branch(wheel: WheelGeometry, hysteresis: float) -> BranchTable:
-    """Samples the choice of ``SteeringJoint`` and bisects its steps to the last bit."""
+    """Returns the branch table of a steering joint.
+
+    The function samples the choice of ``SteeringJoint`` and finds each step by bisection to the
+    last bit.
+    """
 
     def half_turns(direction: float) -> int | None:
         joint = SteeringJoint(wheel, (0,), math.inf, hysteresis)
@@ -62,9 +74,14 @@ def tabulate_branch(wheel: WheelGeometry, hysteresis: float) -> BranchTable:
 
 
 class _Joint(NamedTuple):
-    """A steering joint: its wheels as (index, share of the rolling speed, wheel), and its angles.
+    """A steering joint and its wheels.
 
-    ``rest``: the angle (rad) after a reset.  ``branches``: the half turns to add.
+    - ``wheel``: geometry of the first wheel on the joint.
+    - ``wheels``: for each wheel on the joint, its index, its share of the rolling speed, and its
+      geometry.
+    - ``lower``, ``upper``: limits of the steering angle, rad.
+    - ``rest``: steering angle after a reset, rad.
+    - ``branches``: number of half turns for each direction of motion.
     """
 
     wheel: WheelGeometry
@@ -76,10 +93,14 @@ class _Joint(NamedTuple):
 
 
 class InverseBatch:
-    """Inverse kinematics of a calculator after a reset, for each twist independently."""
+    """Inverse kinematics of a calculator after a reset, independent for each twist."""
 
     def __init__(self, calculator: BaseCalculator) -> None:
-        """Raises ``ValueError`` for wheels with a trail: their angles depend on wz, too."""
+        """Samples the inverse kinematics of ``calculator``.
+
+        Raises ``ValueError`` if a steered wheel has a trail, because its steering angle also
+        depends on wz.
+        """
         geometry = calculator.geometry
         trailing = [w.name for w in geometry.wheels if w.steered and w.trail]
         if trailing:
@@ -96,7 +117,8 @@ class InverseBatch:
         self._feasible = np.array(columns).T / _SMALL
         self._unconstrained = bool((self._feasible == np.eye(3)).all())
         along, across, turning = (reset_calculator.command(unit).joints.speeds for unit in units)
-        # (index, rad/s per m/s forward, per m/s to the left, per rad/s, limit in rad/s)
+        # Fields: wheel index, wheel speed (rad/s) per m/s forward, per m/s to the left and per
+        # rad/s of yaw rate, speed limit (rad/s).
         self._driven_fixed = tuple(
             (i, along[i] / _SMALL, across[i] / _SMALL, turning[i] / _SMALL, w.max_speed)
             for i, w in enumerate(geometry.wheels)
@@ -121,7 +143,7 @@ class InverseBatch:
         self._shared = geometry.spin_groups
 
     def solve(self, twists: Array, speeds: Array, angles: Array) -> None:
-        """Writes the speeds (rad/s) and steering angles (rad) for ``twists`` (3, n)."""
+        """Writes the wheel speeds (rad/s) and steering angles (rad) for ``twists`` (3, n)."""
         vx, vy, wz = twists if self._unconstrained else self._feasible @ twists
         speeds[self._without_drive, :] = 0.0
         angles[self._not_steered, :] = 0.0
@@ -203,10 +225,11 @@ class InverseBatch:
 def _branches(
     table: BranchTable, direction: Array
 ) -> tuple[Array, Array, NDArray[np.bool_] | None]:
-    """Evaluates the table at directions (rad).
+    """Evaluates a branch table at directions of motion (rad).
 
-    Returns the angle to add (rad), the sign of the rolling speed, and the mask of directions
-    without a reachable angle (``None``: all are reachable).
+    Returns the angle to add (rad), the sign of the rolling speed, and a mask.  The mask is ``True``
+    for directions without a reachable angle.  The mask is ``None`` if all directions have a
+    reachable angle.
     """
     current = table.first
     turns = np.full_like(direction, (current or 0) * math.pi)

@@ -1,7 +1,8 @@
-"""The odometry of many equal robots in a few array operations.
+"""Computes the odometry of many equal robots in a few array operations.
 
-The joints of all robots in a scene are read at the same time, and the equations are the same for
-equal robots.  The results equal those of ``Odometry.update`` of each robot but for rounding.
+All robots in a scene read their joints at the same time, and the same equations apply to equal
+robots.  The results equal the results of ``Odometry.update`` for each robot, except for rounding
+errors.
 """
 
 from __future__ import annotations
@@ -19,18 +20,19 @@ from thorvaldc.runtime.se2 import Cov3, Pose2, Turn, Twist, propagated
 from thorvaldc.simulation.vectorised.calculator_batch import Array, CalculatorBatch
 
 _MIN_INTERVAL = 1e-4
-"""Interval (s) below which rates of joint states may overflow."""
+"""Interval (s) between joint states below which computed rates may overflow."""
 _MAX_VALUE = 1e9
-"""Joint values (SI) from this size on are left to the scalar odometry."""
+"""The scalar odometry processes joint values (SI units) from this size on."""
 
 
 class OdometryBatch:
-    """The odometry of equal robots; ``calculator`` is that of one of them.
+    """The odometry of equal robots.  ``calculator`` is the calculator of one of these robots.
 
-    Equal robots have the same wheels, noise and options.  Their calculator does not override the
-    odometry of its estimator, and their wheels determine the whole twist at any steering angles.
+    Equal robots have the same wheels, noise and options.  Their calculator uses the odometry of the
+    class ``BaseCalculator``.  Their wheels determine the whole twist at any steering angles.
 
-    Arrays have one column per robot: a copy of its ``Odometry`` after the last update.
+    Each array has one column per robot.  The column contains a copy of the robot's ``Odometry``
+    after the last update.
     """
 
     def __init__(self, calculator: BaseCalculator, odometries: Sequence[Odometry]) -> None:
@@ -43,11 +45,15 @@ class OdometryBatch:
         self._joints = np.zeros((2, wheels, n))  # positions and steering angles, rad
         self._poses = np.zeros((3, n))
         self._covariances = np.zeros((6, n))
-        # The objects that the columns were copied from: they reveal a change of the odometry.
+        # Objects from which the columns were copied.  If an odometry contains other objects, the
+        # odometry was changed outside of this batch.
         self._copied: list[tuple[JointStates, Pose2, Cov3] | None] = [None] * n
 
     def update(self, joints: Sequence[JointStates], now: float) -> None:
-        """Updates each odometry with its joint states, except those with unusual states."""
+        """Updates the odometry of each robot with the robot's joint states.
+
+        Robots with unusual joint states are left out.
+        """
         robots = [k for k, states in enumerate(joints) if self._is_usual(k, states)]
         if not robots:
             return
@@ -90,7 +96,11 @@ class OdometryBatch:
     def _integrate(
         self, robots: list[int], joints: Sequence[JointStates], end: Array, now: float
     ) -> None:
-        """Integrates one interval; ``end``: positions and angles (2, wheels, robots), rad."""
+        """Integrates the motion of one interval.
+
+        ``end`` contains the positions of the spin joints and the steering angles at the end of the
+        interval, in rad.  The shape is (2, wheels, robots).
+        """
         n = len(robots)
         start, times = self._joints[:, :, robots], np.array([joints[k].time for k in robots])
         dt = times - self._times[robots]
@@ -120,7 +130,10 @@ def _values(states: JointStates) -> tuple[Sequence[float], ...]:
 
 
 def _moved(poses: Array, dx: Array, dy: Array, angle: Array, turn: Turn) -> Array:
-    """Moves poses as ``Pose2.moved`` does, by the steps of ``se2.exp``."""
+    """Moves poses by the motion of a constant twist.
+
+    The result equals ``Pose2.moved`` with the step from ``se2.exp``.
+    """
     x, y = turn.s1 * dx - turn.c1 * dy, turn.c1 * dx + turn.s1 * dy
     c, s = np.cos(poses[2]), np.sin(poses[2])
     return np.array([poses[0] + c * x - s * y, poses[1] + s * x + c * y, poses[2] + angle])

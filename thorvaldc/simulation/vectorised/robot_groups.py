@@ -1,4 +1,4 @@
-"""Groups of equal robots in one scene, whose odometry is computed in one batch per tick."""
+"""Groups of equal robots in one scene.  One batch per group computes the odometry in a tick."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ MIN_GROUP_SIZE = 32
 class RobotGroups:
     """Finds groups of equal robots and updates the odometry of each group with arrays.
 
-    Each robot keeps its own driver. The driver's tick then finds its odometry updated and does
-    the rest. ``groups`` lists, per group, the indices of its robots and their batch.
+    Each robot keeps its own driver.  When the driver runs its tick, the odometry of the robot is
+    already updated.  ``groups`` contains, for each group, the indices of the robots and their
+    batch.
     """
 
     def __init__(self, drivers: Sequence[BaseDriver]) -> None:
@@ -34,7 +35,7 @@ class RobotGroups:
         self.groups: list[tuple[list[int], OdometryBatch]] = []
         for indices in robots_by_key.values():
             if len(indices) >= MIN_GROUP_SIZE:
-                # Imports numpy, which a scene with few robots does not need.
+                # This module imports numpy, which a scene with few robots does not need.
                 from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
 
                 odometries = [drivers[i].odometry for i in indices]
@@ -42,14 +43,16 @@ class RobotGroups:
                 self.groups.append((indices, batch))
 
     def update_odometry(self, now: float, due: Sequence[int]) -> dict[int, JointStates]:
-        """Read the joints of each group whose robots are all ``due``, and update their odometry.
+        """Reads the joints of each group and updates the odometry of its robots.
 
-        Returns the joint states by robot index, for the drivers' ticks. The batch leaves out
-        robots with unusual joint states; their drivers update the odometry themselves.
+        A group is left out if not all of its robots are ``due``.  Returns the joint states by the
+        index of the robot, for the ticks of the drivers.  The batch leaves out robots with unusual
+        joint states.  The drivers of these robots update the odometry themselves.
         """
         joints_by_robot: dict[int, JointStates] = {}
         for indices, batch in self.groups:
-            # A parameter change exchanges the calculator: the robots are no longer equal.
+            # A parameter change replaces the calculator of a robot.  The robots of the group are no
+            # longer equal then.
             if not set(indices) <= set(due) or any(
                 self._drivers[i].calculator is not self._calculators[i] for i in indices
             ):
@@ -61,10 +64,10 @@ class RobotGroups:
 
 
 def _group_key(calculator: BaseCalculator) -> Hashable | None:
-    """Key that is equal for robots that one batch can serve; ``None``: no batch can.
+    """Returns a key that is equal for all robots of a group, or ``None`` if no batch is possible.
 
-    The batch needs the estimator's odometry and wheels that determine the whole twist at any
-    steering angles.
+    A batch is possible if the calculator uses the odometry of the class ``BaseCalculator``, and if
+    the wheels determine the whole twist at any steering angles.
     """
     estimator = calculator.estimator
     overrides_odometry = type(calculator).odometry is not BaseCalculator.odometry

@@ -1,7 +1,7 @@
 """Many open-loop runs of one robot in parallel threads, for planning and identification.
 
-``mujoco.rollout`` converts joint commands to true motions, without driver and odometry.  For
-runs with the driver, injected faults or noise, use a batch of scenarios.
+``mujoco.rollout`` computes the true motion for given joint commands.  The runs have no driver and
+no odometry.  For runs with the driver, injected faults or noise, use a batch of scenarios.
 """
 
 from __future__ import annotations
@@ -21,17 +21,24 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Array = NDArray[np.float64]
 _MAX_STATE_NUMBERS = 1 << 23
-"""Numbers of MuJoCo states in memory at a time."""
+"""Largest number of values of MuJoCo states in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectories:
-    """n runs, sampled at the ends of t ticks; a run that diverges is NaN from then on.
+    """Results of n runs, sampled at the ends of t ticks.
 
-    ``time`` (t,) in s; ``poses`` (n, t, 3): x, y, yaw (not wrapped) of ``base_link`` in the
-    scene; ``twists`` (n, t, 3): vx, vy, wz in ``base_link``; ``uprightness`` (n, t): cosine of
-    the tilt; ``speeds``, ``angles`` (n, t, wheels): rad/s of the spin and rad of the steering
-    joints.  ``states`` (n, state): MuJoCo states at the end, from which a run can continue.
+    If a run diverges, all its later values are NaN.
+
+    - ``time``: times of the samples, shape (t,), s.
+    - ``poses``: pose of ``base_link`` in the scene, shape (n, t, 3): x, y (m) and yaw (rad, not
+      wrapped).
+    - ``twists``: twist of ``base_link``, shape (n, t, 3): vx, vy (m/s) and wz (rad/s).
+    - ``uprightness``: cosine of the tilt angle, shape (n, t).
+    - ``speeds``: wheel speeds, shape (n, t, wheels), rad/s.
+    - ``angles``: steering angles, shape (n, t, wheels), rad.
+    - ``states``: MuJoCo states at the end, shape (n, state).  A later run can start from these
+      states.
     """
 
     time: Array
@@ -49,7 +56,11 @@ class Rollouts:
     def __init__(
         self, robot: Robot, files: Path | str | Mapping[str, bytes], threads: int = 1
     ) -> None:
-        """``files``: as for ``MujocoScene``.  Raises ``DiagnosticError``."""
+        """Loads the robot into its scene.
+
+        ``files`` has the same meaning as for ``MujocoScene``.  Raises ``DiagnosticError`` if the
+        scene cannot be loaded, and ``ValueError`` if ``threads`` is less than 1.
+        """
         import mujoco
         from mujoco.rollout import Rollout
 
@@ -69,7 +80,10 @@ class Rollouts:
         self._home = self.scene.data.ctrl.copy()
 
     def at(self, poses: ArrayLike) -> Array:
-        """Returns states (n, state) of the robot at rest at ``poses`` (n, 3): x, y (m), yaw."""
+        """Returns the MuJoCo states (n, state) of the robot at rest at given poses.
+
+        ``poses`` has the shape (n, 3): x, y (m) and yaw (rad).
+        """
         targets = np.atleast_2d(np.asarray(poses, dtype=np.float64))
         states = np.repeat(self.start[None], len(targets), axis=0)
         first = 1 + self._joints.base
@@ -89,11 +103,18 @@ class Rollouts:
         period: float = 0.1,
         states: Array | None = None,
     ) -> Trajectories:
-        """Runs ``speeds`` (rad/s) and ``angles`` (rad), each (n, t, wheels), from ``states``.
+        """Runs the robot n times with given joint commands.
 
-        Each command is constant for ``period`` s, a whole number of the scene's time steps.
-        Entries of wheels without such a motor are unused.  ``states``: (n, state), by default
-        all at ``start``.  The result does not depend on the number of threads.
+        - ``speeds``: wheel speeds of the commands, shape (n, t, wheels), rad/s.  Values of wheels
+          without drive motor are not used.
+        - ``angles``: steering angles of the commands, shape (n, t, wheels), rad.  Values of wheels
+          without steering motor are not used.  By default all angles are 0.
+        - ``period``: duration of each command in s, a whole number of the scene's time steps.
+        - ``states``: MuJoCo states at the start of the runs, shape (n, state).  By default all runs
+          start at ``start``.
+
+        The result does not depend on the number of threads.  Raises ``ValueError`` if an array has
+        the wrong shape or the period is not a whole number of time steps.
         """
         speed_commands = np.asarray(speeds, dtype=np.float64)
         if angles is None:
@@ -132,12 +153,12 @@ class Rollouts:
         return self._joints.trajectories(samples, period * np.arange(1, ticks + 1), current)
 
     def close(self) -> None:
-        """Ends the threads."""
+        """Ends the threads of the runs."""
         self._rollout.close()
 
 
 class _Joints(MujocoBase):
-    """Indices of a robot's joints in MuJoCo's states and controls."""
+    """Indices of a robot's joints in the states and controls of MuJoCo."""
 
     def __init__(self, robot: Robot, scene: MujocoScene) -> None:
         super().__init__(robot, scene)
@@ -154,7 +175,7 @@ class _Joints(MujocoBase):
         return control
 
     def trajectories(self, states: Array, time: Array, last: Array) -> Trajectories:
-        # A MuJoCo state is: time, qpos, qvel, activations and more.
+        # A MuJoCo state contains the time, qpos, qvel, activations and other values.
         base = 1 + self._base
         moving = 1 + self.scene.model.nq + self._base_velocity
         x, y, _, w, i, j, k = np.moveaxis(states[:, :, base : base + 7], 2, 0)

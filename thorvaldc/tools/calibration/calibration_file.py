@@ -1,4 +1,4 @@
-"""Writes a calibration file for a robot, with the values of its present calibration."""
+"""Writes the calibration file of a robot, and keeps values of its present calibration."""
 
 from __future__ import annotations
 
@@ -14,12 +14,19 @@ from thorvaldc.tools.calibration.self_calibration import CalibrationResult
 
 
 def overlay_text(result: CalibrationResult, robot: Path) -> str:
-    """Returns a calibration file that keeps the robot file's values that were not estimated."""
+    """Returns the text of a calibration file with the estimated values.
+
+    Values that were not estimated are copied from the calibration that the robot file includes.
+    """
     return overlay(result, _present_values(robot))
 
 
 def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
-    """Returns the wheels of the calibration that the robot file includes, in SI."""
+    """Returns the calibration values of each wheel, in SI units.
+
+    The values come from the calibration that the robot file includes.  The result is empty if the
+    robot file includes no calibration.
+    """
     document = read_file(robot, robot.name, Report())
     calibration = load_calibration(document, robot.parent, Report(), {}) if document else None
     if calibration is None:
@@ -35,9 +42,10 @@ def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
 
 
 def write_calibration(path: Path, text: str) -> None:
-    """Writes the whole file or leaves it unchanged.
+    """Writes a calibration file.
 
-    Raises ``FileExistsError`` for an existing file that is no calibration.
+    The file is either written completely or not changed.  Raises ``FileExistsError`` if ``path`` is
+    an existing file that is not a calibration.
     """
     if path.exists() and not _is_calibration(path):
         raise FileExistsError(f"will not overwrite {path}, which is no calibration")

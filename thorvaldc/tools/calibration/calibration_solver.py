@@ -1,4 +1,4 @@
-"""The least-squares solver of self-calibration; ``self_calibration`` explains the method."""
+"""The least-squares solver of the self-calibration.  ``self_calibration`` explains the method."""
 
 from __future__ import annotations
 
@@ -15,33 +15,44 @@ from thorvaldc.runtime.se2 import ORIGIN, Twist
 from thorvaldc.tools.calibration.log_intervals import MIN_SPEED, Array, Ticks
 
 MAX_OFFSET, MAX_RATIO = math.radians(45.0), 0.2
-"""Largest plausible errors (rad, relative); beyond them the fit failed."""
-MAX_OFFSET_ERROR = math.radians(0.2)
-"""Largest standard error (rad) of an offset that is determined."""
-MAX_RATIO_ERROR = 0.002
-"""Largest relative standard error of a radius that is determined."""
+"""Largest plausible errors of the offset (rad) and of the radius (relative).
 
-# Standard deviations of the rows at factor 1: rolling (relative), pointing (rad), at rest (m/s).
+If an error is larger, the fit has failed.
+"""
+MAX_OFFSET_ERROR = math.radians(0.2)
+"""Largest standard error (rad) of an offset that counts as determined."""
+MAX_RATIO_ERROR = 0.002
+"""Largest relative standard error of a radius that counts as determined."""
+
+# Standard deviations of the measurements before scaling: rolling (relative), pointing (rad), at
+# rest (m/s).
 _ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002
 _SKID = 0.1  # relative to the speed, for fixed wheels that must scrub in turns
 _PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
-# Constant slip looks like an offset and leaves no residual.  In simulations with each wheel off by
-# one degree, the visible (varying) part was about half of the slip.
+# Constant slip has the same effect as an offset and leaves no residual.  In simulations, each wheel
+# had an offset error of one degree.  About half of the slip varied and was visible in the
+# residuals.
 _HIDDEN_SLIP = 2.0
 _ITERATIONS = 60
 _AGREES = math.radians(0.05)
 _HARDLY = 30.0
-"""Factor of the standard deviation of rows that hardly count."""
+"""Factor that increases the standard deviation of rows with almost no influence on the fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Per wheel: offsets (rad) and logarithms of the radius ratios, with standard errors.
+    """Estimated parameters of each wheel, with their standard errors and the quality of the fit.
 
-    ``rolling`` (relative) and ``pointing`` (rad): sizes of the residuals of the two kinds of rows
-    in a tick.  ``slip`` (rad): the lasting part of ``pointing`` at the worst wheel.
-    ``consistent``: the steering angles alone agree with the present offsets; the axes of
-    the wheels meet in one point at any time.
+    - ``offsets``: steering offsets, rad.
+    - ``ratios``: logarithms of the radius ratios.
+    - ``offset_errors``, ``ratio_errors``: standard errors of both.
+    - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
+      speed.
+    - ``pointing``: standard deviation of the direction residuals in a tick, rad.
+    - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
+    - ``consistent``: ``True`` if the steering angles alone agree with the present offsets.  The
+      axle lines of all wheels then always meet in one point.
+    - ``iterations``: number of Gauss-Newton iterations.
     """
 
     offsets: Array
@@ -56,16 +67,17 @@ class Solution:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Factors of the standard deviations of rolling and pointing rows."""
+        """Factors of the standard deviations of the rolling rows and the pointing rows."""
         return self.rolling / _ROLLING, self.pointing / _ANGLE
 
 
 @dataclass(slots=True)
 class _Rows:
-    """Measurement rows for given parameters: ``matrix`` (ticks, rows, 3) times the twist.
+    """Measurement rows for given parameters.
 
-    Order of the rows: rolling of the wheels with encoder, pointing of the steered wheels, side slip
-    of the fixed axles.
+    ``matrix`` has the shape (ticks, rows, 3).  ``matrix`` multiplied by the twist gives the
+    expected values of ``measured``.  The rows have this order: rolling of the wheels with encoder,
+    pointing of the steered wheels, side slip of the fixed axles.
     """
 
     matrix: Array
@@ -74,9 +86,18 @@ class _Rows:
 
 @dataclass(slots=True)
 class _Fit:
-    """Result of a Gauss-Newton iteration.
+    """Result of the Gauss-Newton iterations.
 
-    ``slope`` (derivatives) and ``residuals`` have the best twist of each tick projected out.
+    - ``parameters``: estimated parameters.
+    - ``information``: information matrix of the parameters.
+    - ``factors``: factors of the standard deviations of the rolling rows and the pointing rows.
+    - ``iterations``: number of iterations.
+    - ``twists``: best twist of each tick.
+    - ``sigmas``: standard deviations of the rows, m/s.
+    - ``weights``: weight of each tick.
+    - ``slope``: derivatives of the residuals by the parameters, without the part that a change of
+      the twist explains.
+    - ``residuals``: weighted residuals for the best twist of each tick.
     """
 
     parameters: Array
@@ -91,9 +112,11 @@ class _Fit:
 
 
 class Solver:
-    """Gauss-Newton solver for an offset per steering joint and a log ratio per wheel with encoder.
+    """Gauss-Newton solver for the steering offsets and the radius ratios of the wheels.
 
-    The log ratios sum to zero: the parameters are their coordinates in a basis of that space.
+    Each steering joint has an offset.  Each wheel with encoder has the logarithm of its radius
+    ratio (log ratio).  The log ratios sum to zero.  The solver uses their coordinates in a basis of
+    the vectors with zero sum as parameters.
     """
 
     def __init__(self, robot: Robot, ticks: Ticks) -> None:
@@ -104,7 +127,8 @@ class Solver:
         self.lever = geometry.length
         self.roll = np.array([i for i, w in enumerate(wheels) if w.encoder and not w.swivel], int)
         self.point = np.array([i for i, w in enumerate(wheels) if w.steered], int)
-        # Twists about the centroid, with wz as a speed (m/s) at the lever: all parts have one unit.
+        # Twists are about the centroid.  The yaw rate is multiplied by the lever, so that all
+        # components of a twist have the unit m/s.
         self.centre = xm, ym = geometry.centre
         self.x = np.array([w.x - xm for w in wheels])
         self.y = np.array([w.y - ym for w in wheels])
@@ -130,7 +154,10 @@ class Solver:
         )
 
     def solve(self) -> Solution | None:
-        """Returns the parameters that fit the ticks best; ``None`` if they are not plausible."""
+        """Returns the parameters that fit the ticks best.
+
+        Returns ``None`` if the parameters are not plausible.
+        """
         try:
             return self._solve()
         except np.linalg.LinAlgError:
@@ -173,7 +200,10 @@ class Solver:
         )
 
     def _consistent(self) -> bool:
-        """Computes ``Solution.consistent`` by a fit in which the rolling rows hardly count."""
+        """Checks whether the steering angles alone agree with the present offsets.
+
+        The check fits the parameters with very large standard deviations of the rolling rows.
+        """
         count = self.turns.shape[1]
         fit = self._fit((_HARDLY, 1.0), update_factors=False)
         if fit is None or not count:
@@ -186,7 +216,7 @@ class Solver:
     # -- one fit ------------------------------------------------------------------------
 
     def rows(self, offsets: Array, ratios: Array) -> _Rows:
-        """Returns the rows for offsets and log ratios per wheel."""
+        """Returns the measurement rows for given offsets (rad) and log ratios of the wheels."""
         ticks = self.ticks
         direction = self.heading + self.sign * (ticks.angles + offsets)
         c, s = np.cos(direction), np.sin(direction)
@@ -208,7 +238,7 @@ class Solver:
         )
 
     def sigmas(self, twists: Array, factors: tuple[float, float]) -> Array:
-        """Returns the standard deviations (m/s) of the rows, for the predicted wheel speeds."""
+        """Returns the standard deviations (m/s) of the rows at the wheel speeds of ``twists``."""
         speed = np.hypot(*self._ground(twists))
         mean = np.sqrt(np.mean(speed**2, axis=1, keepdims=True))
         rolling = factors[0] * np.hypot(_ROLLING * speed[:, self.roll], _FLOOR)
@@ -217,14 +247,15 @@ class Solver:
         return np.concatenate([rolling, pointing, np.repeat(axles, len(self.axles), 1)], 1)
 
     def twists(self, rows: _Rows, sigmas: Array) -> tuple[Array, Array, Array, Array]:
-        """Solves for the twists (m/s, at the lever) of all ticks.
+        """Computes the best twist of each tick.
 
-        Returns the twists, the weighted rows A, (A' A)^-1 and the weighted residuals.
+        Returns the twists (m/s, with the yaw rate multiplied by the lever), the weighted rows A,
+        the matrices (A' A)^-1, and the weighted residuals.
         """
         matrix = rows.matrix / sigmas[..., None]
         measured = rows.measured / sigmas
         normal = np.swapaxes(matrix, 1, 2) @ matrix
-        # Regularisation: a direction that no wheel measures stays 0.
+        # Regularisation: the speed in a direction that no wheel measures is 0.
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         inverse: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         twists = (inverse @ (np.swapaxes(matrix, 1, 2) @ measured[..., None]))[..., 0]
@@ -232,10 +263,10 @@ class Solver:
         return twists, matrix, inverse, residuals
 
     def _fit(self, factors: tuple[float, float], *, update_factors: bool) -> _Fit | None:
-        """Iterates Gauss-Newton; each step updates the weights of the ticks.
+        """Fits the parameters by Gauss-Newton iterations.  Each iteration updates the tick weights.
 
-        ``factors`` multiply the standard deviations of rolling and pointing; with
-        ``update_factors`` each step estimates them, too.
+        ``factors`` contains the factors of the standard deviations of the rolling rows and the
+        pointing rows.  With ``update_factors``, each iteration also estimates these factors.
         """
         m = len(self.roll)
         parameters = self.start
@@ -277,7 +308,8 @@ class Solver:
     def _covariance(self, fit: _Fit, systematic: Array | None = None) -> Array:
         """Returns the covariance of the parameters by the sandwich formula M^-1 G M^-1.
 
-        G sums the outer products of the gradients of blocks; ``systematic`` adds lasting errors.
+        M is the information matrix.  G is the sum of the outer products of the gradients of all
+        blocks.  ``systematic`` adds the errors that last over many ticks to G.
         """
         gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.residuals, optimize=True)
         block = self._blocks()
@@ -291,21 +323,32 @@ class Solver:
         return covariance
 
     def _blocks(self) -> NDArray[np.intp]:
-        """Returns the number of the 1 s block of each tick; empty blocks have no number."""
+        """Returns the block number of each tick.
+
+        A block contains the ticks of 1 s.  Blocks are numbered consecutively, and blocks without
+        ticks have no number.
+        """
         _, numbers = np.unique(
             np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
         )
         return np.asarray(numbers, dtype=np.intp)
 
     def _shares(self, fit: _Fit) -> tuple[Array, Array]:
-        """Returns the residuals of rolling (relative) and pointing (rad), and rows per unit."""
+        """Returns the residuals of all wheels in physical units, and the conversion factors.
+
+        The residual of a rolling row is relative to the speed.  The residual of a pointing row is
+        an angle in rad.  A conversion factor multiplied by such a residual gives the weighted
+        residual of the row.
+        """
         speed = np.maximum(np.hypot(*self._ground(fit.twists)), MIN_SPEED)
         speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
         per_share: Array = speed / fit.sigmas[:, : speed.shape[1]]
         return fit.residuals[:, : speed.shape[1]] / per_share, per_share
 
     def _ground(self, twists: Array) -> tuple[Array, Array]:
-        """Returns the velocity (m/s) of each wheel's axis over the ground, in ``base_link``."""
+        """Returns the velocity (m/s) of each wheel's steering axis over the ground, in
+        ``base_link``.
+        """
         vx, vy, wz = twists[:, :1], twists[:, 1:2], twists[:, 2:] / self.lever
         return vx - wz * self.y, vy + wz * self.x
 
@@ -333,7 +376,10 @@ class Solver:
     # -- distance ------------------------------------------------------------------------
 
     def ends_apart(self, offsets: Array, ratios: Array, factors: tuple[float, float]) -> float:
-        """Returns the distance (m) between the ends of the path, for offsets and log ratios."""
+        """Returns the distance (m) between the ends of the path of ``base_link``.
+
+        The path is computed with the given offsets (rad) and log ratios of the wheels.
+        """
         rows = self.rows(offsets, ratios)
         twists = self.twists(rows, np.ones(rows.measured.shape))[0]
         twists = self.twists(rows, self.sigmas(twists, factors))[0]
@@ -348,14 +394,20 @@ class Solver:
 
 
 def encoder_offset(robot: Robot, wheel: int) -> float:
-    """Returns the steering offset (rad) of a wheel in the robot file; 0 without steering motor."""
+    """Returns the steering offset (rad) of a wheel in the robot file.
+
+    Returns 0 if the wheel has no steering motor.
+    """
     joint = robot.wheels[wheel].steering_joint
     motor = robot.actuator_of(joint) if joint is not None else None
     return motor.encoder_offset if motor is not None else 0.0
 
 
 def _zero_sum(n: int) -> Array:
-    """Returns an orthonormal basis (n, n - 1) of the vectors whose entries sum to 0 (Helmert)."""
+    """Returns an orthonormal basis (n, n - 1) of the vectors whose entries sum to 0.
+
+    The basis is the Helmert basis.
+    """
     basis = np.zeros((n, max(n - 1, 0)))
     for k in range(1, n):
         basis[:k, k - 1] = 1.0
@@ -365,7 +417,10 @@ def _zero_sum(n: int) -> Array:
 
 
 def _weights(residuals: Array) -> Array:
-    """Returns the Geman-McClure weights of the ticks, relative to the median tick."""
+    """Returns the Geman-McClure weight of each tick.
+
+    The scale of the weights is the median of the squared residuals of a tick.
+    """
     squares = np.sum(residuals**2, axis=1)
     size = max(float(np.median(squares)), 1e-12)
     weights: Array = (1.0 + squares / (9.0 * size)) ** -2.0
@@ -373,7 +428,7 @@ def _weights(residuals: Array) -> Array:
 
 
 def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) -> float:
-    """Updates a variance component so that the residuals have their expected size."""
+    """Returns the updated factor, with which the residuals have their expected size."""
     expected = float(np.sum(weights[:, None] * redundancy))
     if expected < 1e-6 * len(residuals):
         return factor
@@ -382,10 +437,11 @@ def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) 
 
 
 def _lasting(shares: Array, weights: Array, block: NDArray[np.intp]) -> Array:
-    """Returns, per column, the size of the lasting part of the residuals.
+    """Returns the size of the lasting part of the residuals in each column.
 
-    The variance of the block means minus the variance that independent errors would give them; 0
-    if the difference is not significant (4 sigma).
+    The ticks are divided into blocks.  The squared size is the variance of the block means, minus
+    the variance that independent errors would cause.  The size is 0 if this difference is not
+    significant (4 sigma).
     """
     count = block[-1] + 1
     total = np.bincount(block, weights, count)

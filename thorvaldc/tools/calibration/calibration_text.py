@@ -1,4 +1,4 @@
-"""Calibration results as a table, as JSON, and as a document that ``robot.yaml`` includes."""
+"""Formats calibration results as a table, as JSON, and as a document for ``robot.yaml``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UNCHANGED = "as before"
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
-    """Returns the result as plain values: angles in rad, lengths in m."""
+    """Returns the result as plain values.  Angles are in rad and lengths in m."""
 
     def plain(estimate: Estimate | None) -> dict[str, Any] | None:
         if estimate is None:
@@ -49,7 +49,10 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
 
 
 def table(result: CalibrationResult) -> str:
-    """Returns an aligned table of the wheels; values that are not determined are marked so."""
+    """Returns a table of the wheels with aligned columns.
+
+    Values that the log does not determine are marked.
+    """
     lines = [("wheel", "steering offset", "radius ratio", "radius")]
     for wheel in result.wheels:
         offset, ratio = wheel.offset, wheel.ratio
@@ -82,14 +85,17 @@ def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any)
 
 
 Values = Mapping[str, Any]
-"""A wheel's entry in a calibration, in SI: ``radius``, ``radii`` by name, ``steering_offset``."""
+"""Calibration values of a wheel, in SI units.
+
+The keys are ``radius``, ``radii`` (radii by name) and ``steering_offset``.
+"""
 
 
 def overlay(result: CalibrationResult, previous: Mapping[str, Values] | None = None) -> str:
-    """Returns the calibration as a document for ``calibration`` in ``robot.yaml``.
+    """Returns the text of a calibration document that ``robot.yaml`` can include.
 
-    Values that the log does not determine stay as in ``previous``, the entries that the robot
-    includes now.
+    ``previous`` contains the values of the calibration that the robot includes now.  Values that
+    the log does not determine are copied from ``previous``.
     """
     lines = []
     for wheel in result.wheels:

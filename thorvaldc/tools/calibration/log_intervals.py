@@ -1,4 +1,4 @@
-"""A joint log as arrays of its intervals: mean speeds and angles between two lines."""
+"""Converts a joint log to arrays with the mean speeds and angles between two lines."""
 
 from __future__ import annotations
 
@@ -15,17 +15,27 @@ from thorvaldc.simulation.records.joint_csv import JointLog
 Array = NDArray[np.float64]
 
 MAX_TICKS = 20000
-"""Number of ticks used at most; of a longer log every n-th tick."""
+"""Largest number of ticks that the calibration uses.
+
+From a longer log, it uses every n-th tick.
+"""
 MIN_SPEED = 0.05
-"""Least mean speed (m/s) of the wheels of a tick in motion."""
+"""Least mean speed (m/s) of the wheels in a tick that counts as motion."""
 
 
 class Ticks:
-    """Mean joint states of the intervals between the log's lines, one column per wheel.
+    """Mean joint states of the intervals between the lines of a log.
 
-    ``speeds`` (rad/s), ``angles`` (rad, encoder readings) and ``turning`` (rad/s, steering rate);
-    0 for a wheel without that encoder.  ``valid``: masks intervals that are not too long.
-    ``moving``: masks valid intervals in motion.
+    The arrays have one row per interval (tick) and one column per wheel.
+
+    - ``times``: times of the lines, s.
+    - ``dt``: durations of the intervals, s.
+    - ``speeds``: wheel speeds, rad/s. 0 for a wheel without encoder.
+    - ``angles``: readings of the steering encoders, rad. 0 for a wheel without steering encoder.
+    - ``turning``: steering rates, rad/s. 0 for a wheel without steering encoder.
+    - ``valid``: mask of the intervals that are not too long.
+    - ``moving``: mask of the valid intervals in which the robot moves.
+    - ``wheel_of``: index of the wheel for each spin joint.
     """
 
     def __init__(self, robot: Robot, log: JointLog) -> None:
@@ -52,7 +62,7 @@ class Ticks:
         )
 
     def select(self, mask: NDArray[np.bool_] | NDArray[np.intp]) -> Ticks:
-        """Returns the ticks of a mask or of indices."""
+        """Returns the ticks that a mask or an array of indices selects."""
         selected = object.__new__(Ticks)
         selected.times = self.times[:-1][mask]
         selected.dt, selected.valid, selected.moving = (
@@ -65,7 +75,7 @@ class Ticks:
         return selected
 
     def thinned(self) -> Ticks:
-        """Returns the ticks in motion, at most ``MAX_TICKS`` of them."""
+        """Returns the ticks in which the robot moves, reduced to at most ``MAX_TICKS`` ticks."""
         index = np.flatnonzero(self.moving)
         return self.select(index[:: math.ceil(len(index) / MAX_TICKS)])
 

@@ -1,25 +1,29 @@
-"""Self-calibration: steering zero offsets and relative wheel radii from a joint log alone.
+"""Self-calibration: computes steering offsets and relative wheel radii from a joint log.
 
-In each tick N wheels give 2 N measurements: a wheel at (x, y) with the direction (c, s), the radius
-r and the speed w measures r w along and 0 across (the rows L and T of the twist estimator).
-The twist has three unknowns.  With H the rows and z the measurements of a tick, both depending on
-the parameters p (offsets, log radius ratios), the residual without the best twist is
+In each tick, N wheels give 2 N measurements.  A wheel at (x, y) has the direction (c, s), the
+radius r and the wheel speed w.  Its measured speed is r w along the wheel and 0 across the wheel.
+The rows L and T of the twist estimator relate both speeds to the twist.  The twist has three
+unknowns.  H denotes the rows of all wheels, z the measured speeds, and W the weights in a tick.  H
+and z depend on the parameters p, the offsets and the log radius ratios.  The residual for the best
+twist of the tick is
 
-    e(p) = (1 - H (H' W H)^-1 H' W) z,
+    e(p) = (1 - H (H' W H)^-1 H' W) z
 
-and Gauss-Newton minimises sum e' W e over all ticks.  A common scale of all radii leaves e at
-zero, so it stays at 1 unless a measured distance determines it.
+Gauss-Newton iterations minimise the sum of e' W e over all ticks.  A common scale of all radii does
+not change the minimum e = 0.  The scale is therefore 1 unless a measured distance determines it.
 
-The standard deviations of the two kinds of rows (rolling, pointing) are estimated, too, as
-variance components.  The start trusts the rolling rows more: a steering motor can hold its wheel
-against the ground, and then the wheel slips sideways although its angle looks right.  Lasting
-slip counts as an unknown offset of each wheel.  If all angles agree with the offsets in the
-robot file, the steering motors may hold them there, and the offsets are not determined.
-Ticks at standstill are left out, and ticks with slip get a small weight (Geman and McClure).
-Standard errors are those of blocks of 1 s (sandwich estimator), because errors in
-successive ticks are correlated.
+The standard deviations of the rolling rows and of the pointing rows are estimated as variance
+components.  At the start, the rolling rows have smaller relative standard deviations.  The reason
+is that a steering motor can hold its wheel against the ground.  The wheel then slips sideways
+although its steering angle looks right.  Slip that lasts over many ticks counts as an unknown
+offset of each wheel.  If all steering angles agree with the offsets in the robot file, the offsets
+are not determined, because the steering motors may hold the wheels at these angles.
 
-This module imports numpy: import it in the function that needs it.
+Ticks without motion are left out.  Ticks with slip get a small weight (Geman and McClure).  Errors
+in successive ticks are correlated.  The standard errors are therefore computed from blocks of 1 s
+(sandwich estimator).
+
+This module imports numpy.  Other modules import it only in the function that needs it.
 """
 
 from __future__ import annotations
@@ -46,21 +50,27 @@ from thorvaldc.tools.calibration.calibration_solver import (
 from thorvaldc.tools.calibration.log_intervals import Ticks
 
 MIN_MOVING_TIME = 5.0
-"""Least time (s) in motion of a log."""
+"""Least time (s) in motion that a log must contain."""
 
 _FORCED = 3e-3
-"""Least median difference of wheel speeds from their commands if the wheels roll freely."""
+"""Least median relative difference between wheel speeds and their commands.
+
+If the difference is smaller, speed controllers force the wheel speeds.
+"""
 _LAGS = np.arange(0.0, 0.5, 0.005)
-"""Delays (s) of joints after their commands that are tried."""
+"""Candidates for the delay (s) between a command and the motion of the joint."""
 _MIN_GROWTH = 0.5
-"""Least relative growth of the distance per relative growth of the radii."""
+"""Least relative growth of the driven distance, divided by the relative growth of the radii."""
 _SLIP = math.radians(0.1)
-"""Side slip (rad) from which a message mentions it."""
+"""Smallest side slip (rad) that a message reports."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its standard error; ``determined``: the log determines it well enough."""
+    """An estimated value with its standard error.
+
+    ``determined`` is ``True`` if the log determines the value accurately enough.
+    """
 
     value: float
     error: float
@@ -71,11 +81,13 @@ class Estimate:
 class WheelCalibration:
     """The calibration of one wheel.
 
-    ``offset`` (rad): the joint's position where its encoder reads 0; ``None`` for a wheel
-    without steering motor.  ``ratio``: its radius over that in the robot file; the mean of the
-    logarithms of all ratios is 0.  ``radius`` (m) includes the measured scale.  Both are ``None``
-    for a wheel without encoder.  ``named``: the name of this radius in the file, empty for the
-    ordinary one.  ``present_offset`` (rad): in the robot file.
+    - ``offset``: steering offset, rad.  The offset is the position of the steering joint at which
+      its encoder reads 0.  ``None`` for a wheel without steering motor.
+    - ``ratio``: ratio of the wheel radius to the radius in the robot file.  The mean of the
+      logarithms of all ratios is 0.  ``None`` for a wheel without encoder.
+    - ``radius``: wheel radius with the measured scale, m.  ``None`` for a wheel without encoder.
+    - ``named``: name of this radius in the robot file.  Empty for the ordinary radius.
+    - ``present_offset``: steering offset in the robot file, rad.
     """
 
     name: str
@@ -88,14 +100,21 @@ class WheelCalibration:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """The wheels in the robot's order, and the quality of the fit.
+    """The calibration of all wheels in the order of the robot, and the quality of the fit.
 
-    The robot moved for ``moving`` s of ``duration`` s.  ``scale``: factor of all radii from the
-    measured distance (``None``: no distance).  ``rolling`` (relative) and ``pointing`` (rad):
-    sizes of the residuals in a tick.  ``slip`` (rad): the lasting part of ``pointing`` at the worst
-    wheel.  ``offsets_kept``: the steering angles agree with the robot file, either because it is
-    right or because motors held the wheels there; the offsets stay.  ``forced``: speed
-    controllers kept the wheels at their commands, so the radii stay.
+    - ``duration``: duration of the log, s.
+    - ``moving``: time in which the robot moved, s.
+    - ``scale``: factor of all radii that the measured distance determines.  ``None`` without a
+      measured distance.
+    - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
+      speed.
+    - ``pointing``: standard deviation of the direction residuals in a tick, rad.
+    - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
+    - ``offsets_kept``: ``True`` if the steering angles agree with the robot file.  Either the robot
+      file is right, or motors held the wheels at these angles.  The offsets are not changed.
+    - ``forced``: ``True`` if speed controllers kept the wheels at their commands.  The radii are
+      not changed.
+    - ``iterations``: number of Gauss-Newton iterations.
     """
 
     robot: str
@@ -112,7 +131,7 @@ class CalibrationResult:
 
     @property
     def determines_anything(self) -> bool:
-        """The log determines the scale or at least one offset or ratio."""
+        """``True`` if the log determines the scale, or at least one offset or ratio."""
         estimates = [e for w in self.wheels for e in (w.offset, w.ratio) if e is not None]
         return self.scale is not None or any(e.determined for e in estimates)
 
@@ -125,12 +144,16 @@ def calibrate(
     display: str = "",
     parameters: str | None = None,
 ) -> CalibrationResult | None:
-    """Estimates the offsets and radii of the wheels; ``None`` after an error in ``report``.
+    """Estimates the steering offsets and radii of the wheels.
 
-    ``distance`` (m): measured in a straight line between the positions of ``base_link`` at the
-    log's first and last line.  The path between them may turn a little.  ``display``: the log's
-    name for source spans.  ``parameters``: the parameter set with the radii of this
-    log.  Raises ``DiagnosticError`` for an unknown set.
+    - ``distance``: straight distance (m) between the positions of ``base_link`` at the first and
+      the last line of the log.  The path between these positions may turn a little.
+    - ``display``: name of the log in source spans.
+    - ``parameters``: name of the parameter set with the radii at the time of the log.  ``None``
+      selects the ordinary radii.
+
+    Adds errors to ``report`` and returns ``None`` if the log is not usable.  Raises
+    ``DiagnosticError`` if the parameter set is unknown.
     """
     names = [""] * len(robot.wheels)
     if parameters is not None:
@@ -139,7 +162,7 @@ def calibrate(
         names = [name if name in dict(wheel.radii) else "" for wheel in robot.wheels]
         wheels = zip(robot.wheels, radii, strict=True)
         robot = replace(robot, wheels=tuple(replace(w, radius=r) for w, r in wheels))
-    # A log may contain any number; results that are not finite are rejected at the end.
+    # A log may contain any numbers.  Results that are not finite are rejected at the end.
     with np.errstate(all="ignore"):
         return _calibrate(robot, names, log, report, distance, Span(display) if display else None)
 
@@ -201,9 +224,10 @@ def _calibrate(
 
 
 def _difference_from_commands(log: JointLog, ticks: Ticks) -> float | None:
-    """Returns the median relative difference of wheel speeds from their commands.
+    """Returns the median relative difference between the wheel speeds and their commands.
 
-    The commands are delayed by the lag that fits best.  ``None``: the log has no commands.
+    The commands are delayed by the lag that fits best.  Returns ``None`` if the log has no
+    commands.
     """
     if not log.commands:
         return None
@@ -258,7 +282,8 @@ def _scale(
 ) -> float | None:
     """Returns the factor of all radii for which the ends of the path are ``distance`` m apart.
 
-    Newton's method on the logarithms of scale and distance.
+    The factor is computed by Newton's method on the logarithms of the scale and the distance.  Adds
+    an error to ``report`` and returns ``None`` if the log does not determine the factor.
     """
     if not bool(np.all(ticks.valid)):
         report.add(
@@ -280,7 +305,8 @@ def _scale(
     unscaled = distance_of_ends(1.0)
     scale, growth = 1.0, 1.0
     for _ in range(20):
-        # On a path that turns, a larger scale turns it more, and the distance need not grow.
+        # A larger scale also increases the angle by which the robot turns.  On a path that turns,
+        # the distance may therefore not grow with the scale.
         growth = (
             math.log(distance_of_ends(scale * 1.001) / distance_of_ends(scale * 0.999)) / 0.002
             if unscaled > 1.0
@@ -308,7 +334,10 @@ def _scale(
 
 
 def _offset_in_use(wheel: WheelCalibration) -> float:
-    """Returns the new offset (rad) if it is determined, else the present one."""
+    """Returns the steering offset (rad) that the calibrated robot uses.
+
+    This offset is the estimated value if the log determines it, else the present value.
+    """
     offset = wheel.offset
     return offset.value if offset is not None and offset.determined else wheel.present_offset
 
