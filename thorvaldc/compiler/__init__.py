@@ -1,4 +1,4 @@
 """The compiler reads robot, fleet and scenario files and builds the model.
 
-Start reading in the module ``pipeline``.
+The module ``pipeline`` runs the stages of the compiler.
 """

@@ -1,4 +1,4 @@
-"""The input file of a compilation (``SourceFile``) and the result (``Compilation``)."""
+"""Defines the classes for the input file and the result of a compilation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 
-if TYPE_CHECKING:  # Robot files need no scenario classes; the import takes milliseconds.
+# The import of the scenario classes takes milliseconds.  Only type checkers need the import.
+if TYPE_CHECKING:
     from thorvaldc.compiler.source.node import Node
     from thorvaldc.model.scenario import Scenario
 

@@ -51,7 +51,7 @@ def read_fleet(
             robot_source = open_named_file(source, file_node, report)
             if robot_source is None:
                 continue
-            if robot_source.kind != "robot":  # A fleet in a fleet could contain itself.
+            if robot_source.kind != "robot":  # A fleet that names a fleet could contain itself.
                 report.add(
                     "fleet-in-fleet",
                     f"`{file_name}` is a {robot_source.kind}; a robot is needed",

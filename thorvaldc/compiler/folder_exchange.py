@@ -16,11 +16,13 @@ STAGE_PREFIX = ".thorvaldc-"
 
 @contextlib.contextmanager
 def staging_folder(target: Path) -> Iterator[Path]:
-    """Creates a staging folder on the file system of ``target``, and deletes it at the end.
+    """Creates a staging folder, and deletes the staging folder at the end of the ``with`` block.
 
-    The staging folder is beside the target.  If this is not possible, the staging folder is in
-    the target.  A process locks its staging folder.  An unlocked staging folder was left by a
-    killed process, and this function deletes it.
+    The staging folder is on the same file system as ``target``.  The staging folder is beside the
+    target if a folder can be created there, and otherwise inside the target.
+
+    Each process locks the staging folder that it uses.  An unlocked staging folder was left by a
+    killed process and is deleted.
     """
     parents = [target.parent]
     if target.exists():
@@ -91,7 +93,7 @@ def _lock(folder: Path, *, wait: bool) -> int | None:
     Returns ``None`` if the folder cannot be locked.
     """
     try:
-        import fcntl  # The module does not exist on Windows.
+        import fcntl  # The module `fcntl` does not exist on Windows.
 
         handle = os.open(folder, os.O_RDONLY)
     except (ImportError, OSError):
@@ -120,7 +122,7 @@ def exchange(first: Path, second: Path) -> bool:
 
     Returns ``False`` if the operating system does not support the exchange.
     """
-    import ctypes  # Only the replacement of an old build needs this module.
+    import ctypes  # The module `ctypes` is needed only to replace an old build.
 
     try:
         library = ctypes.CDLL(None, use_errno=True)

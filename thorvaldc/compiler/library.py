@@ -26,7 +26,7 @@ Content = TypeVar("Content")
 _PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
 PALETTE = "palette.yaml"
-BUILTIN_LIBRARY = "<library>"  # Spans contain this name instead of the installed path.
+BUILTIN_LIBRARY = "<library>"  # Spans show this name instead of the path of the built-in library.
 
 
 @cache
@@ -63,7 +63,10 @@ class ModuleType:
 
     @property
     def category(self) -> str:
-        """Category of the module type.  The default is the first part of the name."""
+        """Category of the module type.
+
+        The default category is the first part of the name of the module type.
+        """
         category = self.document.get("category")
         return str(category.value) if category is not None else self.name.split("/")[0]
 
@@ -141,7 +144,7 @@ class Library:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Paths of the library files that were read, by the names of the files in spans."""
+        """Path of each library file that was read, by the name of the file in spans."""
         return dict(self._files)
 
     def exists(self, name: str) -> bool:
@@ -151,7 +154,8 @@ class Library:
         """Returns the module type with this name.
 
         Returns ``None`` and reports an error if the module type is unknown or not valid.
-        ``node``: node of the document that contains the name; errors are reported at its span.
+        ``node``: node of the document that contains the name.  Errors are reported at the span of
+        the node.
         """
         if name in self._types:
             return self._types[name]

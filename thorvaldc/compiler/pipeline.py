@@ -1,13 +1,13 @@
 """Runs the stages of the compiler.
 
-The stages for a robot file are:
+A robot file passes six stages:
 
-1. Read the YAML file.
-2. Check the document against the schema.
-3. Resolve the document to a tree of module instances.
-4. Elaborate the tree of module instances to the model.
-5. Check the model.
-6. Emit the files of the targets.
+- Stage 1 reads the YAML file.
+- Stage 2 checks the document against the schema.
+- Stage 3 resolves the document to a tree of module instances.
+- Stage 4 elaborates the tree of module instances to the model.
+- Stage 5 checks the model.
+- Stage 6 emits the files of the targets.
 
 `compile_file` runs the stages 1 to 5 and returns a `Compilation`, which contains the model and
 all diagnostics.  `emit` runs stage 6 and returns the files of the targets in memory.
@@ -38,7 +38,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
 
-if TYPE_CHECKING:  # Robot files need no scenario classes; the import takes milliseconds.
+# The import of the scenario classes takes milliseconds.  Only type checkers need the import.
+if TYPE_CHECKING:
     from thorvaldc.compiler.scenario.variations import Change
 
 MODEL_FILE = "model.json"
@@ -67,7 +68,7 @@ def compile_file(
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
     if source.kind == "scenario":
-        # Imported here because robot files do not need the module.
+        # The import is here because only scenario files need the module.
         from thorvaldc.compiler.scenario_compilation import compile_scenario
 
         return compile_scenario(source, partial(_compile, library=library), robot, changes)
@@ -77,7 +78,7 @@ def compile_file(
 def _compile(source: SourceFile, library: Sequence[Path]) -> Compilation:
     """Compiles a robot or fleet file."""
     if source.kind == "fleet":
-        # Imported here because robot files do not need the module.
+        # The import is here because only fleet files need the module.
         from thorvaldc.compiler.fleet_compilation import compile_fleet
 
         return compile_fleet(source, partial(_compile, library=library))
@@ -127,7 +128,7 @@ def emit(
     cannot express is reported at the span in the model.  Raises ``KeyError`` if a target is
     unknown.
     """
-    # Imported here because the command `check` does not need the statics.
+    # The imports are here because the command `check` does not need the statics.
     from thorvaldc.backends.statics_backend import StaticsBackend
     from thorvaldc.model.statics.standing_pose import solve_statics
 

@@ -190,7 +190,7 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():
         with locked(target.parent):
-            # The check here raises an error before any file is written.
+            # Raise an error before any file is written.
             _check_content(_list_content(target), files, shown)
     with staging_folder(target) as stage:
         _fill(stage, files)
@@ -248,7 +248,7 @@ def _list_content(target: Path) -> _FolderContent:
     for root, folders, names in os.walk(target, onerror=_raise):
         here = Path(root)
         folders[:] = sorted(f for f in folders if not f.startswith(STAGE_PREFIX))
-        # A symbolic link to a folder counts as a file; its content is not listed.
+        # A symbolic link to a folder counts as a file.  Files in a linked folder are not listed.
         links = [f for f in folders if (here / f).is_symlink()]
         relative = here.relative_to(target)
         paths = [(relative / name).as_posix() for name in sorted([*names, *links])]
@@ -256,7 +256,7 @@ def _list_content(target: Path) -> _FolderContent:
         if not folders and not names and here != target:
             user_files.append(f"{relative.as_posix()}/")
         if built is None and user_files:
-            break  # The folder is rejected.  It may be a home folder with many files.
+            break  # The folder is rejected, and it may be a home folder with many files.
     return _FolderContent(built, user_files)
 
 

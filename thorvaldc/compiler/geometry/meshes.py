@@ -29,10 +29,11 @@ CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
 _RECORD = struct.Struct("<12xfffffffff2x")
-# ``bytes.translate`` with these tables tests the last byte of each little-endian float32.  The
-# last byte contains the sign and the upper 7 bits of the exponent.  The first table contains the
-# bytes of numbers with a magnitude below 1.7e38, which excludes infinity and NaN.  The second
-# table contains the bytes of numbers with a magnitude below 8.
+# The function ``bytes.translate`` tests the last byte of each little-endian float32 with the
+# tables ``_BELOW_HUGE`` and ``_BELOW_8``.  The last byte contains the sign and the upper 7 bits of
+# the exponent.  ``_BELOW_HUGE`` contains the last bytes of numbers with a magnitude below 1.7e38,
+# which excludes infinity and NaN.  ``_BELOW_8`` contains the last bytes of numbers with a
+# magnitude below 8.
 _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
 _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 

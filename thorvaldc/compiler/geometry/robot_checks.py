@@ -188,8 +188,9 @@ def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Checks the tip-over angle of the robot.
 
-    The tip-over angle is atan(d / h).  d is the horizontal distance of the centre of mass from the
-    nearest edge of the convex hull of the contact points.  h is the height of the centre of mass.
+    The tip-over angle is atan(d / h), where h is the height of the centre of mass, and d is the
+    horizontal distance from the centre of mass to the nearest edge of the support polygon.  The
+    support polygon is the convex hull of the contact points of the wheels.
     """
     hull = _convex_hull([contact_point(wheel) for wheel in robot.wheels])
     x, y, z = robot.inertial.com

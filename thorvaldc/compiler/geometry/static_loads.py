@@ -6,8 +6,8 @@ The wheels of a standing robot carry the weight W of the robot.  The wheel i has
     sum N_i = W,   sum N_i x_i = W x,   sum N_i y_i = W y.
 
 For more than three wheels, the three equations have many solutions.  If all wheels have the same
-vertical stiffness and the body is rigid, the loads are N_i = a + b x_i + c y_i.  The solution of
-this form is also the solution with the least sum of squares of the loads.
+vertical stiffness and the body is rigid, the loads are N_i = a + b x_i + c y_i.  The loads
+a + b x_i + c y_i are also the solution with the least sum of squares.
 
 A rocker adds one equation, because the moments of the wheels about the joint of the rocker are in
 balance.  The loads of a robot with rockers are computed directly as the least-squares solution.

@@ -254,8 +254,8 @@ def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree:
 def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
     """Returns the quaternion (w, x, y, z) of the shortest rotation from the z axis to a vector.
 
-    ``axis`` is a unit vector.  The shortest rotation to -z is not unique.  In this case, the
-    function returns half a turn about x.
+    ``axis`` is a unit vector.  The shortest rotation to -z is not unique.  For -z, the function
+    returns half a turn about x.
     """
     if axis[2] < -1 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)

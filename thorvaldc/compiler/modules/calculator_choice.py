@@ -13,7 +13,7 @@ from thorvaldc.model.robot import CalculatorChoice, Robot
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
     """Returns the name and options of the base calculator that the document chooses.
 
-    The default is the general calculator.
+    The default base calculator is the general calculator.
     """
     node = document.get("base_calculator")
     if node is None:
@@ -40,7 +40,7 @@ def check_calculator(robot: Robot, document: Node, report: Report) -> None:
     """
     if robot.calculator == CalculatorChoice():
         return  # The general calculator suits every robot.
-    # Imported here because most robots use the general calculator.
+    # The import is here because most robots use the general calculator.
     from thorvaldc.runtime import calculators
 
     choice = document.get("base_calculator")

@@ -24,9 +24,10 @@ from thorvaldc.model.spatial import clean
 
 # Range of the rate of the base driver in Hz.  A CAN bus cannot serve cycles shorter than 1 ms.
 MIN_RATE, MAX_RATE = 1.0, 1000.0
-# Default rate in Hz.  The base driver of the original system has the same default for `rate`.
+# Default rate of the base driver in Hz.  The parameter `rate` of the original base driver has the
+# same default value.
 DEFAULT_RATE = 50.0
-# Default command time-out in s.  The original system has the same command time-out.
+# Default command time-out in s.  The original base driver has the same command time-out.
 DEFAULT_TIMEOUT = 0.5
 # Least distance in m of a wheel from the centre of the base, for the limit of the turning rate.
 # A wheel near the centre would otherwise allow a nearly infinite turning rate.
@@ -222,5 +223,5 @@ class DriverSettingsReader:
 
 
 def _finite(value: float) -> float:
-    """Returns 0 for infinity: no driven wheel limits the robot."""
+    """Returns the limit, or 0 for an infinite limit if the robot has no driven wheels."""
     return clean(value) if math.isfinite(value) else 0.0

@@ -49,7 +49,8 @@ def add_extras(
 
     def attach(reference: str | None) -> Attachment | None:
         if reference is None:
-            return Attachment(parts.links[1].name, Pose())  # First link of the root module.
+            # The first link after `base_link` is the first link of the root module.
+            return Attachment(parts.links[1].name, Pose())
         link_and_pose = finder.find(reference)
         return Attachment(*link_and_pose) if link_and_pose is not None else None
 

@@ -165,8 +165,8 @@ class Mounting:
         A chain of mounts may end at a module with an invalid mount, because the invalid mount has
         already been reported.
         """
-        # The value for a leaf is true if the chain of mounts from the leaf ends.  The value is
-        # false if the chain is a cycle.  The loop visits each leaf once.
+        # For each leaf, the dictionary `chain_ends` contains true if the chain of mounts that
+        # starts at the leaf ends, and false if the chain is a cycle.  Each leaf is visited once.
         chain_ends: dict[int, bool] = {}
         for leaf in robot.leaves():
             chain = [leaf]

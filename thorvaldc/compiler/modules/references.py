@@ -78,8 +78,8 @@ class References:
             return None
         part, rest = part_and_rest
         if not rest and part.parent is not None and part.parent is not inside:
-            # A part of an assembly and a motor of the assembly may have the same name.  Then
-            # `fl.steering` names the motor.
+            # A part of an assembly and a motor of the assembly may have the same name.  A
+            # reference such as `fl.steering` then names the motor.
             name = reference.rpartition(".")[2]
             if part.parent.type is not None and name in part.parent.type.section(section):
                 part, rest = part.parent, [name]

@@ -40,7 +40,7 @@ class Resolver:
         A module instance with an invalid `mount` entry gets no mount.
 
         ``invalid_modules``: names of the modules that were removed from the document because of
-        invalid values.  The errors have already been reported.
+        invalid values.  The errors of the invalid values have already been reported.
         """
         scope = Scope(None, {}, self.library, self.report, None)
         robot = Instance("", None, scope, document, document.span, None)
@@ -58,7 +58,7 @@ class Resolver:
         return robot
 
     def expand(self, parent: Instance, name: str, entry: Node) -> None:
-        """Adds a module to ``parent``.  If the module is an assembly, its modules are added, too.
+        """Adds a module to ``parent``, including all modules of an assembly.
 
         ``name``: name of the module.  ``entry``: entry of the document that defines the module.
         """
@@ -145,12 +145,13 @@ class Resolver:
     ) -> dict[str, tuple[Node, Scope]]:
         """Returns the parameter values of a module, each with the scope for expressions.
 
-        The sources of parameter values are, in order of priority:
+        The parameter values come from four sources:
 
-        1. the value of a `module` parameter that chooses the module,
-        2. `params` of the entry,
-        3. `defaults` of the robot document, for modules that are not in an assembly,
-        4. `suggests` of the port that the module is mounted on.
+        - The first priority is the value of a `module` parameter that chooses the module.
+        - The second priority is the section `params` of the entry.
+        - The third priority is the section `defaults` of the robot document.  The section applies
+          only to modules that are not in an assembly.
+        - The last priority is the section `suggests` of the port that the module is mounted on.
         """
         arguments = {k: (node, parent.scope) for k, node in entries(entry.get("params")).items()}
         arguments.update(chosen_arguments)
@@ -237,7 +238,8 @@ class Resolver:
     def _check_devices(self, inside: Instance) -> None:
         """Checks the sections `can` and `channels` of the modules.
 
-        Only a CAN device may have the sections.  Each channel must name an existing motor.
+        Only a CAN device may have the sections `can` and `channels`.  Each channel must name an
+        existing motor.
         """
         for leaf in inside.leaves():
             if leaf.type is None:

@@ -97,7 +97,7 @@ class ModuleChoice(Mapping[str, Any]):
     __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
-        """Returns true, so that a choice is true in an expression also without parameters."""
+        """Returns true, because a chosen module is true in an expression."""
         return True
 
 
@@ -242,7 +242,7 @@ class Scope(ValueReader):
         kind = _kind(declaration)
         quantity = _text(declaration, "quantity") or "ratio"
         if node.value is None or (node.value == NONE and kind != "module"):
-            # Only the default of a parameter may be `none`.  Expressions can test for `none`.
+            # Only the default of a parameter may be `none`, and expressions can test for `none`.
             if is_default:
                 return None
             self.report.add(
@@ -346,7 +346,7 @@ class Scope(ValueReader):
             if limit is not INVALID and sign * value < sign * limit:
                 limit_text = f"{limit:g}"
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
-                    limit_text = limit_node.value  # The text of the limit with the unit.
+                    limit_text = limit_node.value  # The message shows the limit with its unit.
                 self.report.add(
                     "param-range",
                     f"`{name}` is {describe_value(node, value)}; "

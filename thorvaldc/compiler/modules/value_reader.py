@@ -51,8 +51,8 @@ def items(node: Node | None) -> tuple[Node, ...]:
 class ValueReader(Mapping[str, Any]):
     """Reads scalars, quantities, vectors and poses of a document.
 
-    A ``ValueReader`` is a mapping of the names that expressions may use.  The mapping is empty in
-    this class.  In the subclass ``Scope``, the mapping contains the names of a module.
+    A ``ValueReader`` is a mapping of the names that expressions may use.  The mapping of a plain
+    ``ValueReader`` is empty.  The subclass ``Scope`` contains the names of a module.
     """
 
     def __init__(self, report: Report) -> None:
@@ -70,8 +70,8 @@ class ValueReader(Mapping[str, Any]):
     def value(self, node: Node) -> Any:
         """Returns the value of a node, or the value of the expression in the node.
 
-        Returns ``INVALID`` if there is an error.  Returns ``None`` for a module parameter with
-        the value `none`.
+        Returns ``INVALID`` if the value has an error.  Returns ``None`` for a module parameter
+        with the value `none`.
         """
         value = node.value
         if value is None:

@@ -61,7 +61,8 @@ class ObstacleReader:
     def _line(self, node: Node) -> tuple[Pose, float]:
         """Returns the pose and the length (m) of the line between the points `from` and `to`.
 
-        The origin of the pose is the centre of the line.  The x axis points along the line.
+        The origin of the pose is the centre of the line.  The x axis of the pose points along the
+        line.
         """
         x0, y0 = self._quantities.pair(node, "from", (0.0, 0.0))
         x1, y1 = self._quantities.pair(node, "to", (1.0, 0.0))
@@ -140,8 +141,8 @@ class ObstacleReader:
     def _add_crop(self, node: Node, name: str) -> None:
         """Adds rows of plants.
 
-        The pose in the document is the pose of the first plant.  The rows run along the x axis of
-        the pose.
+        The pose in the document is the pose of the first plant.  The rows of plants run along the
+        x axis of the pose.
         """
         first, quantities = self._quantities.planar_pose(node), self._quantities
         rows, plants = _count(node, "rows"), _count(node, "plants")
@@ -164,8 +165,8 @@ class ObstacleReader:
     def _add_tunnel(self, node: Node, name: str) -> None:
         """Adds the two rows of posts of a polytunnel.
 
-        The pose in the document is the middle of the entrance.  The rows run along the x axis of
-        the pose.
+        The origin of the pose in the document is the middle of the entrance.  The rows of posts
+        run along the x axis of the pose.
         """
         entrance, quantities = self._quantities.planar_pose(node), self._quantities
         length = quantities.positive(node, "length", "length", 10.0)

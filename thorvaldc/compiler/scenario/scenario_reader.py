@@ -107,7 +107,10 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
 
 
 def _record_groups(record: Node | None) -> tuple[str, ...]:
-    """Returns the groups of columns that a run records.  The default is all groups."""
+    """Returns the groups of columns that a run records.
+
+    By default, a run records all groups of columns.
+    """
     named = {str(node.value) for node in items(record.get("what") if record else None)}
     return tuple(group for group in GROUPS if not named or group in named)
 
@@ -123,8 +126,8 @@ class _SectionReader:
     def commands(self, script: Node | None) -> tuple[tuple[str, tuple[Command, ...]], ...]:
         """Returns the scripted commands of each robot in the order of time.
 
-        The script may name a log instead of commands.  In this case, the method returns no
-        commands, and the module ``scenario_compilation`` reads the log.
+        The script may name a log instead of commands.  If the script names a log, the method
+        returns no commands, and the module ``scenario_compilation`` reads the log.
         """
         commands: dict[str, list[Command]] = {name: [] for name in self.robots}
         if script is not None and (robot_node := script.get("robot")) is not None:

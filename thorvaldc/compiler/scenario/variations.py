@@ -32,8 +32,8 @@ _RANGE = re.compile(rf"(\s*{_NUMBER}[^.]*?)\.\.({_NUMBER}.*)", re.ASCII)
 class Change(NamedTuple):
     """A new value for an entry of a document.
 
-    ``path`` is the dotted path of the entry.  ``value`` is the new value.  ``value.where`` is the
-    span of the path.
+    ``path`` is the dotted path of the entry.  ``value`` is the new value of the entry.
+    ``value.where`` is the span of the path.
     """
 
     path: str

@@ -18,7 +18,10 @@ DEFAULT_SIZE = (30.0, 30.0)  # Default length and width of rough ground (m).
 
 
 def read_world(document: Node, quantities: BoundedQuantities, report: Report) -> World:
-    """Returns the world of a scenario document.  The default is level ground without obstacles."""
+    """Returns the world of a scenario document.
+
+    The default world is level ground without obstacles.
+    """
     node = document.get("world")
     if node is None:
         return World(Ground())
