@@ -21,8 +21,8 @@ from thorvaldc.diagnostics.report import Span
 TAB = 4
 _ELLIPSIS = "…"
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
-# Control characters and marks that change the direction of text.  These characters could hide
-# a part of a source line in a terminal.
+# Characters that could hide a part of a source line in a terminal: control characters, and marks
+# that change the direction of text.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _HIGH_CONTROLS = re.compile("[\x7f-\x9f\u2028\u2029]")
 
@@ -58,9 +58,9 @@ class Excerpt:
 
 
 class Excerpts:
-    """Returns the source lines of spans.  Reads each source file only once.
+    """Reads the source lines of source spans.  Each source file is read only once.
 
-    ``sources``: path of each file name in the spans.
+    ``sources``: path of each file name in the source spans.
     ``width``: maximum width of an output line in terminal columns.
     """
 
@@ -117,8 +117,8 @@ class _Line:
     """The layout of a source line in a terminal.
 
     ``cells``: text that the terminal shows for each character.
-    ``starts``: terminal column of each character.  A further element contains the column after
-    the last character.
+    ``starts``: terminal column of each character.  The last element of ``starts`` is the column
+    after the last character.
     ``stripped``: number of characters without blanks at the end of the line.
     """
 
@@ -178,7 +178,7 @@ def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
     length = min(end - begin, width - 2)
     left = max(0, min(begin - (width - length) // 2, total - width + 1))
     right = left + width
-    # A cut keeps whole characters.  At each cut, one column is reserved for the character `…`.
+    # The visible part consists of whole characters.  At each cut, one column is reserved for `…`.
     first = bisect.bisect_left(line.starts, left + (left > 0))
     last = bisect.bisect_right(line.starts, right - (right < total)) - 1
     text = "".join(line.cells[first:last]).rstrip()

@@ -25,7 +25,7 @@ def find_code(number_or_name: str) -> Code:
     """Returns a diagnostic code by its number or name.
 
     ``number_or_name``: ``TV501``, ``501`` or ``can-id-duplicate``, for example.
-    Raises ``UnknownCode`` if there is no such code.
+    Raises ``UnknownCode`` if no diagnostic code has this number or name.
     """
     text = number_or_name.strip()
     if text.lower() in CODES:

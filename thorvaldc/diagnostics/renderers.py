@@ -56,8 +56,8 @@ def render_text(
 ) -> str:
     """Returns a report as text for a terminal.
 
-    Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The
-    source lines and the hint follow.
+    Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The text
+    of a diagnostic also contains the source lines and the hint.
 
     ``color``: whether the text contains ANSI escape sequences for colours.
     ``width``: maximum width of a source line in terminal columns.
@@ -84,8 +84,8 @@ class _Mark:
 def _marks(diagnostic: Diagnostic, style: str) -> list[_Mark]:
     """Returns the marks of a diagnostic in the order of output.
 
-    Marks in the file of the diagnostic come first, in the order of their lines.  Marks in other
-    files follow.
+    A mark is a source span that the output shows.  Marks in the file of the diagnostic come
+    first, in the order of their lines.  Marks in other files follow.
     """
     span = diagnostic.span
     marks = [_Mark(span, "^", "", style)] if span is not None else []
@@ -202,7 +202,7 @@ def _github(diagnostic: Diagnostic) -> str:
         properties["file"] = printable(span.file)
         properties["line"] = str(span.line)
         properties["endLine"] = str(span.end_line)
-        if span.end_line == span.line:  # GitHub accepts columns only within one line
+        if span.end_line == span.line:  # GitHub accepts columns only for one line
             properties["col"] = str(span.column)
             properties["endColumn"] = str(max(span.end_column, span.column))
     properties["title"] = f"{diagnostic.code.number} {diagnostic.code.name}"

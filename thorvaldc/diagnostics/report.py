@@ -12,6 +12,8 @@ from thorvaldc.diagnostics.codes import CODES, Code
 
 
 class Severity(enum.Enum):
+    """The severity of a diagnostic."""
+
     ERROR = "error"
     WARNING = "warning"
     NOTE = "note"
@@ -20,7 +22,9 @@ class Severity(enum.Enum):
 # `Span` is a named tuple because every YAML value has a span.  Python creates a named tuple in
 # half the time of a frozen dataclass.
 class Span(NamedTuple):
-    """A range of text in a file.  Lines and columns count from 1; the end is exclusive.
+    """A range of text in a file.
+
+    Lines and columns count from 1.  The end of the range is exclusive.
 
     ``file`` is the path from the command line, or a path relative to it.  Messages and outputs
     therefore do not depend on the folder of a checkout.
@@ -114,12 +118,13 @@ class Report:
 
     @contextlib.contextmanager
     def used_by(self, user: Label) -> Iterator[None]:
-        """Labels the diagnostics of a ``with`` block with the module instance that causes them.
+        """Adds a label at a module instance to the diagnostics of a ``with`` block.
 
         ``user``: label at the module instance in the robot file.
-        A diagnostic in another file gets the label ``user``.  A diagnostic in the library of
-        the project gets the source span of ``user``, because the user cannot change the
-        library.  Its original source span becomes a label.
+        A diagnostic in a module document gets the label ``user``, because the parameters of the
+        module instance can cause the diagnostic.  A diagnostic in the library of the project
+        gets the source span of ``user``, because the user cannot change the library.  The
+        original source span of the diagnostic becomes a label.
         """
         outer, self._user = self._user, user
         try:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
 
-    The comparison ignores upper and lower case.  It treats ``-``, ``_`` and a space as equal.
+    The comparison ignores upper and lower case.  The characters ``-``, ``_`` and space are equal.
     """
     candidates = list(dict.fromkeys(known))
     by_normal = {_normal(candidate): candidate for candidate in reversed(candidates)}

@@ -40,8 +40,8 @@ from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
-# Bit rates of CiA 301 above the default, in bit/s.  If the robot file sets no bit rate for a bus
-# and the default is too slow, the compiler tries these bit rates.
+# Bitrates of CiA 301 above the default, in bit/s.  If the robot file sets no bitrate for a bus
+# and the default is too slow, the compiler tries these bitrates.
 FASTER = (800_000, 1_000_000)
 
 NMT_COMMANDS = tuple((command.value, command.name.lower()) for command in NmtCommand)
@@ -66,7 +66,7 @@ def build_buses(
     ``sync_period``: control cycle in s.
     ``foreign``: section `foreign_devices` of the robot file.
     ``lock``: node ids of the last build, from the lock file.
-    Returns no buses for a robot without devices, or if a bit rate is not positive.
+    Returns no buses for a robot without devices, or if a bitrate is not positive.
     """
     for spec in specs:
         if spec.bitrate <= 0:
@@ -164,9 +164,9 @@ def _timed(bus: Bus) -> Bus:
 
 
 def _fast_enough(bus: Bus, report: Report) -> Bus:
-    """Increase the bit rate of a bus if the CAN frames exceed the load limit or their deadlines.
+    """Increase the bitrate of a bus if the CAN frames exceed the load limit or their deadlines.
 
-    This function is called only for a bus whose bit rate is not in the robot file.
+    This function is called only for a bus whose bitrate is not in the robot file.
     """
     faster_bus = bus
     for bitrate in FASTER:

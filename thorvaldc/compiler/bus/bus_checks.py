@@ -1,6 +1,6 @@
 """Checks the CAN buses of a robot.
 
-The checks cover node ids, bit rates, COB-IDs, names, heartbeats, bus load and deadlines.
+The checks cover node ids, bitrates, COB-IDs, names, heartbeats, bus load and deadlines.
 A diagnostic about two devices contains the source spans of both devices.
 """
 
@@ -190,7 +190,7 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Report the devices that do not support the bit rate of their bus, in one diagnostic."""
+    """Report the devices that do not support the bitrate of their bus, in one diagnostic."""
     limited = [device for device in placed if device.node.bitrates]
     unable = [device for device in limited if bus.bitrate not in device.node.bitrates]
     if not unable:

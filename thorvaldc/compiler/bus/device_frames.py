@@ -35,6 +35,10 @@ NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtS
 
 
 def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
+    """Return the motor parameters that expressions in the section `can` can use, by channel.
+
+    Speeds are in rad/s, accelerations in rad/s^2 and joint limits in rad.
+    """
     return {
         wire.channel: {
             "gear_ratio": wire.actuator.gear_ratio,
@@ -52,6 +56,12 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
 def frames_of(
     device: Device, node_id: int, sync_period: float, report: Report
 ) -> Iterator[FrameDefinition]:
+    """Yield the CAN frames of a device.
+
+    ``node_id``: node id of the device.
+    ``sync_period``: control cycle in s.
+    Reports an error for each invalid frame, and leaves the frame out of the result.
+    """
     scope, name = device.scope, device.name
     for key, node in entries(device.can.get("frames")):
         cob_id = _cob_id(device, key, node, report)
@@ -197,6 +207,13 @@ def standard_frames(
 def heartbeat(
     prefix: str, cob_id: int, producer: str, consumers: tuple[str, ...], period: float, here: Span
 ) -> FrameDefinition:
+    """Return the definition of a heartbeat frame (CiA 301).
+
+    ``prefix``: first part of the name of the frame.
+    ``producer``: node that sends the heartbeat.
+    ``consumers``: nodes that monitor the heartbeat.
+    ``period``: heartbeat period in s.
+    """
     return FrameDefinition(
         f"{prefix}_heartbeat",
         cob_id,
@@ -365,7 +382,10 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 
 
 def _time(device: Device, node: Node, report: Report) -> float | None:
-    """Return a time in s.  If the time is not positive, report an error and return ``None``."""
+    """Return the time (s) in a document.
+
+    If the time is not positive, reports an error and returns ``None``.
+    """
     time = device.scope.quantity(node, "time", math.nan)
     if time > 0.0:
         return time

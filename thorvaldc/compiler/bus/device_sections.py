@@ -80,9 +80,9 @@ class Placed(NamedTuple):
 class BusSpec(NamedTuple):
     """A bus of the robot.
 
-    ``bitrate``: bit rate in bit/s.
+    ``bitrate``: bitrate in bit/s.
     ``span``: source span of the bus in the robot file.
-    ``stated``: whether the robot file contains the bit rate.
+    ``stated``: whether the robot file contains the bitrate.
     """
 
     name: str

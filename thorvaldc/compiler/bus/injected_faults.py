@@ -104,7 +104,7 @@ class _Reader:
         if device is None:
             if kind.node != "yes":
                 return buses[0] if buses else None, None
-            return None, None  # `_has_keys` reports the missing key
+            return None, None  # the method `_has_keys` reports the missing key `node`
         for bus in buses:
             for candidate in bus.nodes:
                 if candidate.name == device.value:
@@ -121,7 +121,7 @@ class _Reader:
     def _has_keys(self, node: Node, name: str, kind: FaultKind) -> bool:
         """Check that an injected fault has all required keys and exactly one start condition.
 
-        Also reports unknown keys.
+        Reports missing, conflicting and unknown keys of the injected fault.
         """
         entries = node.value if isinstance(node.value, dict) else {}
         needs = (*(("node",) if kind.node == "yes" else ()), *kind.needs)

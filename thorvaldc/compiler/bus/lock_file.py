@@ -38,7 +38,7 @@ def lock_path(robot: Path) -> Path:
 
 
 def read_lock(document: Node, report: Report) -> Lock:
-    """Return the node ids in a lock file.  Reports an error for each invalid entry."""
+    """Return the node ids in a lock file, and report each invalid entry of the lock file."""
 
     def report_error(message: str, node: Node) -> None:
         report.add(

@@ -31,8 +31,8 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
-# Number of missed heartbeats after which a node counts as lost.  This number applies if the
-# module document contains no `heartbeat_timeout`.
+# If a module document contains no `heartbeat_timeout`, a node counts as lost after this number of
+# missed heartbeats.
 HEARTBEATS_MISSED = 3
 
 
@@ -71,8 +71,8 @@ def assign_ids(
     ``specs``: buses of the robot.
     ``sync_period``: control cycle in s.
     ``lock``: node ids of the last build.
-    Reports an error for a device that cannot get a node id.  The result does not contain such a
-    device.
+    Reports an error for a device that cannot get a node id, and leaves the device out of the
+    result.
     """
     requests = [(device, _request(device, specs, report)) for device in devices]
     taken: Taken = {}
@@ -323,7 +323,7 @@ def _node(
 def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
     """Return the value of a device property.
 
-    A quantity is converted to SI units.  Other text is returned unchanged.
+    A quantity is converted to SI units.  A text that is not a quantity is returned unchanged.
     """
     value = scope.evaluate(node)
     if isinstance(value, str) and not node.quoted:

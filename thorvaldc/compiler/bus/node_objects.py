@@ -23,8 +23,8 @@ from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node, ObjectValue
 DEVICE_TYPE, ERROR_REGISTER, SYNC_COB_ID, EMCY_COB_ID = 0x1000, 0x1001, 0x1005, 0x1014
 HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER, IDENTITY = 0x1016, 0x1017, 0x1018
 LONGEST_TIME = 0xFFFF  # longest time in ms that fits into 16 bits
-# Index of the communication parameters of the first PDO.  The index of the mapping parameters is
-# 0x200 higher.
+# Index of the communication parameters of the first PDO.  The index of the mapping parameters of
+# a PDO is 0x200 higher than the index of its communication parameters.
 RPDO, TPDO = 0x1400, 0x1800
 AT_SYNC, ON_EVENT = 1, 255  # values of the PDO transmission type
 

@@ -112,8 +112,8 @@ class ExtrasJoiner:
     def new_file_links(self, links: Sequence[Link]) -> dict[str, Link]:
         """Returns the new links of a xacro file by name.
 
-        A URDF link without content can have the name of a link of the robot.  It then refers to
-        the link of the robot and is not a new link.
+        A xacro file can refer to a link of the robot by an empty URDF link of the same name.  The
+        result does not contain such empty URDF links.
         """
         new: dict[str, Link] = {}
         for link in links:
@@ -135,7 +135,7 @@ class ExtrasJoiner:
     ) -> dict[str, Joint]:
         """Returns the valid joints of a xacro file by the name of the child link.
 
-        ``links``: new links of the file by name.
+        ``links``: links that the xacro file defines, by name.
         """
         joint_to: dict[str, Joint] = {}
         names: dict[str, Span] = {}
@@ -241,10 +241,7 @@ class ExtrasJoiner:
         )
 
     def check_masses(self, links: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
-        """Checks that each moving link has a mass.
-
-        Links that are fixed to a moving link can provide its mass.
-        """
+        """Checks that each moving link, together with the links fixed to it, has a mass."""
 
         def mass(name: str, visited: tuple[str, ...]) -> float:
             inertial = links[name].inertial

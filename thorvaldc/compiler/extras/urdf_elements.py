@@ -31,7 +31,8 @@ class _Numbers:
     """A URDF attribute that contains numbers in SI units.
 
     ``count``: required number of numbers in the attribute.
-    ``default``: text of a missing attribute.  An attribute without a default is required.
+    ``default``: text that the reader uses if the attribute is missing.  An attribute without a
+    default is required.
     ``range``: allowed range of each number.
     ``range_code``: name of the diagnostic for a number outside the range.
     """
@@ -105,7 +106,7 @@ ELEMENTS: dict[str, _Content] = {
 def call_labels(element: Element) -> tuple[Label, ...]:
     """Returns labels at the macro calls that created an element.
 
-    The innermost macro call comes first.
+    The label at the innermost macro call comes first.
     """
     return tuple(Label(span, "in the macro called here") for span in element.calls[:4])
 
@@ -114,7 +115,7 @@ class ElementReader:
     """Reads the attributes of URDF elements.
 
     ``report``: report that receives the errors.
-    ``macros``: names of the xacro macros in the file.  Hints can suggest these names.
+    ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
     If an attribute has an error, a method adds a diagnostic and returns ``None``.
     """
 

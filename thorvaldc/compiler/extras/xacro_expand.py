@@ -40,8 +40,8 @@ class Element:
     ``span``: source span at which a xacro file defines the element.
     ``calls``: source spans of the macro calls that created the element, the innermost first.
     ``file``: xacro file that defines the element.
-    ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The text is empty for a link, a
-    joint or a material.
+    ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The XML text is empty for all
+    other elements.
     """
 
     tag: str
@@ -54,7 +54,7 @@ class Element:
     xml: str = ""
 
     def find(self, tag: str) -> Element | None:
-        """Returns the first child with this tag."""
+        """Returns the first child element with the name ``tag``, or ``None``."""
         return next((child for child in self.children if child.tag == tag), None)
 
 
@@ -63,7 +63,7 @@ class Macro:
     """A xacro macro.
 
     ``required``: names of the parameters without a default.
-    ``span``: source span of the definition.
+    ``span``: source span of the macro definition.
     ``called``: whether the file calls the macro.
     """
 
@@ -209,7 +209,7 @@ def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[Ex
 def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Starts a worker process and returns its answers, one per xacro file.
 
-    If the worker process ends early, the last answer is a failure.  The remaining files then
+    If the worker process ends early, the last answer is a failure.  The files after the failure
     have no answer.
     """
     if find_spec("xacro") is None:
@@ -223,11 +223,11 @@ def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     request = json.dumps({"path": path, "entries": entries}).encode()
     answers: list[dict[str, Any]] = []
     environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
-    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without this variable
+    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without the variable SYSTEMROOT
         environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
     process = subprocess.Popen(
-        # The options exclude the site packages, the folder of the user and the folder of the
-        # script from the module path.  They also prevent the writing of .pyc files.
+        # The Python options exclude the site packages, the folder of the user and the folder of
+        # the script from the module path.  The option -B prevents the writing of .pyc files.
         [sys.executable, "-s", "-S", "-P", "-B", xacro_worker.__file__],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -277,7 +277,7 @@ class Expansion:
     def with_definition(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps the method ``Table._resolve_`` of xacro.
 
-        If a property cannot be evaluated, adds its definition to the trail of the error.
+        If a property has an error, adds the position of its definition to the trail of the error.
         """
 
         def call(table: Any, key: str) -> Any:
@@ -373,7 +373,7 @@ class Expansion:
         }
 
     def run(self) -> dict[str, Any]:
-        """Expands the xacro file.  The functions of xacro must already be replaced."""
+        """Expands the xacro file.  The caller must have replaced the functions of xacro."""
         path = self.entry["file"]
         arguments = _Arguments(self.entry["args"])
         self.xacro.init_stacks(path)
@@ -476,7 +476,7 @@ def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
 def _find_cause(error: BaseException | None, type_: type[Any]) -> Any:
     """Searches an exception and its causes for an exception of type ``type_``.
 
-    Returns the first such exception, or ``None``.
+    Returns the first exception of this type, or ``None``.
     """
     count = 0
     while error is not None and count < 50:

@@ -1,4 +1,4 @@
-"""Reads CSV files with one number per column and time.
+"""Reads CSV files that contain numbers over time.
 
 The first line of a file contains the names of the columns.  One column has the name ``time``.
 """

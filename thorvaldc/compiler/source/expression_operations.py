@@ -62,9 +62,10 @@ def _require_number(value: Any, offset: int, name: str) -> Number:
 
 
 def _require_truth(value: Any, offset: int, name: str) -> bool:
-    """Returns the truth value of an operand.  Raises ``ExpressionError`` if it has no truth value.
+    """Returns the truth value of an operand.
 
     A parameter that selects a module is true.  A parameter with the value ``none`` is false.
+    Raises ``ExpressionError`` if the operand has no truth value.
     """
     if isinstance(value, bool):
         return value
@@ -78,7 +79,7 @@ def _require_truth(value: Any, offset: int, name: str) -> bool:
 
 
 def _require_finite(value: Any, offset: int) -> Any:
-    """Returns the result of an operation unchanged.
+    """Checks the result of an operation, and returns the result unchanged.
 
     Raises ``ExpressionError`` if a float is not finite or an integer exceeds 64 bits.
     """
@@ -190,7 +191,8 @@ def logical(word: str, decisive: bool, operands: list[Evaluate], offset: int) ->
     """Returns a closure for the operator ``and`` or ``or``.
 
     ``word``: name of the operator in error messages.
-    ``decisive``: operand value that decides the result.  It is false for ``and``, true for ``or``.
+    ``decisive``: operand value that decides the result.  The decisive value is false for ``and``
+    and true for ``or``.
     The closure does not evaluate operands after the first decisive operand.
     """
 
@@ -238,7 +240,7 @@ def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
 
 def _is_true(symbol: str, left: Any, right: Any, offset: int) -> bool:
     if symbol in ("==", "!="):
-        # In Python, 1 == True.  In an expression, a number never equals a truth value.
+        # In Python, 1 equals True.  In an expression, a number never equals a truth value.
         equal = isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
         return equal is (symbol == "==")
     left = _require_number(left, offset, symbol)

@@ -17,8 +17,8 @@ class ExpressionError(Exception):
 
     ``offset``: position of the error in the expression, in characters from 0.
     ``hint``: hint of the diagnostic.
-    ``code``: name of the diagnostic.  The names are ``expression-syntax``, ``expression-name``
-    and ``expression-value``.
+    ``code``: name of the diagnostic, which is ``expression-syntax``, ``expression-name`` or
+    ``expression-value``.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ END = "end"
 class Token:
     """A token of an expression.
 
-    ``kind``: kind of the token.
+    ``kind``: kind of the token, which is number, name, text, operator, keyword or end.
     ``text``: source text of the token.
     ``offset``: position of the token in the expression, in characters from 0.
     ``value``: number in SI, or the content of a text without its quotes.
@@ -86,7 +86,7 @@ class Token:
     known name is ambiguous.
     """
 
-    kind: str  # number, name, text, operator, keyword or end
+    kind: str
     text: str
     offset: int
     value: Any = None

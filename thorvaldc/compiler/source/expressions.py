@@ -1,9 +1,9 @@
 """Parses and evaluates the expressions of module documents: ``${length / 2 - 20 mm}``.
 
-Python's own parser does not suit these expressions.  Literals have units, errors need a
-position, and a document must not execute code.  Limits on the length and the nesting depth of
-an expression bound the time to parse it.  The parser converts each expression to closures once.
-The module ``expression_operations`` defines the closures.
+The compiler does not use Python's own parser for these expressions.  Numbers in an expression
+have units, errors need a position, and an expression must not execute Python code.  Limits on
+the length and the nesting depth of an expression bound the parsing time.  The parser converts
+each expression once to closures, which the module ``expression_operations`` defines.
 
 The grammar lists the operators from the weakest to the strongest.  In the grammar, ``?`` marks
 an optional part and ``*`` a repeated part:
@@ -54,8 +54,8 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
 
     Evaluation looks up a name only when the expression needs the value of the name.  Therefore
     ``scope`` may compute its values on access.  A ``KeyError`` of ``scope`` means an unknown name.
-    Raises ``ExpressionError`` if the expression has an error.  Passes on all other exceptions
-    of ``scope``.
+    Raises ``ExpressionError`` if the expression has an error.  All other exceptions of ``scope``
+    reach the caller.
     """
     return _compile(text)(scope)
 

@@ -15,7 +15,7 @@ class Node(NamedTuple):
     ``value``: a scalar, a tuple of nodes for a list, or a dict of nodes for a mapping.
     ``span``: source span of the value.
     ``key_span``: source span of the key, if the value is an entry of a mapping.
-    ``quoted``: whether the value is in quotes.  The value ``"3"`` is a text and ``3`` a number.
+    ``quoted``: whether the value is in quotes.  In YAML ``"3"`` is a text, and ``3`` is a number.
     """
 
     value: Value

@@ -1,9 +1,9 @@
 """Reads a YAML document as a tree of nodes with source spans.
 
 PyYAML parses the text.  The module ``scalars`` converts unquoted scalars by the core schema of
-YAML 1.2.  It reports values such as ``on`` and ``010``, which YAML readers read differently.
-If a value has an error, the reader returns the most likely value.  Later stages of the compiler
-can then continue, and one run reports their errors too.
+YAML 1.2.  This module also reports values such as ``on`` and ``010``, which YAML readers
+interpret differently.  If a value has an error, the reader returns the most likely value.
+Later stages of the compiler can then continue, and one run also reports errors of later stages.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def read_file(path: Path, display: str, report: Report) -> Node | None:
 
     ``display``: name of the file in messages.
     """
-    # Reading one byte more than the limit is enough for `read_text` to report a large file.
+    # Reading one byte more than the size limit is enough to detect a file that is too large.
     hint = "name the file in it, such as `robot.yaml`"
     data = read_bytes(path, display, report, limit=MAX_BYTES + 1, folder_hint=hint)
     if data is None:
@@ -88,11 +88,10 @@ _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 # -- characters -------------------------------------------------------------------
 
-# Characters that are not allowed in a document:
-# - C0 and C1 control characters.
-# - U+0085, U+2028 and U+2029.  YAML 1.1 reads these characters as line breaks, but editors do
-#   not, so the line numbers in messages would be wrong.
-# - Surrogates, a byte order mark inside the text, U+FFFE and U+FFFF.
+# A document must not contain C0 or C1 control characters, surrogates, the characters U+FFFE and
+# U+FFFF, or a byte order mark inside the text.  The characters U+0085, U+2028 and U+2029 are also
+# forbidden.  YAML 1.1 reads these characters as line breaks, but editors do not, so the line
+# numbers in messages would be wrong.
 _FORBIDDEN = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]"
 )
@@ -324,7 +323,7 @@ class _Reader:
     def _key(self, raw: Any, key_span: Span) -> str | None:
         """Returns the text of a mapping key, or ``None`` if the entry must be skipped.
 
-        A list, a mapping and the merge key ``<<`` are errors.  Their entries are skipped.
+        A key that is a list or a mapping and the merge key ``<<`` are errors.
         """
         if raw.id != "scalar":
             self.report.add(

@@ -18,9 +18,9 @@ BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 class Quantity(NamedTuple):
     """A kind of quantity, such as a length or a torque.
 
-    ``name``: name of the kind, as in the schemas.
+    ``name``: name of the kind of quantity in the schemas, such as ``angular_velocity``.
     ``article``: indefinite article of the name in messages, ``a`` or ``an``.
-    ``unit``: SI unit of the kind.
+    ``unit``: SI unit of the quantity, such as ``rad/s``.
     ``example``: a quantity of this kind for hints, such as ``650 mm``.
     ``dimensions``: allowed dimensions of the unit of a quantity.
     """
@@ -43,7 +43,7 @@ class Unit(NamedTuple):
     """A unit with its dimension and its conversion to SI.
 
     SI value = number * numerator / denominator * pi**pi_power + offset / 100.
-    The offset is in hundredths of a kelvin.  Only degrees Celsius have an offset.
+    The field ``offset`` is in hundredths of a kelvin.  Only the unit degree Celsius has an offset.
     """
 
     dimension: Dimension

@@ -339,8 +339,8 @@ def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
 def _raise_error(text: str, part: str) -> NoReturn:
     """Raises ``UnitError`` for an invalid unit.
 
-    ``text``: the whole unit.
-    ``part``: the part of the unit that contains the error.
+    ``text``: text of the whole unit, such as ``kg m^2``.
+    ``part``: part of the text that is not a valid unit.
     """
     part = part.strip()
     if part and part != text.strip() and re.fullmatch(UNIT_NAME, part) is None:

@@ -98,7 +98,7 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
 def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -> None:
     """Adds the diagnostic for a YAML syntax error to ``report``.
 
-    ``error``: exception of PyYAML.
+    ``error``: syntax error that PyYAML raised.
     ``text``: text of the document.
     ``file``: file name in source spans.
     """

@@ -55,8 +55,8 @@ def _validator(kind: Kind) -> Any:
     from jsonschema import Draft202012Validator, ValidationError
     from jsonschema.validators import extend
 
-    # In JSON Schema 3.0 is an integer.  The compiler requires a number without a decimal point,
-    # for example for a device id.
+    # JSON Schema accepts 3.0 as an integer.  The compiler rejects 3.0 as an integer, because a
+    # device id, for example, has no decimal point.
     checker = Draft202012Validator.TYPE_CHECKER.redefine(
         "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
     )
@@ -75,7 +75,8 @@ def without_invalid_values(node: Node, report: Report) -> Node:
     """Returns a copy of a document in which ``None`` replaces each invalid value.
 
     A value is invalid if ``report`` contains an error at the source span of the value.
-    Later stages of the compiler can process the copy, so one run also reports their errors.
+    Later stages of the compiler can process the copy, so one run also reports errors of later
+    stages.
     A replaced value keeps its key and its source span.
     """
     spans = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
@@ -127,7 +128,8 @@ def _quantity_error(text: str, quantities: str | list[str]) -> UnitError | None:
     """Returns the error of a quantity, or ``None`` if the quantity is valid.
 
     ``text``: a number with a unit.
-    ``quantities``: one or several allowed kinds of quantity.  ``any`` allows every kind.
+    ``quantities``: one or several allowed kinds of quantity.  The value ``any`` allows every kind
+    of quantity.
     """
     names = [quantities] if isinstance(quantities, str) else quantities
     first: UnitError | None = None

@@ -36,8 +36,8 @@ _WRONG_KINDS = (
 def report_wrong_kind(document: Node, report: Report) -> bool:
     """Reports a document that is neither a robot nor a fleet nor a scenario.
 
-    Returns whether the document has a wrong kind.  The caller then skips the schema check,
-    because errors of the robot schema would be misleading.
+    Returns whether the document has a wrong kind.  If the document has a wrong kind, the schema
+    check is skipped, because errors of the robot schema would be misleading.
     """
     if document.get("name") is None:
         for key, description, hint in _WRONG_KINDS:

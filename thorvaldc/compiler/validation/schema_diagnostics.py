@@ -28,8 +28,9 @@ def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Rep
     """Adds the diagnostics for one error of jsonschema to ``report``.
 
     ``root``: root node of the document.
-    ``reported``: source spans that already have an error.  The function adds no second
-    diagnostic at these spans, and adds the spans of new diagnostics to the set.
+    ``reported``: source spans that already have a diagnostic.  An error at one of these source
+    spans gives no further diagnostic.  The function adds the source spans of new diagnostics
+    to ``reported``.
     """
     path = list(error.absolute_path)
     node, schema = _find(root, path), error.schema
@@ -91,7 +92,8 @@ class _Explanation:
     def value_name(self) -> str:
         """Name of the invalid value in messages.
 
-        The name is the key of the value.  For an element of a list, it is the key of the list.
+        The name of a value in a mapping is its key.  The name of an element of a list is derived
+        from the key of the list.
         """
         names = [step for step in self.path if isinstance(step, str)]
         if not names:
