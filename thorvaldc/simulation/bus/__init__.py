@@ -1,4 +1,5 @@
-"""A simulated CAN bus with a robot's devices, in virtual time or in real time.
+"""Simulated CAN buses with the devices of a robot, in virtual time or in real time.
 
-See docs/simulated-bus.md.  Only ``python_can_plugin`` imports python-can.
+The page docs/simulated-bus.md describes the simulated bus.  Only the module ``python_can_plugin``
+imports python-can.
 """

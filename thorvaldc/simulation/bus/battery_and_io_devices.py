@@ -1,4 +1,4 @@
-"""Simulated devices without CANopen: the KC battery, the IO board and foreign devices."""
+"""Simulated devices without CANopen: KC battery, IO board, and devices of other makers."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 class KcBattery(SimulatedDevice):
-    """The battery by KC, which sends three frames periodically.
+    """A simulated battery of the maker KC, which sends three CAN frames periodically.
 
-    ``current`` in A, positive: discharging.  ``charge``: state of charge, 0..1.
+    * ``current``: battery current (A), positive while the battery discharges.
+    * ``charge``: state of charge, 0..1.
     """
 
     def __init__(
@@ -40,7 +41,10 @@ class KcBattery(SimulatedDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """``voltage`` V, ``capacity`` Ah, ``period`` s."""
+        """Creates a battery with the battery id ``battery_id``.
+
+        ``voltage`` is in V and ``capacity`` in Ah.  ``period`` is the period of the frames (s).
+        """
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = battery_id
         self.period = period
@@ -93,9 +97,11 @@ class KcBattery(SimulatedDevice):
 
 
 class IoBoard(SimulatedDevice):
-    """An IO board: 0x200 + id sets its outputs, 0x180 + id reports outputs and inputs.
+    """A simulated IO board with relays and a beacon.
 
-    ``outputs``: bits 0 and 1 the relays, bits 2 to 4 the beacon (red, yellow, green).
+    The frame 0x200 + node id sets the outputs.  The frame 0x180 + node id reports the outputs and
+    the inputs.  Bits 0 and 1 of ``outputs`` switch the relays.  Bits 2 to 4 of ``outputs`` switch
+    the red, yellow and green light of the beacon.
     """
 
     def __init__(
@@ -110,7 +116,11 @@ class IoBoard(SimulatedDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """``at_start``: outputs after power-on.  ``period`` s."""
+        """Creates an IO board with the node id ``node_id``.
+
+        ``at_start`` are the bits of the outputs after power-on.  ``period`` is the period of the
+        report frame (s).
+        """
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = node_id
         self.period = period
@@ -155,10 +165,12 @@ class IoBoard(SimulatedDevice):
 
 
 class ForeignFrame(NamedTuple):
-    """A frame of a foreign device.
+    """A CAN frame that a foreign device sends.
 
-    ``period`` (s) ``None``: the frame answers a command.  ``data`` ``None``: its first byte
-    counts the frames.
+    * ``cob_id``: identifier of the frame.
+    * ``length``: number of data bytes.
+    * ``period``: period of the frame (s), or ``None`` for a frame that answers a command.
+    * ``data``: data of the frame.  With ``None`` the first data byte is a frame counter.
     """
 
     cob_id: int
@@ -168,9 +180,10 @@ class ForeignFrame(NamedTuple):
 
 
 class ForeignDevice(SimulatedDevice):
-    """A device of another maker: sends periodic frames, and answers the commands it receives.
+    """A simulated device of another maker, whose protocol is unknown.
 
-    ``commands`` holds the last 64 received frames, the newest last.
+    The device sends periodic frames and answers received command frames.  ``commands`` has the
+    last 64 received frames, from the oldest to the newest.
     """
 
     def __init__(
@@ -184,7 +197,11 @@ class ForeignDevice(SimulatedDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """``receives``: identifiers of its commands."""
+        """Creates a foreign device.
+
+        ``receives`` are the identifiers of the command frames.  ``sends`` are the frames that the
+        device sends.
+        """
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self._receives = tuple(receives)
         self._sends = tuple(sends)

@@ -1,6 +1,7 @@
-"""Runs simulated wires in real time or in lockstep, for programs in other processes.
+"""Runs simulated CAN buses for programs in other processes, in real time or in lockstep.
 
-``thorvaldc.can.simulated_bus_protocol`` draws the messages.  Lockstep with two clients (ms):
+The docstring of ``thorvaldc.can.simulated_bus_protocol`` describes the messages between a program
+and the server.  This diagram shows lockstep with two clients (times in ms):
 
     client A   WAIT 20 -->                          <-- TIME 10         (a frame reached it)
     client B               WAIT 10 -->              <-- TIME 10         (its time is up)
@@ -38,7 +39,7 @@ _MAXIMUM_RATE = 10_000_000
 
 
 class _Connection:
-    """A client with its socket, its controller and the time it waits for."""
+    """A connected client, with a socket, a CAN controller and the time until which it waits."""
 
     def __init__(self, stream: socket.socket, wire: Wire) -> None:
         self.stream = stream
@@ -54,7 +55,10 @@ class _Connection:
         """Frames in the controller's send queue, as the client knows them."""
 
     def send_state(self) -> None:
-        """Sends the error state, and how many queued frames bus-off or a restart dropped."""
+        """Sends the error state of the controller to the client.
+
+        The message also contains the number of queued frames that bus-off or a restart dropped.
+        """
         controller = self.controller
         if controller is not None:
             dropped, self.pending = self.pending - controller.pending, controller.pending
@@ -63,7 +67,10 @@ class _Connection:
             )
 
     def put(self, message: bytes) -> None:
-        """Queues a message for the client; drops it if the client does not read."""
+        """Queues a message for the client.
+
+        The message is dropped if the client does not read and too many bytes are waiting.
+        """
         if len(self.out) > BACKLOG:
             self.lost += 1
         else:
@@ -71,22 +78,26 @@ class _Connection:
 
 
 class BusServer:
-    """Serves one channel for each wire of a timeline, and advances the time.
+    """Runs simulated CAN buses and offers each bus to other processes over a local socket.
 
-    In real time the simulation follows the clock.  If it computes too slowly, it lags and
-    catches up later; ``behind`` is the greatest lag in ns.  In ``lockstep`` time advances only
-    while every client in lockstep waits.
+    In real time, the simulated time follows the clock of the computer.  A simulation that
+    computes too slowly lags behind the clock and catches up later.  ``behind`` is the largest lag
+    (ns).  With ``lockstep``, the simulated time advances only while all clients in lockstep wait.
     """
 
     def __init__(
         self, timeline: Timeline, wires: Mapping[str, Wire], *, lockstep: bool = False
     ) -> None:
-        """``wires`` by name of the channel.  Raises ``OSError`` if a channel is in use."""
+        """Opens a local socket for each simulated bus.
+
+        ``wires`` has the simulated buses by channel name.  Raises ``OSError`` if another server
+        uses a channel name.
+        """
         self.timeline = timeline
         self.lockstep = lockstep
         self.channels = tuple(wires)
         self.behind = 0
-        # select waits with a resolution of microseconds, epoll of milliseconds.
+        # The function select has a time resolution of microseconds, epoll only of milliseconds.
         self._selector = selectors.SelectSelector()
         self._connections: list[_Connection] = []
         self._paths: list[Path] = []
@@ -106,7 +117,7 @@ class BusServer:
             raise
 
     def run(self) -> None:
-        """Runs until ``stop``, which another thread or a signal handler calls."""
+        """Runs the server until another thread or a signal handler calls ``stop``."""
         self._start = time.monotonic_ns() - self.timeline.now
         self._epoch = 0.0 if self.lockstep else time.time() - self.timeline.seconds
         try:
@@ -135,7 +146,7 @@ class BusServer:
         self.timeline.run_until(clock, lambda: time.monotonic_ns() > limit)
 
     def _wait_time(self) -> float:
-        """Time (s) until the simulation has the next event."""
+        """Returns the time (s) until the next event of the simulation."""
         if self.lockstep:
             return 0.0 if self._all_wait() else LONGEST_WAIT
         ahead = self.timeline.next_time - (time.monotonic_ns() - self._start)
@@ -146,14 +157,18 @@ class BusServer:
         return bool(steppers) and all(c.waits_until is not None for c in steppers)
 
     def _step(self) -> None:
-        """Lockstep: runs until a waiting client has a frame, or its time is up."""
+        """Advances the simulation in lockstep.
+
+        The simulation runs until a waiting client receives a frame, or until the wait time of a
+        client ends.
+        """
         if not self._all_wait():
             return
         steppers = [c for c in self._connections if c.lockstep]
         until = min(c.waits_until for c in steppers if c.waits_until is not None)
         if until >= NEVER - 1 and self.timeline.next_time >= NEVER:
             return
-        # At most 1 s at a time, so that ``stop`` can end an unlimited wait.
+        # One call simulates at most 1 s, so that ``stop`` can end an unlimited wait.
         end = min(until, self.timeline.now + 1_000_000_000)
         self.timeline.run_until(end, lambda: any(c.has_frame for c in steppers))
         for connection in steppers:
@@ -342,9 +357,10 @@ def serving(
     lockstep: bool = False,
     stopped: Callable[[], None] | None = None,
 ) -> Iterator[BusServer]:
-    """Runs a server in its own thread, which alone may use the simulation until the end.
+    """Runs a server in a separate thread during the ``with`` block.
 
-    ``stopped`` is called after the thread has ended.
+    Only the thread of the server may use the simulation during the ``with`` block.  The function
+    ``stopped`` is called after the end of the thread.
     """
     server = BusServer(timeline, wires, lockstep=lockstep)
     thread = threading.Thread(target=server.run, name="bus server", daemon=True)

@@ -1,6 +1,7 @@
-"""A CAN controller: send queue, error counters and error state (ISO 11898-1, fault confinement).
+"""A simulated CAN controller with send queue, error counters and error state (ISO 11898-1).
 
-Each controller counts transmit errors (TEC) and receive errors (REC).  The counters set its state:
+A CAN controller has a transmit error counter (TEC) and a receive error counter (REC).  The two
+counters determine the error state of the controller:
 
                  TEC > 127 or REC > 127               TEC > 255
     error-active ----------------------> error-passive ---------> bus-off
@@ -10,9 +11,10 @@ Each controller counts transmit errors (TEC) and receive errors (REC).  The coun
          +-----------------------------------------------------------+
                restart, or 128 x 11 recessive bits with auto_recovery
 
-An error-active controller destroys a faulty frame with dominant bits.  An error-passive one
-sends recessive error flags, which no other controller sees, and waits 8 more bits after each of
-its own frames.  In bus-off a controller neither sends nor receives.
+An error-active controller destroys a faulty frame with a dominant error flag.  An error-passive
+controller sends a recessive error flag, which other controllers do not detect.  After each sent
+frame, an error-passive controller waits 8 more bit times.  A controller in bus-off neither sends
+nor receives.
 """
 
 from __future__ import annotations
@@ -36,7 +38,11 @@ QUEUE_LIMIT = 32
 
 
 class QueuedFrame(NamedTuple):
-    """A frame in a send queue, in the order of sending: by ``priority``, then by ``number``."""
+    """A frame in the send queue of a controller.
+
+    The controller sends the frame with the lowest ``priority`` first, and among equal priorities
+    the frame with the lowest ``number``.
+    """
 
     priority: int
     number: int
@@ -44,28 +50,39 @@ class QueuedFrame(NamedTuple):
 
 
 class Medium(Protocol):
-    """The wire, as a controller uses it."""
+    """The interface of the simulated bus line that a CAN controller requires."""
 
     @property
     def timeline(self) -> Timeline: ...
 
     def wake(self) -> None:
-        """A controller has a frame to send: start an arbitration when the wire is free."""
+        """Requests an arbitration because a controller has a frame to send.
+
+        The arbitration starts when the bus line is free.
+        """
 
     def dropped(self, controller: CanController) -> None:
-        """A controller stops taking part; a frame that it alone is sending ends here."""
+        """Handles a controller that stops to send and receive.
+
+        If no other controller sends the current frame, the frame ends.
+        """
 
 
 class CanController:
-    """A CAN controller with its send queue, error counters and state.
+    """A simulated CAN controller with a send queue, error counters and an error state.
 
-    Callbacks: ``on_frame`` for each received frame, ``on_sent`` for each own frame that was
-    sent, ``on_state`` for each change of the error state.  If the filter ``accepts`` returns
-    ``False`` for a frame, the controller acknowledges it, counts it in ``lost`` and drops it.
+    The controller sends the queued frame with the lowest identifier first.  With ``fifo`` the
+    controller sends the oldest queued frame first.  A full send queue refuses a new frame.
+    Bus-off empties the send queue.  With ``auto_recovery`` the controller leaves bus-off after
+    128 x 11 bit times.
 
-    The controller sends the waiting frame with the lowest identifier first, or with ``fifo``
-    the oldest.  A full queue refuses the newest frame.  Bus-off empties the queue.  With
-    ``auto_recovery`` the controller leaves bus-off after 128 x 11 bit times.
+    Attributes that the owner of the controller may set:
+
+    * ``on_frame``: function that the controller calls for each received frame.
+    * ``on_sent``: function that the controller calls after a frame was sent.
+    * ``on_state``: function that the controller calls after a change of the error state.
+    * ``accepts``: filter for received frames.  If the filter returns ``False``, the controller
+      acknowledges the frame, adds 1 to ``lost``, and drops the frame.
     """
 
     def __init__(
@@ -108,7 +125,7 @@ class CanController:
 
     @property
     def online(self) -> bool:
-        """The controller is powered and not in bus-off."""
+        """True if the controller has power and is not in bus-off."""
         return self.powered and not self.bus_off
 
     @property
@@ -124,7 +141,10 @@ class CanController:
         return len(self._queue)
 
     def send(self, frame: CanFrame) -> bool:
-        """Queues a frame.  ``False``: the queue is full, or the controller cannot send."""
+        """Adds a frame to the send queue.
+
+        Returns ``False`` if the send queue is full or the controller cannot send.
+        """
         if not self.online or self.listen_only or len(self._queue) >= self.queue_limit:
             self.refused += 1
             return False
@@ -135,20 +155,23 @@ class CanController:
         return True
 
     def switch_on(self) -> None:
-        """Starts to take part, with both error counters at zero."""
+        """Switches the controller on and sets both error counters to zero."""
         if not self.powered:
             self.powered = True
             self._join()
 
     def switch_off(self) -> None:
-        """Loss of power: clears the queue and the counters, and breaks off a frame being sent."""
+        """Switches the controller off, as after a loss of power.
+
+        The send queue and the error counters are cleared.  The transmission of a frame is aborted.
+        """
         if self.powered:
             self.powered = self.bus_off = False
             self._leave()
             self.transmit_errors = self.receive_errors = 0
 
     def restart(self) -> None:
-        """Leaves bus-off, or starts again after a change of the bitrate."""
+        """Restarts the controller after bus-off or after a change of the bitrate."""
         if self.powered:
             previous = self.state
             self.bus_off = False
@@ -157,7 +180,7 @@ class CanController:
             self._report_change(previous)
 
     def go_bus_off(self) -> None:
-        """Enters bus-off, as after more than 255 transmit errors."""
+        """Sets the controller to bus-off, as if the transmit error counter exceeded 255."""
         previous = self.state
         if previous is not ErrorState.BUS_OFF and self.powered:
             self.bus_off = True
@@ -168,25 +191,25 @@ class CanController:
             self._report_change(previous)
 
     def time_of(self, bits: int) -> int:
-        """Duration (ns) of a number of bits at the controller's bitrate."""
+        """Returns the duration (ns) of ``bits`` bits at the bitrate of the controller."""
         return bits * NANOSECONDS // self.bitrate
 
     # -- for the wire ----------------------------------------------------------------------
 
     def head(self) -> QueuedFrame | None:
-        """The next frame to send."""
+        """Returns the next frame to send, or ``None`` if no frame can be sent."""
         return self._queue[0] if self._queue and not self.listen_only else None
 
     def ready_at(self) -> int:
-        """Time (ns) from which the controller may start to send."""
+        """Returns the time (ns) from which on the controller may send a frame."""
         return self._ready_at
 
     def online_at(self, time: int) -> bool:
-        """Whether the controller has been online since ``time`` (ns) or longer."""
+        """Returns true if the controller has been online since the time ``time`` (ns)."""
         return self.online and self._online_since <= time
 
     def frame_sent(self, queued: QueuedFrame) -> None:
-        """Takes a frame out of the queue after its successful transmission."""
+        """Removes a frame from the send queue after the successful transmission."""
         previous = self.state
         index = bisect.bisect_left(self._queue, queued)
         if index < len(self._queue) and self._queue[index] is queued:
@@ -199,13 +222,16 @@ class CanController:
         self._report_change(previous)
 
     def suspend(self) -> None:
-        """Makes an error-passive controller wait after its own frame (suspend transmission)."""
+        """Delays the next frame of an error-passive controller (suspend transmission)."""
         if self.state is ErrorState.PASSIVE:
             bits = INTERFRAME_BITS + SUSPEND_BITS
             self._ready_at = self.wire.timeline.now + self.time_of(bits)
 
     def frame_received(self, frame: CanFrame) -> None:
-        """Receives a valid frame.  REC falls by 1, or from above 127 to 127 (ISO 11898-1)."""
+        """Receives a valid frame and decreases the receive error counter.
+
+        The receive error counter decreases by 1, or from a value above 127 to 127 (ISO 11898-1).
+        """
         previous = self.state
         errors = self.receive_errors
         self.receive_errors = 127 if errors > 127 else max(errors - 1, 0)
@@ -218,7 +244,7 @@ class CanController:
         self._report_change(previous)
 
     def count_errors(self, transmit: int = 0, receive: int = 0) -> None:
-        """Adds to the error counters, and changes the state where a limit is passed."""
+        """Increases the error counters and updates the error state of the controller."""
         previous = self.state
         self.transmit_errors += transmit
         self.receive_errors = min(self.receive_errors + receive, 255)

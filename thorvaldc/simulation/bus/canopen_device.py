@@ -1,11 +1,12 @@
-"""A CANopen device (CiA 301): NMT, heartbeat, emergencies, SDO, PDOs, LSS and storing.
+"""A simulated CANopen device (CiA 301) with NMT, heartbeat, EMCY, SDO, PDOs and LSS.
 
-From power-on to the first heartbeat:
+Messages and NMT states of a device after power-on:
 
     power --boot time--> boot-up (0x700 + id: 00) --period--> heartbeat (7F) --period--> ...
           INITIALISING |  PRE_OPERATIONAL: SDO            | NMT start: OPERATIONAL, PDOs too
 
-A device without a node id stays silent after its boot time; it answers only LSS.
+A device without a node id sends no boot-up message and no heartbeat.  A device without a node id
+answers only LSS requests.
 """
 
 from __future__ import annotations
@@ -56,11 +57,13 @@ GENERIC_ERROR, COMMUNICATION_ERROR = 0x01, 0x10
 
 
 class CanopenDevice(SimulatedDevice):
-    """A device with a node id.  Subclasses add objects, PDOs and their application.
+    """A simulated CANopen device.  A subclass adds objects, PDOs and the application.
 
-    ``nonvolatile`` contains ``node_id`` (255: none) and the stored ``parameters``.  A node id
-    or bitrate set by LSS is pending: an NMT reset of the communication applies the id, and the LSS
-    service "store" writes both to memory.  Power-on and an NMT reset of the node load the memory.
+    The mapping ``nonvolatile`` contains the ``node_id`` (255 for a device without a node id) and
+    the stored ``parameters``.  A node id or a bitrate that an LSS service sets is pending at
+    first.  An NMT reset of the communication applies the pending node id.  The LSS service "store"
+    writes the pending node id and the pending bitrate to non-volatile memory.  Power-on and an NMT
+    reset of the node load the values from non-volatile memory.
     """
 
     def __init__(
@@ -109,17 +112,29 @@ class CanopenDevice(SimulatedDevice):
     # -- for subclasses -----------------------------------------------------------------------
 
     def add_objects(self, objects: ObjectDictionary) -> None:
-        """Adds the device's own objects; called at every start."""
+        """Adds the objects of the subclass to the object dictionary.
+
+        The base class calls this method at every start of the device.
+        """
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet | None:
-        """Returns the PDOs; called after ``add_objects``."""
+        """Returns the PDOs of the device.
+
+        The base class calls this method after ``add_objects``.
+        """
         return None
 
     def initialised(self) -> None:
-        """Called after the boot-up message: start the application's timers here."""
+        """Starts the timers of the application.
+
+        The base class calls this method after the boot-up message.
+        """
 
     def nmt_state_changed(self, state: NmtState) -> None:
-        """Called after a change of the NMT state."""
+        """Reacts to a change of the NMT state.
+
+        The base class calls this method after each change of the NMT state.
+        """
 
     def communication_error(self) -> None:
         """Reacts to a missing heartbeat or bus-off as object 0x1029 defines."""
@@ -148,20 +163,20 @@ class CanopenDevice(SimulatedDevice):
         self.lss = None
 
     def change_node_id(self, node_id: int) -> None:
-        """Stores another node id and resets the node."""
+        """Stores a new node id in non-volatile memory and resets the node."""
         self.nonvolatile[NODE_ID] = node_id
         if self.powered:
             self.reset_node()
 
     def reset_node(self) -> None:
-        """Starts again as after power-on, except that the CAN controller stays on the bus."""
+        """Restarts the device as after power-on, but keeps the CAN controller on the bus."""
         self._life += 1
         self.handlers = {}
         self.stop()
         self.start()
 
     def reset_communication(self) -> None:
-        """Restores the stored communication objects, and applies the pending node id."""
+        """Resets the communication objects to the stored values and applies the pending node id."""
         self._life += 1
         self.handlers = {}
         self.enter(NmtState.INITIALISING)
@@ -252,7 +267,10 @@ class CanopenDevice(SimulatedDevice):
         return lambda on_stored: self.store({PARAMETERS: parameters}, on_stored)
 
     def _load_defaults(self, value: Any) -> DelayedWrite:
-        """Object 0x1011: the factory values apply from the next reset on."""
+        """Handles a write to object 0x1011, "restore default parameters".
+
+        The factory values apply after the next reset of the device.
+        """
         if value != LOAD:
             raise SdoAbort(AbortCode.STORE_REFUSED)
         return lambda on_stored: self.store({PARAMETERS: {}}, on_stored)
@@ -268,7 +286,10 @@ class CanopenDevice(SimulatedDevice):
         self.send(canopen.SDO_RESPONSE + self.node_id, data)
 
     def _add_configured_handlers(self) -> None:
-        """Adds handlers for the frames that objects define: RPDOs and watched heartbeats."""
+        """Adds handlers for the RPDOs and for the heartbeats of other nodes.
+
+        The object dictionary defines the identifiers of the RPDOs and the watched nodes.
+        """
         for subindex in range(1, CONSUMERS + 1):
             producer = self.objects[0x1016, subindex].value >> 16 & 0x7F
             if producer:
@@ -321,7 +342,10 @@ class CanopenDevice(SimulatedDevice):
             self._heartbeats[producer] = self.now
 
     def _consumer_time(self, producer: int) -> float:
-        """Longest time (s) between heartbeats of a node (0x1016); 0: it is not watched."""
+        """Returns the longest time (s) between two heartbeats of a node, from object 0x1016.
+
+        The value is 0 for a node whose heartbeat is not watched.
+        """
         for subindex in range(1, CONSUMERS + 1):
             value: int = self.objects[0x1016, subindex].value
             if value >> 16 & 0x7F == producer and producer:
@@ -329,7 +353,10 @@ class CanopenDevice(SimulatedDevice):
         return 0.0
 
     def _check_heartbeats(self) -> None:
-        """Reports a missing heartbeat.  CiA 301: a node is watched from its first one on."""
+        """Reports the heartbeats that are missing.
+
+        The time supervision of a node begins with the first heartbeat of the node (CiA 301).
+        """
         for producer, received_at in list(self._heartbeats.items()):
             limit = self._consumer_time(producer)
             if limit <= 0.0:
@@ -342,9 +369,11 @@ class CanopenDevice(SimulatedDevice):
     # -- emergencies ---------------------------------------------------------------------------
 
     def emergency(self, code: int, register: int = GENERIC_ERROR, more: bytes = b"") -> None:
-        """Sends an EMCY message for a new device error; code 0: all errors are gone.
+        """Sends an EMCY message for a new device error.
 
-        ``more``: up to 5 bytes of the manufacturer.
+        ``code`` is the error code.  The code 0 means that all device errors are cleared.
+        ``register`` is the value of the error register.  ``more`` are up to 5 bytes that the
+        manufacturer defines.
         """
         if code:
             self._error_register |= register | GENERIC_ERROR
@@ -367,7 +396,7 @@ class CanopenDevice(SimulatedDevice):
         return None
 
     def _error_state_changed(self, state: ErrorState) -> None:
-        """Reacts to the error state of the CAN controller."""
+        """Reacts to a change of the error state of the CAN controller."""
         if not self.powered or self.state is NmtState.INITIALISING:
             return
         if state is ErrorState.PASSIVE:
@@ -395,12 +424,20 @@ class CanopenDevice(SimulatedDevice):
         self.store(pending, lambda: on_stored(0))
 
     def _lss_left(self) -> None:
-        """CiA 305: a device without an id applies its first one now; others wait for a reset."""
+        """Handles the end of the LSS configuration state.
+
+        A device without a node id applies the pending node id immediately (CiA 305).  A device
+        with a node id applies a pending node id at the next reset.
+        """
         if self.node_id == lss.UNCONFIGURED and self._pending_id != lss.UNCONFIGURED:
             self.reset_communication()
 
     def _activate_rate(self, delay: float) -> None:
-        """CiA 305: silent for one delay, then the new bitrate, then silent for one more delay."""
+        """Changes to the pending bitrate as CiA 305 defines.
+
+        The device sends nothing for the time ``delay`` (s), then changes the bitrate, and then
+        sends nothing for the time ``delay`` again.
+        """
         self.controller.listen_only = True
 
         def change() -> None:

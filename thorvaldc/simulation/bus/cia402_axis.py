@@ -1,8 +1,9 @@
-"""One motor of a CiA 402 drive: its objects, its power state and its control loop.
+"""One motor of a simulated CiA 402 drive, with objects, power state and control loop.
 
-Every 2 ms the loop measures, steps the set-point of the mode (``cia402_motion``) and commands
-the motor.  An object written by the master takes effect in the next turn of the loop.  The axis
-supervises the motor and reports a device error:
+The control loop runs every 2 ms.  In each cycle, the control loop measures the position and speed,
+computes the next set-point (``cia402_motion``), and commands the motor.  An object that the master
+writes takes effect in the next cycle of the control loop.  The axis supervises the motor and
+reports these device errors:
 
     position modes   |set-point - position| > 0x6065 for longer than 0x6066 ms:   0x8611
     velocity modes   |set-point - speed| > 10 % of the top speed for 0.3 s:        0x8400
@@ -46,11 +47,15 @@ FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_FAILED, CONNECTION_ERROR = 0x8611, 0x840
 class AxisSettings:
     """Hardware and factory settings of a motor.
 
-    ``position_units`` and ``velocity_units``: the drive's units per rad and per rad/s of the
-    joint.  Speeds in rad/s, accelerations in rad/s^2, torque in N m at the joint.  ``lower`` and
-    ``upper`` (rad): limit switches and default software limits; ``None``: none.  ``mode``:
-    default mode of operation.  ``zero`` (rad): true joint angle where the encoder reads 0
-    after homing; not 0 if a switch or the encoder is mounted askew.
+    All speeds are in rad/s, accelerations in rad/s^2 and torques in N m at the joint.
+
+    * ``position_units``: number of position units of the drive per rad of the joint.
+    * ``velocity_units``: number of velocity units of the drive per rad/s of the joint.
+    * ``lower``, ``upper``: angles (rad) of the limit switches and default software limits, or
+      ``None`` for a joint without limits.
+    * ``mode``: default mode of operation.
+    * ``zero``: true joint angle (rad) at which the encoder reads 0 after homing.  The angle is not
+      0 if a limit switch or the encoder is mounted at a wrong angle.
     """
 
     gear_ratio: float
@@ -68,9 +73,10 @@ class AxisSettings:
 
 
 class Axis:
-    """A motor with its objects, state machine and set-point.
+    """One motor of a CiA 402 drive, with objects, state machine and set-point.
 
-    ``report_error`` is called with the code of a new device error, and with 0 at its reset.
+    The function ``report_error`` is called with the error code of each new device error.  After a
+    reset of the device error, ``report_error`` is called with the code 0.
     """
 
     def __init__(
@@ -97,7 +103,10 @@ class Axis:
     # -- objects ---------------------------------------------------------------------------
 
     def add_objects(self, objects: ObjectDictionary, base: int) -> None:
-        """Adds the objects of this motor; ``base`` is 0x6000 for the first motor."""
+        """Adds the objects of the motor to the object dictionary.
+
+        ``base`` is the first object index of the motor, which is 0x6000 for the first motor.
+        """
         settings = self.settings
         self._entries = {}
 
@@ -157,20 +166,23 @@ class Axis:
         objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in Mode), "const"))
 
     def number(self, index: int, subindex: int = 0) -> int:
-        """Returns an object of this motor; ``index`` counts from the motor's base."""
+        """Returns the value of an object of the motor.
+
+        ``index`` is the object index relative to the first object index of the motor.
+        """
         value: int = self._entries[index, subindex].value
         return value
 
     def _angle(self, index: int, subindex: int = 0) -> float:
-        """Returns an object as an angle (rad)."""
+        """Returns the value of an object as an angle (rad)."""
         return self.number(index, subindex) / self.settings.position_units
 
     def _speed(self, index: int, subindex: int = 0) -> float:
-        """Returns an object as a speed (rad/s) or an acceleration (rad/s^2)."""
+        """Returns the value of an object as a speed (rad/s) or an acceleration (rad/s^2)."""
         return self.number(index, subindex) / self.settings.velocity_units
 
     def _torque_permille(self) -> int:
-        """Object 0x6077: thousandths of the rated torque."""
+        """Returns the value of object 0x6077, the torque in thousandths of the rated torque."""
         limit = self.settings.max_torque
         return round(1000.0 * self._torque / limit) if limit else 0
 
@@ -183,14 +195,17 @@ class Axis:
 
     @property
     def switches(self) -> tuple[bool, bool]:
-        """State of the negative and the positive limit switch."""
+        """States of the negative and the positive limit switch."""
         lower, upper = self.settings.lower, self.settings.upper
         low = lower is not None and self._joint_position <= lower
         return low, upper is not None and self._joint_position >= upper
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Software limits (0x607D) in rad; infinite if they are equal."""
+        """Lower and upper software limit (rad) from object 0x607D.
+
+        The software limits are infinite if the lower limit is not less than the upper limit.
+        """
         low, high = self._angle(0x7D, 1), self._angle(0x7D, 2)
         return (low, high) if low < high else (-math.inf, math.inf)
 
@@ -206,7 +221,10 @@ class Axis:
         return None
 
     def statusword(self) -> int:
-        """Returns the bits of the power state, the limits and the mode of operation."""
+        """Returns the status word (object 0x6041) of the motor.
+
+        The status word contains the bits of the power state, the limits and the mode of operation.
+        """
         motion, homing = self.motion, self.homing
         low, high = self.limits
         beyond = self.position < low - 1e-3 or self.position > high + 1e-3
@@ -226,14 +244,17 @@ class Axis:
         return word
 
     def fail(self, code: int) -> None:
-        """Enters FAULT with the reaction of object 0x605E, and reports the error."""
+        """Enters the state FAULT and reports the device error ``code``.
+
+        Object 0x605E defines how the motor stops.
+        """
         if self.states.fault(self.number(0x5E)):
             self.error_code = code
             self._error_since = None
             self._report_error(code)
 
     def connection_lost(self) -> None:
-        """Reacts to the loss of the master as object 0x6007 defines."""
+        """Reacts to a loss of the connection to the master as object 0x6007 defines."""
         option = self.number(0x07)
         if not self.states.state.powered:
             return
@@ -245,12 +266,15 @@ class Axis:
             self.states.quick_stop(self.number(0x5A))
 
     def power_stage_off(self, now: float) -> None:
-        """Switches the power stage off without a ramp; keeps position and set-points."""
+        """Switches the power stage off without a ramp and keeps the position and set-points."""
         self.states.disable()
         self._relax(now)
 
     def start(self, now: float) -> None:
-        """Starts after power-on; the encoder counts from the present position."""
+        """Starts the motor after power-on.
+
+        The encoder counts from the present position of the joint.
+        """
         self.error_code, self.homing = 0, None
         self.encoder.set_zero(self.motor.read(now))
         self.states = StateMachine()
@@ -260,14 +284,17 @@ class Axis:
         self.motion.rest(self.position, self._mode())
 
     def stop(self, now: float) -> None:
-        """Stops after a loss of power."""
+        """Stops the motor after a loss of power."""
         self.states = StateMachine()
         self._relax(now)
 
     # -- the loop ------------------------------------------------------------------------------
 
     def tick(self, now: float, dt: float) -> None:
-        """Runs one turn of the control loop, ``dt`` s after the previous one."""
+        """Runs one cycle of the control loop.
+
+        ``dt`` is the time (s) since the previous cycle.
+        """
         self._measure(now)
         motion = self.motion
         if not self.states.state.powered:
@@ -300,7 +327,10 @@ class Axis:
         self.position, self.velocity = self.encoder.measure(state)
 
     def _mode(self) -> int:
-        """The commanded mode; an unsupported one keeps the present mode."""
+        """Returns the commanded mode of operation.
+
+        If the commanded mode is not supported, the function returns the present mode.
+        """
         commanded = self.number(0x60)
         return commanded if commanded in _MODES else self.motion.mode
 
@@ -315,7 +345,7 @@ class Axis:
         )
 
     def _move(self, now: float, dt: float) -> None:
-        """Advances the set-point of the present mode and commands the motor."""
+        """Computes the next set-point in the present mode of operation and commands the motor."""
         motion = self.motion
         if motion.mode == Mode.PROFILE_POSITION:
             bounds = self._bounds()
@@ -351,7 +381,7 @@ class Axis:
         limit = min(self._speed(0x9A), self.settings.max_acceleration)
         speed = homing.speed(self.switches, self.velocity, fast, slow, dt)
         if homing.attained:
-            # CiA 402: zero position = home position + home offset (0x607C).
+            # The zero position is the home position plus the home offset (0x607C), by CiA 402.
             state = self.motor.read(now)
             if homing.method not in PRESENT_POSITION:
                 state = state._replace(position=state.position + self.settings.zero)
@@ -369,7 +399,7 @@ class Axis:
             self.motor.turn(motion.move.speed, now)
 
     def _react(self, now: float, dt: float) -> None:
-        """Advances the ramp to rest, then enters the state that follows."""
+        """Slows the motor down on a ramp, and changes the power state when the motor is at rest."""
         reaction, motion = self.states.reaction, self.motion
         if reaction is None:
             return
@@ -396,7 +426,10 @@ class Axis:
         self._check(within, VELOCITY_ERROR_TIME, VELOCITY_ERROR, now)
 
     def _check(self, within: bool, time: float, code: int, now: float) -> None:
-        """Reports the error ``code`` if the limit has been exceeded for ``time`` s."""
+        """Reports the device error ``code`` if a limit has been exceeded for ``time`` s.
+
+        ``within`` is true while the supervised value is within the limit.
+        """
         if within:
             self._error_since = None
         elif self._error_since is None:
@@ -408,11 +441,11 @@ class Axis:
         self.motor.hold(self.encoder.joint_position(self.motion.move.position), now)
 
     def _stand(self, now: float) -> None:
-        """Holds the present position."""
+        """Holds the motor at the present position."""
         self.motor.hold(self.motor.read(now).position, now)
 
     def _relax(self, now: float) -> None:
-        """Releases the motor, or closes its brake."""
+        """Switches the motor off, and closes the brake if the motor has a brake."""
         if not self._relaxed:
             self._relaxed = True
             if self.settings.brake:
