@@ -1,4 +1,4 @@
-"""A CANopen drive with the profile CiA 402, for one motor or several."""
+"""A simulated CANopen drive with the device profile CiA 402, for one or more motors."""
 
 from __future__ import annotations
 
@@ -35,11 +35,14 @@ _UNUSED_CHANNEL = AxisSettings(1.0, 1024, 652.0, 652.0, 1.0, 1.0)
 
 
 class Cia402Drive(CanopenDevice):
-    """A drive that starts in SWITCH ON DISABLED.
+    """A simulated CiA 402 drive, whose motors start in the state SWITCH ON DISABLED.
 
-    ``received`` and ``sent`` are its PDOs in the factory state; their identifiers lack the
-    node id.  Object 0x6007 defines the reaction to a loss of the master: a missing heartbeat of
-    0x1016, bus-off, or a command out of OPERATIONAL while a motor is powered.
+    ``received`` are the factory settings of the RPDOs, and ``sent`` the factory settings of the
+    TPDOs.  The identifiers in the factory settings do not contain the node id.
+
+    Object 0x6007 defines the reaction of the drive to a loss of the connection to the master.  The
+    connection is lost if a heartbeat that object 0x1016 defines is missing, if the CAN controller
+    is in bus-off, or if the NMT state leaves OPERATIONAL while a motor is powered.
     """
 
     def __init__(
@@ -146,7 +149,8 @@ class Cia402Drive(CanopenDevice):
 def _axis_settings(specification: DeviceSpecification, actuator: Actuator) -> AxisSettings:
     joint = specification.robot.joint(actuator.joint)
     steering = actuator.role == "steering"
-    # Four counts for each encoder pulse, at the joint.
+    # A quadrature encoder has four counts per pulse.  The gear ratio converts counts at the motor
+    # to counts at the joint.
     counts_per_radian = 4.0 * actuator.encoder_ppr * actuator.gear_ratio / math.tau
     return AxisSettings(
         actuator.gear_ratio,

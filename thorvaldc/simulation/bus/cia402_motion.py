@@ -1,14 +1,19 @@
-r"""Set-points of a CiA 402 drive in its modes of operation, in rad, rad/s and s.
+r"""Set-points of a simulated CiA 402 drive in the modes of operation, in rad, rad/s and s.
 
-The drive computes a set-point every 2 ms.  Profile position moves on a trapezoid to its target
-(``setpoint_trajectory``).  Profile and cyclic velocity ramp to the target speed.  Cyclic position
-interpolates: the master sends a target every cycle (0x60C2), and the set-point moves straight to it
-in one cycle, which hides the steps of 20 ms from the motor.
+The drive computes a new set-point every 2 ms.  The mode of operation determines the set-point:
 
-Near a position limit a speed is bounded so that the drive can still stop there: with the
-deceleration a and the distance d to the limit, v <= sqrt(2 a d).
+* Profile position: the set-point moves to the target position with a trapezoidal speed profile
+  (``setpoint_trajectory``).
+* Profile velocity and cyclic velocity: the speed changes on a ramp to the target speed.
+* Cyclic position: the master sends a target position in each cycle, and object 0x60C2 has the
+  duration of the cycle.  The set-point moves at constant speed and reaches the target position
+  after one cycle.  The motor thus moves smoothly, although the target changes only every 20 ms.
 
-Profile position uses a handshake of bits 4 (new set-point) and 12 (acknowledged):
+The speed is limited near a position limit, so that the drive can stop before the limit.  With the
+deceleration a and the distance d to the limit, the speed limit is v <= sqrt(2 a d).
+
+The mode profile position uses a handshake with bit 4 of the control word (new set-point) and bit 12
+of the status word (set-point acknowledged):
 
     control word bit 4   ____/-------\______
     status word bit 12   ______/-------\____     acknowledged until bit 4 is 0 again
@@ -36,7 +41,10 @@ STALL_TIME = 0.1
 
 
 class Bounds(NamedTuple):
-    """Limits of a set-point: position (rad), speed (rad/s), accelerations (rad/s^2)."""
+    """Limits of a set-point.
+
+    Positions are in rad, speeds in rad/s, and accelerations in rad/s^2.
+    """
 
     lower: float
     upper: float
@@ -46,10 +54,11 @@ class Bounds(NamedTuple):
 
 
 class Motion:
-    """The set-point, and the state of the handshake with the control word.
+    """The set-point of a motor, and the state of the handshake with the control word.
 
-    ``reached`` and ``acknowledged`` are bits 10 and 12 of the status word; ``limited`` is bit
-    11: the target is beyond a limit.
+    * ``reached``: bit 10 of the status word, the target is reached.
+    * ``limited``: bit 11 of the status word, the target is beyond a limit.
+    * ``acknowledged``: bit 12 of the status word, the set-point is acknowledged.
     """
 
     def __init__(self) -> None:
@@ -72,7 +81,7 @@ class Motion:
         self._rate = 0.0
 
     def control(self, word: int) -> None:
-        """Handles the bits of the control word that depend on the mode."""
+        """Handles the bits of the control word that depend on the mode of operation."""
         start = bool(word & NEW_SET_POINT)
         if start and not self.start:
             self._start_pending = True
@@ -83,32 +92,36 @@ class Motion:
         self._relative, self._immediately = bool(word & RELATIVE), bool(word & CHANGE_IMMEDIATELY)
 
     def rest(self, position: float, mode: int) -> None:
-        """Sets the set-point to rest at ``position``, and drops pending targets."""
+        """Sets the set-point to ``position`` (rad) with speed 0, and discards pending targets."""
         self.mode = mode
         self.move = Move(position)
         self.reached = self.limited = False
         self._goal, self._next_goal, self._target = position, None, math.nan
 
     def change(self, mode: int, position: float, velocity: float) -> None:
-        """Changes the mode while the motor turns."""
+        """Changes the mode of operation while the motor turns."""
         self.rest(position, mode)
         self.move.speed = velocity
 
     def take_start(self) -> bool:
-        """Whether bit 4 has risen since the last call."""
+        """Returns true if bit 4 of the control word changed from 0 to 1 since the last call."""
         pending, self._start_pending = self._start_pending, False
         return pending
 
     # -- modes ---------------------------------------------------------------------------------
 
     def stop(self, deceleration: float, dt: float) -> None:
-        """Advances a ramp to rest by ``dt`` s."""
+        """Reduces the speed of the set-point on a ramp to rest, for a time step of ``dt`` s."""
         self.move.speed = ramp(self.move.speed, 0.0, deceleration, dt)
         self.move.position += self.move.speed * dt
         self.limited = False
 
     def profile_position(self, target: float, bounds: Bounds, dt: float) -> None:
-        """Advances by ``dt`` s.  ``target`` applies at the next rising edge of bit 4."""
+        """Computes the set-point in the mode profile position, for a time step of ``dt`` s.
+
+        The target position ``target`` (rad) applies after bit 4 of the control word changes from 0
+        to 1.
+        """
         if self.take_start():
             start = self._goal if self._relative else 0.0
             self._next_goal = start + target
@@ -128,7 +141,10 @@ class Motion:
         self.move.step(self._goal, bounds.velocity, bounds.acceleration, bounds.deceleration, dt)
 
     def settle(self, position: float, window: float, time: float, dt: float) -> None:
-        """Sets ``reached`` once the position has been in the ``window`` (rad) for ``time`` s."""
+        """Sets ``reached`` after the position has been near the target for ``time`` s.
+
+        ``window`` is the largest distance (rad) between the position and the target.
+        """
         if self.halt:
             return
         close = abs(self._goal - position) <= window
@@ -136,7 +152,10 @@ class Motion:
         self.reached = self._settled > 0.0 and self._settled >= time
 
     def velocity(self, target: float, position: float, bounds: Bounds, dt: float) -> float:
-        """Advances profile or cyclic velocity; returns the speed at the end of the ramp."""
+        """Computes the set-point in the modes profile velocity and cyclic velocity.
+
+        ``dt`` is the time step (s).  Returns the speed (rad/s) at the end of the ramp.
+        """
         if self.halt and self.mode == Mode.PROFILE_VELOCITY:
             target = 0.0
         allowed = min(max(target, -bounds.velocity), bounds.velocity)
@@ -152,7 +171,10 @@ class Motion:
         return allowed
 
     def cyclic_position(self, target: float, bounds: Bounds, cycle: float, dt: float) -> None:
-        """Advances on a straight line to ``target``, which takes one ``cycle`` (s)."""
+        """Computes the set-point in the mode cyclic position, for a time step of ``dt`` s.
+
+        The set-point moves at constant speed and reaches ``target`` (rad) after ``cycle`` s.
+        """
         allowed = min(max(target, bounds.lower), bounds.upper)
         if allowed != self._target:
             self._target = allowed
@@ -167,11 +189,16 @@ class Motion:
 
 
 class Homing:
-    """A search for the home position; it ends with ``attained`` or ``failed``.
+    """A search for the home position.
 
-    Methods of CiA 402: 17 and 18 (negative or positive limit switch: to it fast, off it slowly),
-    35 and 37 (the present position).  -1 and -2 are this drive's own: the negative or positive
-    mechanical stop.
+    At the end of the search, either ``attained`` or ``failed`` is true.  The supported homing
+    methods of CiA 402 are:
+
+    * 17 and 18: the home position is the edge of the negative (17) or positive (18) limit switch.
+      The motor moves fast to the switch, and then slowly off the switch.
+    * 35 and 37: the home position is the present position.
+    * -1 and -2: the home position is the negative (-1) or positive (-2) mechanical stop.  The
+      manufacturer of the drive defines both methods.
     """
 
     def __init__(self, method: int) -> None:
@@ -184,7 +211,7 @@ class Homing:
             POSITIVE_SWITCH,
         )
         self._backing = False
-        """The switch was reached; the drive moves off it."""
+        """True after the motor has reached the limit switch and moves off the switch."""
         self._stalled = 0.0
         """s at rest."""
         self._distance = 0.0
@@ -193,9 +220,10 @@ class Homing:
     def speed(
         self, switches: tuple[bool, bool], velocity: float, fast: float, slow: float, dt: float
     ) -> float:
-        """Returns the search speed for the next ``dt`` s.
+        """Returns the search speed (rad/s) for the next ``dt`` s.
 
-        ``switches``: the negative and the positive limit switch; ``velocity``: measured.
+        ``switches`` are the states of the negative and the positive limit switch.  ``velocity`` is
+        the measured speed (rad/s).
         """
         if self.attained or self.failed:
             return 0.0

@@ -1,6 +1,7 @@
-"""The power state machine of a CiA 402 drive: reads the control word, makes the status word.
+"""The power state machine of a simulated CiA 402 drive.
 
-``thorvaldc.can.cia402`` draws the states.  The control word has these bits:
+The control word changes the state, and the status word reports the state.  The module
+``thorvaldc.can.cia402`` has a diagram of the states.  The control word has these bits:
 
     bit 0 switch on   bit 1 enable voltage   bit 2 quick stop (active low)
     bit 3 enable operation   bit 7 fault reset (rising edge)
@@ -18,9 +19,10 @@ QUICK_STOP_INACTIVE = 1 << 5
 
 
 class Reaction(NamedTuple):
-    """A ramp to rest, and the state that follows it.
+    """A ramp to rest, and the state that follows the ramp.
 
-    ``quick``: the ramp uses the quick stop deceleration (0x6085), else the profile's (0x6084).
+    If ``quick`` is true, the ramp has the quick stop deceleration (object 0x6085).  If ``quick`` is
+    false, the ramp has the profile deceleration (object 0x6084).
     """
 
     quick: bool
@@ -28,7 +30,11 @@ class Reaction(NamedTuple):
 
 
 class StateMachine:
-    """The state of one motor.  ``reaction``: the stop in progress; its owner calls ``stopped``."""
+    """The power state machine of one motor.
+
+    ``reaction`` is the ramp that is in progress, or ``None``.  The owner of the state machine calls
+    ``stopped`` when the ramp has reached rest.
+    """
 
     def __init__(self) -> None:
         self.state = DriveState.NOT_READY
@@ -44,7 +50,11 @@ class StateMachine:
         return word
 
     def command(self, word: int, quick_stop_option: int, disable_option: int) -> None:
-        """Handles a control word with the options of objects 0x605A and 0x605C."""
+        """Handles a control word.
+
+        ``quick_stop_option`` is the value of object 0x605A, and ``disable_option`` is the value of
+        object 0x605C.
+        """
         reset = bool(word & FAULT_RESET) and not self._control_word & FAULT_RESET
         self._control_word = word
         state = self.state
@@ -96,10 +106,15 @@ class StateMachine:
             self._enter(DriveState.SWITCH_ON_DISABLED)
 
     def quick_stop(self, option: int) -> None:
-        """Quick stop by object 0x605A.
+        """Starts a quick stop.
 
-        0: power off without a ramp; 1 and 2: ramp, then power off; 5 and 6: ramp, then stay
-        in QUICK STOP ACTIVE.  1 and 5 use the profile's deceleration.
+        ``option`` is the value of object 0x605A:
+
+        * 0: the power stage is switched off without a ramp.
+        * 1 and 2: the motor stops on a ramp, and then the power stage is switched off.
+        * 5 and 6: the motor stops on a ramp, and the state remains QUICK STOP ACTIVE.
+
+        The options 1 and 5 use the profile deceleration, 2 and 6 the quick stop deceleration.
         """
         if self.state is not DriveState.OPERATION_ENABLED:
             return
@@ -112,9 +127,10 @@ class StateMachine:
         self.reaction = Reaction(option not in (1, 5), next_state)
 
     def fault(self, option: int) -> bool:
-        """Enters FAULT, with a ramp first if object 0x605E (``option``) says so.
+        """Enters the state FAULT.
 
-        ``False``: the drive already is in a fault.
+        ``option`` is the value of object 0x605E, which defines whether the motor stops on a ramp
+        first.  Returns ``False`` if the drive is in the state FAULT already.
         """
         if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return False
@@ -126,7 +142,7 @@ class StateMachine:
         return True
 
     def stopped(self) -> None:
-        """The ramp of the reaction has reached rest: enters the state that follows."""
+        """Enters the state that follows a ramp, after the ramp has reached rest."""
         if self.reaction is not None:
             self._enter(self.reaction.next_state)
 

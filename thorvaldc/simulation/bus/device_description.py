@@ -1,4 +1,4 @@
-"""Identity, abilities and non-volatile memory of a CANopen device, from a node of a robot's bus."""
+"""Identity, supported services and non-volatile memory of a simulated CANopen device."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ NODE_ID, PARAMETERS = "node_id", "parameters"
 
 @dataclass(frozen=True, slots=True)
 class DeviceDescription:
-    """Identity and abilities of a CANopen device.
+    """Identity and supported services of a simulated CANopen device.
 
-    ``serial`` ``None``: the device has no serial number and no LSS.  ``bitrates`` (bit/s):
-    the supported ones.  ``operational_at_start``: it does not wait for the NMT start command.
+    * ``serial``: serial number, or ``None`` for a device without serial number and without LSS.
+    * ``heartbeat_period``: period of the heartbeat (s).
+    * ``bitrates``: supported bitrates (bit/s).
+    * ``operational_at_start``: true if the device enters OPERATIONAL without an NMT command.
     """
 
     device_type: int = 0
@@ -40,12 +42,16 @@ class DeviceDescription:
     def from_specification(
         cls, specification: DeviceSpecification, name: str, device_type: int = 0
     ) -> DeviceDescription:
-        """The description of a node; ``device_type`` applies if the node states none."""
+        """Returns the description of a node of a robot.
+
+        ``device_type`` applies if the node does not have a device type.
+        """
         node = specification.node
         is_clone = specification.name != node.name
         serial = None if is_clone else _serial_number(node.serial)
         if serial is None and node.lss:
-            # The robot file need not state it: the same in every run, another for each device.
+            # The robot file may omit the serial number.  The computed serial number is the same in
+            # every run and different for each device.
             serial = zlib.crc32(f"{specification.robot.name}/{specification.name}".encode())
         factory_state = specification.delivered and node.lss
         return cls(
@@ -68,9 +74,11 @@ def _serial_number(text: str | None) -> int | None:
 
 
 def commissioned_memory(specification: DeviceSpecification) -> dict[str, Any]:
-    """Returns the non-volatile memory of a node: its id and the values of the CAN map.
+    """Returns the contents of the non-volatile memory of a commissioned node.
 
-    ``delivered``: no values; no id either if LSS can set it.
+    The memory contains the node id and the parameter values of the CAN map.  A device in the
+    factory state has no parameter values.  A device in the factory state with LSS also has no node
+    id.
     """
     node = specification.node
     without_id = specification.delivered and node.lss

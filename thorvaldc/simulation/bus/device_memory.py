@@ -1,4 +1,4 @@
-"""The non-volatile memory of simulated devices, kept in a JSON file between two runs."""
+"""Stores the non-volatile memory of simulated devices in a JSON file between two runs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ Memory = dict[str, dict[str, Any]]
 
 
 def read_memory(path: Path) -> Memory:
-    """Returns the stored values; an empty mapping if the file does not exist.
+    """Returns the stored values of the simulated devices.
 
-    Raises ``ValueError`` for other content.
+    If the file does not exist, the function returns an empty mapping.  Raises ``ValueError`` if the
+    content of the file is invalid.
     """
     if not path.exists():
         return {}
@@ -37,6 +38,6 @@ def _is_device(values: Any) -> bool:
 
 
 def write_memory(path: Path, simulated: SimulatedRobot) -> None:
-    """Stores the non-volatile values of all devices."""
+    """Writes the non-volatile memory of all simulated devices to the JSON file."""
     memory = {name: device.nonvolatile for name, device in simulated.devices.items()}
     path.write_text(json.dumps(memory, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

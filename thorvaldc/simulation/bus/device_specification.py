@@ -1,4 +1,4 @@
-"""A node of a robot's bus, with everything that its simulated device is made from."""
+"""The data from which a simulated device is created."""
 
 from __future__ import annotations
 
@@ -17,12 +17,19 @@ MASTER = "master"
 
 @dataclass
 class DeviceSpecification:
-    """A node of a bus, for ``SimulatedDevice.from_specification``.
+    """The data of a node, the argument of ``SimulatedDevice.from_specification``.
 
-    ``motor`` returns the motor model of an actuator.  ``name`` is the node's, except for a
-    clone.  ``delivered``: the device is in its factory state, without node id and parameters
-    if these can be written over the bus.  ``nonvolatile`` replaces contents of its
-    non-volatile memory (``node_id``, ``bitrate``, ...).
+    * ``robot``: robot of the node.
+    * ``bus``: bus of the node.
+    * ``node``: node in the model.
+    * ``wire``: simulated bus line.
+    * ``motor``: function that returns the motor model of an actuator.
+    * ``name``: name of the device, which differs from the name of the node only for a clone.
+    * ``seed``: seed of the random numbers of the device.
+    * ``delivered``: true for a device in the factory state.  A device in the factory state has no
+      node id and no parameters, if a master can write the node id and parameters over the bus.
+    * ``nonvolatile``: values that replace values in the non-volatile memory of the device, such as
+      ``node_id`` or ``bitrate``.
     """
 
     robot: Robot
@@ -37,12 +44,12 @@ class DeviceSpecification:
 
     @property
     def sent(self) -> list[FrameDefinition]:
-        """Frames that the node sends."""
+        """Definitions of the frames that the node sends."""
         return [frame for frame in self.bus.frames if frame.producer == self.node.name]
 
     @property
     def received(self) -> list[FrameDefinition]:
-        """Frames from the master to this node alone."""
+        """Definitions of the frames that the master sends only to the node."""
         return [
             frame
             for frame in self.bus.frames
@@ -50,28 +57,34 @@ class DeviceSpecification:
         ]
 
     def period(self, cob_id: int, default: float) -> float:
-        """Period (s) of the node's frame with this identifier; ``default`` if it has none."""
+        """Returns the period (s) of the frame of the node with the identifier ``cob_id``.
+
+        Returns ``default`` if the node does not send the frame, or if the frame has no period.
+        """
         periods = (frame.period for frame in self.sent if frame.cob_id == cob_id)
         return next((period for period in periods if period is not None), default)
 
     @property
     def heartbeat_period(self) -> float:
-        """s; 0: the node sends no heartbeat."""
+        """Period of the heartbeat (s), or 0 if the node sends no heartbeat."""
         return self.period(HEARTBEAT + self.node.id, 0.0)
 
     def property(self, name: str) -> Any:
-        """A property of the node's module, ``None`` if it has none of this name."""
+        """Returns a property of the module of the node, or ``None`` for an unknown name."""
         return dict(self.node.properties).get(name)
 
     def actuator(self, channel: str) -> Actuator | None:
-        """The actuator connected to a channel of the node."""
+        """Returns the actuator that is connected to a channel of the node, or ``None``."""
         name = next(c.actuator for c in self.node.channels if c.name == channel)
         return next((actuator for actuator in self.robot.actuators if actuator.name == name), None)
 
     def motor_of(self, actuator: Actuator | None) -> MotorModel:
-        """The motor model of an actuator; without an actuator, a motor that drives nothing."""
+        """Returns the motor model of an actuator.
+
+        If ``actuator`` is ``None``, the function returns a motor without a load.
+        """
         return IdealMotor(1.0, 1.0) if actuator is None else self.motor(actuator)
 
     def common(self) -> dict[str, Any]:
-        """Keyword arguments of every ``SimulatedDevice``."""
+        """Returns the keyword arguments that every subclass of ``SimulatedDevice`` accepts."""
         return {"seed": self.seed, "nonvolatile": self.nonvolatile}

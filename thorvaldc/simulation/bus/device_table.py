@@ -1,4 +1,4 @@
-"""The simulated device of each protocol: built-in ones, and those of other packages."""
+"""Creates the simulated device of a node, from built-in classes or classes of other packages."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ SIMULATED_DEVICES: PluginTable[SimulatedDevice] = PluginTable(
 
 
 def create_device(specification: DeviceSpecification) -> SimulatedDevice:
-    """Makes the simulated device of a node.
+    """Creates the simulated device of a node.
 
-    A node of an unknown protocol becomes a ``ForeignDevice``, which only sends its frames.  Raises
-    ``DiagnosticError`` (``bus-driver-unknown``) if the class that a package offers cannot be used.
+    The protocol of the node selects the class of the device.  A node with an unknown protocol
+    becomes a ``ForeignDevice``.  Raises ``DiagnosticError`` (``bus-driver-unknown``) if a class
+    that another package provides is not a valid device class.
     """
     node = specification.node
     device = SIMULATED_DEVICES.load(node.protocol)

@@ -1,4 +1,4 @@
-"""Injected faults of a simulated bus: by a script, or by a test at any time."""
+"""Injects faults into simulated CAN buses, from a script or from a test."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Listener = Callable[[float, BusFault, bool], None]
 
 
 class FaultInjector:
-    """Plans the faults of a script on a robot's buses.
+    """Schedules the injected faults of a script on the simulated buses of a robot.
 
-    ``active``: the present faults, in the order in which they began.
+    ``active`` has the injected faults that are in effect, in the order of their start times.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class FaultInjector:
                 simulated.timeline.at(time, self._starter(fault, 0.0))
 
     def inject(self, fault: BusFault) -> None:
-        """Starts a fault now."""
+        """Starts an injected fault immediately."""
         self.active.append(fault)
         self._report(fault, True)
         remove = self._start(fault)
@@ -69,7 +69,7 @@ class FaultInjector:
     # -- kinds of faults ----------------------------------------------------------------------
 
     def _start(self, fault: BusFault) -> Action:
-        """Starts a fault; returns the function that removes it."""
+        """Starts an injected fault and returns a function that removes the injected fault."""
         wire = self.simulated.wires[fault.bus]
         devices = self._devices(fault)
         if fault.kind == "power_cut":
@@ -173,4 +173,4 @@ def _set_flag(device: object, name: str) -> Action:
 
 
 def _nothing() -> None:
-    """The end of a fault that lasts no time, such as an emergency."""
+    """Does nothing at the end of an injected fault without duration, such as an EMCY message."""

@@ -1,14 +1,18 @@
-"""An LSS slave (layer setting services, CiA 305): node id and bitrate, set by identity.
+"""A simulated LSS slave (layer setting services, CiA 305).
+
+An LSS master finds a device by its identity and sets the node id and the bitrate of the device.
 
     WAITING  --(switch state selective: all four parts of the identity match)-->  CONFIGURATION
     WAITING  --(fastscan: the last bit of the last part matches)---------------->  CONFIGURATION
     any      --(switch state global)--------------------------------->  WAITING or CONFIGURATION
 
-Configuration services (node id, bit timing, store, inquire) need the CONFIGURATION state.  A new
-node id is pending until the slave leaves that state (if it had none) or its communication is reset.
+An LSS slave accepts configuration services (node id, bit timing, store, inquire) only in the state
+CONFIGURATION.  A new node id is pending at first.  A device without a node id applies the pending
+node id when it leaves the state CONFIGURATION.  A device with a node id applies the pending node id
+after a reset of the communication.
 
-Fastscan finds a slave whose identity is unknown, bit by bit; see ``lss_master`` of the
-commissioning for the sequence.
+The service fastscan finds an LSS slave with an unknown identity, bit by bit.  The module
+``lss_master`` of the commissioning describes the sequence of fastscan.
 """
 
 from __future__ import annotations
@@ -21,13 +25,17 @@ from thorvaldc.can.lss import UNCONFIGURED, Identity
 
 
 class LssSlave:
-    """The LSS services of one device.  Callbacks to the device:
+    """The LSS services of one simulated device.
 
-    - ``set_id(id)``: sets the pending node id, 1..127 or 255;
-    - ``set_bitrate(bit/s)``: sets the pending bitrate; ``False``: not supported;
-    - ``activate(delay)``: changes to the pending bitrate after ``delay`` s;
-    - ``store(done)``: stores the pending values, then calls ``done(code)`` (0: stored);
-    - ``left()``: the slave left the configuration state; a first node id may take effect.
+    The LSS slave calls these functions of the device:
+
+    - ``set_id(id)`` sets the pending node id, 1..127 or 255.
+    - ``set_bitrate(bit/s)`` sets the pending bitrate, and returns ``False`` for an unsupported
+      bitrate.
+    - ``activate(delay)`` changes to the pending bitrate after ``delay`` s.
+    - ``store(done)`` stores the pending values and then calls ``done(code)``, with the code 0 for
+      success.
+    - ``left()`` handles the end of the state CONFIGURATION.
     """
 
     def __init__(
@@ -51,13 +59,16 @@ class LssSlave:
         self._activate = activate
         self._store = store
         self._left = left
-        # Number of parts of the identity that matched so far, for each service.
+        # Each service has a counter of the parts of the identity that have matched.
         self._selected = 0
         self._identified = 0
         self._scanned = 0
 
     def request(self, data: bytes) -> None:
-        """Handles a request of 8 bytes; messages of other lengths get no answer."""
+        """Handles an LSS request of 8 bytes.
+
+        The LSS slave does not answer a message with another length.
+        """
         if len(data) != 8:
             return
         command = data[0]
@@ -83,7 +94,10 @@ class LssSlave:
             self._left()
 
     def _select(self, part: int, number: int) -> None:
-        """Handles one of four requests in a row, one for each part of the identity."""
+        """Handles one of the four requests of the service "switch state selective".
+
+        Each request contains one part of the identity.
+        """
         if part == 0:
             self._selected = 0
         if part != self._selected or number != self.identity[part]:
@@ -96,7 +110,11 @@ class LssSlave:
             self._answer(lss.SELECTED)
 
     def _identify(self, part: int, number: int) -> None:
-        """Handles one of six: vendor, product, revision (low, high), serial number (low, high)."""
+        """Handles one of the six requests of the service "identify remote slave".
+
+        The six requests contain the vendor id, the product code, the lowest and the highest
+        revision number, and the lowest and the highest serial number.
+        """
         if part == 0:
             self._identified = 0
         vendor, product, revision, serial = self.identity
@@ -117,10 +135,12 @@ class LssSlave:
             self._answer(lss.SLAVE_IDENTIFIED)
 
     def _fastscan(self, number: int, bit: int, part: int, following: int) -> None:
-        """Answers if the bits of ``part`` from 31 down to ``bit`` equal those of ``number``.
+        """Handles a request of the service fastscan.
 
-        Only slaves without a node id in the waiting state answer.  ``following`` is the part
-        that the master scans next; a lower one means that the scan is complete.
+        The LSS slave answers if bits 31 to ``bit`` of the identity part with the index ``part`` are
+        equal to the same bits of ``number``.  Only an LSS slave without a node id in the state
+        WAITING answers.  ``following`` is the index of the part that the master scans next.  If
+        ``following`` is lower than ``part``, the scan is complete.
         """
         if self._node_id() != UNCONFIGURED or self.configuring:
             return

@@ -1,4 +1,4 @@
-"""A device's object dictionary (CiA 301): entries with a type, an access and a value."""
+"""The object dictionary of a simulated CANopen device (CiA 301)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DelayedWrite = Callable[[Callable[[], None]], None]
 
 
 class SdoAbort(Exception):
-    """The server aborts the transfer with this abort code."""
+    """An SDO transfer is aborted with an abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"abort {code:#010x}")
@@ -33,13 +33,16 @@ class SdoAbort(Exception):
 
 
 class Entry:
-    """One entry.  ``kind`` is ``u8`` to ``i32``, ``bool``, ``f32`` or ``text``.
+    """One entry of an object dictionary.
 
-    ``access`` is ``ro``, ``rw``, ``wo`` or ``const``.  ``read`` computes a value that changes
-    by itself.  ``write`` is called before a new value is set; it may raise ``SdoAbort``, or
-    return a ``DelayedWrite`` that must end before the response.  ``lower`` and ``upper`` are
-    the limits of accepted values.  ``stored``: the entry belongs to the parameters that object
-    0x1010 stores.
+    * ``kind``: data type, ``u8`` to ``i32``, ``bool``, ``f32`` or ``text``.
+    * ``access``: access by a client, ``ro``, ``rw``, ``wo`` or ``const``.
+    * ``read``: function that computes the current value, for example of a measurement.
+    * ``write``: function that is called before a new value is set.  The function may raise
+      ``SdoAbort``.  The function may also return a ``DelayedWrite``, which must end before the
+      server responds.
+    * ``lower``, ``upper``: limits of the accepted values.
+    * ``stored``: true if object 0x1010 stores the value of the entry in non-volatile memory.
     """
 
     __slots__ = ("access", "kind", "lower", "read", "stored", "upper", "value", "write")
@@ -67,7 +70,7 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Length in bytes; 0 for text, which has no fixed length."""
+        """Length of the value in bytes, or 0 for a text, which has no fixed length."""
         number_format = _FORMATS.get(self.kind)
         return struct.calcsize(number_format) if number_format else 0
 
@@ -75,7 +78,10 @@ class Entry:
         return self.value if self.read is None else self.read()
 
     def set(self, value: Any) -> DelayedWrite | None:
-        """Sets the value that a client writes.  Raises ``SdoAbort``."""
+        """Sets the entry to a value that a client writes.
+
+        Raises ``SdoAbort`` if the entry does not accept the value.
+        """
         too_low = self.lower is not None and value < self.lower
         if too_low or (self.upper is not None and value > self.upper):
             raise SdoAbort(AbortCode.VALUE_RANGE)
@@ -84,7 +90,7 @@ class Entry:
         return delayed
 
     def encode(self) -> bytes:
-        """Returns the value as SDO and PDO transfer it."""
+        """Returns the bytes of the value for an SDO or a PDO."""
         value = self.get()
         if self.kind == "text":
             return str(value).encode("latin-1", "replace")
@@ -95,7 +101,10 @@ class Entry:
         return struct.pack(_FORMATS[self.kind], value)
 
     def decode(self, data: bytes) -> Any:
-        """Returns the value of received bytes.  Raises ``SdoAbort`` if their number is wrong."""
+        """Returns the value that received bytes contain.
+
+        Raises ``SdoAbort`` if the number of bytes is wrong.
+        """
         if self.kind == "text":
             return data.decode("latin-1")
         if len(data) != self.size:
@@ -104,7 +113,7 @@ class Entry:
 
 
 class ObjectDictionary:
-    """Entries by index and subindex."""
+    """The entries of an object dictionary by index and subindex."""
 
     def __init__(self) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
@@ -116,13 +125,20 @@ class ObjectDictionary:
         return entry
 
     def add_record(self, index: int, *entries: Entry) -> None:
-        """Adds entries from subindex 1 on, and their number at subindex 0."""
+        """Adds a record with the given entries.
+
+        The entries have the subindices from 1 on.  The entry at subindex 0 is the highest
+        subindex.
+        """
         self.add(index, 0, Entry("u8", len(entries), "const"))
         for subindex, entry in enumerate(entries, 1):
             self.add(index, subindex, entry)
 
     def __getitem__(self, key: tuple[int, int]) -> Entry:
-        """Returns the entry at (index, subindex).  Raises ``SdoAbort`` if there is none."""
+        """Returns the entry at (index, subindex).
+
+        Raises ``SdoAbort`` if the object dictionary does not contain the entry.
+        """
         try:
             return self._entries[key]
         except KeyError:
@@ -134,25 +150,34 @@ class ObjectDictionary:
         return key in self._entries
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """Returns the bytes that a client reads.  Raises ``SdoAbort``."""
+        """Returns the bytes of the entry that a client reads.
+
+        Raises ``SdoAbort`` if a client cannot read the entry.
+        """
         entry = self[index, subindex]
         if entry.access == "wo":
             raise SdoAbort(AbortCode.WRITE_ONLY)
         return entry.encode()
 
     def download(self, index: int, subindex: int, data: bytes) -> DelayedWrite | None:
-        """Sets the entry to the bytes that a client writes.  Raises ``SdoAbort``."""
+        """Sets an entry to the value of the bytes that a client writes.
+
+        Raises ``SdoAbort`` if the entry does not accept the value.
+        """
         entry = self[index, subindex]
         if entry.access in ("ro", "const"):
             raise SdoAbort(AbortCode.READ_ONLY)
         return entry.set(entry.decode(data))
 
     def parameters(self) -> dict[str, Any]:
-        """The values of the ``stored`` entries, by ``index.subindex`` in hexadecimal."""
+        """Returns the values of all entries with ``stored``, by the name of the parameter.
+
+        The name of a parameter is ``index.subindex`` in hexadecimal.
+        """
         return {name: entry.value for name, entry in self._stored()}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Sets the ``stored`` entries to values of ``parameters``."""
+        """Sets all entries with ``stored`` to the values that ``parameters`` returned."""
         for name, entry in self._stored():
             if name in values:
                 entry.value = values[name]
@@ -164,5 +189,5 @@ class ObjectDictionary:
 
 
 def parameter_name(index: int, subindex: int) -> str:
-    """Returns the name of an entry in non-volatile memory: ``1017.00``."""
+    """Returns the name of an entry in non-volatile memory, such as ``1017.00``."""
     return f"{index:04x}.{subindex:02x}"

@@ -1,15 +1,23 @@
-"""Process data objects of a CANopen device: communication, mapping, SYNC and events (CiA 301).
+"""The process data objects (PDOs) of a simulated CANopen device (CiA 301).
 
-Objects of PDO number n (RPDO: base 0x1400, TPDO: base 0x1800):
+PDO number n has these objects.  The base is 0x1400 for an RPDO and 0x1800 for a TPDO:
 
     base + n - 1           sub 1 COB-ID (bit 31: switched off), sub 2 transmission type,
                            sub 5 event timer in ms
     base + 0x200 + n - 1   sub 0 number of mapped entries, then index << 16 | subindex << 8 | bits
 
-A master changes a PDO in this order: switch it off, set sub 0 of the mapping to 0, write
-the mapping, set sub 0, switch it on.  Any other order is aborted.
+A master must change the mapping of a PDO in this order:
 
-Transmission types: 0 = at SYNC if changed, 1 to 240 = at every n-th SYNC, above = by event or time.
+1. switch the PDO off,
+2. set sub 0 of the mapping to 0,
+3. write the mapping,
+4. set sub 0 of the mapping to the number of mapped entries,
+5. switch the PDO on.
+
+The device aborts the SDO transfers of a master that uses another order.
+
+The transmission type defines when a TPDO is sent.  Type 0: at SYNC if the data changed.  Types 1 to
+240: at every n-th SYNC.  Higher types: after an event or at the event timer.
 """
 
 from __future__ import annotations
@@ -36,10 +44,12 @@ _SLOTS = 8
 
 
 class Pdo(NamedTuple):
-    """A PDO in its factory configuration.
+    """The factory configuration of a PDO.
 
-    ``number`` starts at 1.  ``transmission`` is the transmission type.  ``mapping`` has index,
-    subindex and length (bits) of each object.  ``event_ms`` is the event timer, 0: none.
+    * ``number``: number of the PDO, from 1 on.
+    * ``transmission``: transmission type.
+    * ``mapping``: index, subindex and length (bits) of each mapped object.
+    * ``event_ms``: event timer (ms), or 0 for a PDO without an event timer.
     """
 
     number: int
@@ -50,15 +60,15 @@ class Pdo(NamedTuple):
 
 
 class _ConfiguredPdo:
-    """A PDO as its entries in the object dictionary define it now."""
+    """A PDO with the configuration that the object dictionary currently defines."""
 
     def __init__(self, pdo: Pdo, transmit: bool, objects: ObjectDictionary) -> None:
         self._objects = objects
         self.pending: bytes | None = None
-        """Received data that waits for SYNC."""
+        """Received data that is applied at the next SYNC."""
         self.syncs = 0
         self.last: bytes | None = None
-        """Data sent last."""
+        """Data that the PDO sent last."""
         base = 0x1800 if transmit else 0x1400
         index = base + pdo.number - 1
         self.cob = Entry("u32", pdo.cob_id, "rw", write=self._check_cob, stored=True)
@@ -82,12 +92,15 @@ class _ConfiguredPdo:
 
     @property
     def cob_id(self) -> int | None:
-        """``None``: the PDO is switched off."""
+        """COB-ID of the PDO, or ``None`` if the PDO is switched off."""
         value: int = self.cob.value
         return None if value & INVALID else value & 0x7FF
 
     def mapped(self) -> list[Entry | int]:
-        """The mapped entries in order; a number of bits for a gap without an object."""
+        """Returns the mapped entries in order.
+
+        The list has a number of bits instead of an entry for a gap without an object.
+        """
         items: list[Entry | int] = []
         for slot in self.slots[: self.count.value]:
             key = (slot.value >> 16, slot.value >> 8 & 0xFF)
@@ -95,14 +108,17 @@ class _ConfiguredPdo:
         return items
 
     def pack(self) -> bytes:
-        """Returns the present values of the mapped entries as the data of a frame."""
+        """Returns the present values of the mapped entries as the data of a CAN frame."""
         parts = [
             item.encode() if isinstance(item, Entry) else bytes(item // 8) for item in self.mapped()
         ]
         return b"".join(parts)
 
     def unpack(self, data: bytes) -> None:
-        """Sets the mapped entries; an entry whose value is out of range keeps its value."""
+        """Sets the mapped entries to the values in the data of a received CAN frame.
+
+        If a received value is out of range, the entry keeps the previous value.
+        """
         position = 0
         for item in self.mapped():
             size = item.size if isinstance(item, Entry) else item // 8
@@ -113,12 +129,12 @@ class _ConfiguredPdo:
 
     @property
     def length(self) -> int:
-        """Bytes of data."""
+        """Number of data bytes of the PDO."""
         sizes = [item.size if isinstance(item, Entry) else item // 8 for item in self.mapped()]
         return sum(sizes)
 
     def _check_cob(self, value: Any) -> DelayedWrite | None:
-        """The identifier may change only while the PDO is switched off."""
+        """Checks a new COB-ID, which may change only while the PDO is switched off."""
         changed = (value ^ self.cob.value) & 0x7FF
         if changed and not (value & INVALID or self.cob.value & INVALID):
             raise SdoAbort(AbortCode.STATE_REFUSED)
@@ -142,7 +158,10 @@ class _ConfiguredPdo:
 
 
 class PdoSet:
-    """The PDOs of a device: ``received`` are its RPDOs, ``sent`` its TPDOs."""
+    """The PDOs of a device.
+
+    ``received`` are the RPDOs, and ``sent`` are the TPDOs.
+    """
 
     def __init__(
         self,
@@ -151,16 +170,20 @@ class PdoSet:
         sent: Sequence[Pdo],
         send: Callable[[int, bytes], None],
     ) -> None:
-        """``send`` sends a frame: identifier, data."""
+        """Adds the objects of all PDOs to the object dictionary.
+
+        The function ``send`` sends a CAN frame and has the arguments identifier and data.
+        """
         self._send = send
         self.received = [_ConfiguredPdo(pdo, False, objects) for pdo in received]
         self.sent = [_ConfiguredPdo(pdo, True, objects) for pdo in sent]
         self._next_event = [0.0] * len(self.sent)
 
     def receive(self, frame: CanFrame) -> bool:
-        """Handles a received frame; its values apply immediately, or at the next SYNC.
+        """Handles a received CAN frame.
 
-        Returns whether the frame is one of the RPDOs.
+        The values of an RPDO apply immediately, or at the next SYNC for a synchronous RPDO.
+        Returns true if the CAN frame is an RPDO of the device.
         """
         for pdo in self.received:
             if pdo.cob_id == frame.id:
@@ -174,11 +197,14 @@ class PdoSet:
         return False
 
     def cob_ids(self) -> list[int]:
-        """COB-IDs of the RPDOs that are switched on."""
+        """Returns the COB-IDs of the RPDOs that are switched on."""
         return [pdo.cob_id for pdo in self.received if pdo.cob_id is not None]
 
     def synchronise(self) -> None:
-        """Handles SYNC: applies pending RPDOs, then samples and sends synchronous TPDOs."""
+        """Handles a SYNC message.
+
+        The function first applies the pending RPDOs, and then sends the synchronous TPDOs.
+        """
         for pdo in self.received:
             if pdo.pending is not None:
                 data, pdo.pending = pdo.pending, None
@@ -197,7 +223,10 @@ class PdoSet:
                 self._send(cob_id, data)
 
     def event_period(self, index: int) -> float:
-        """Event timer (s) of the TPDO at ``index`` of ``sent``; 0: none, or switched off."""
+        """Returns the event timer (s) of the TPDO at the position ``index`` in ``sent``.
+
+        Returns 0 if the TPDO has no event timer or is switched off.
+        """
         pdo = self.sent[index]
         period: int = pdo.event.value
         return period / 1000.0 if pdo.cob_id is not None else 0.0
@@ -206,13 +235,20 @@ class PdoSet:
         self.sent[index].event.value = milliseconds
 
     def send_now(self, index: int) -> None:
-        """Sends the TPDO at ``index`` of ``sent``, unless it is switched off."""
+        """Sends the TPDO at the position ``index`` in ``sent``.
+
+        A TPDO that is switched off is not sent.
+        """
         pdo = self.sent[index]
         if pdo.cob_id is not None:
             self._send(pdo.cob_id, pdo.pack())
 
     def tick(self, now: float) -> None:
-        """Sends the event-driven TPDOs whose timer is due; without a timer, those that changed."""
+        """Sends the event-driven TPDOs that are due at the time ``now`` (s).
+
+        A TPDO with an event timer is due at the end of the event timer.  A TPDO without an event
+        timer is due when the data changed.
+        """
         for index, pdo in enumerate(self.sent):
             cob_id = pdo.cob_id
             if cob_id is None or pdo.type.value <= SYNCHRONOUS:
