@@ -25,12 +25,12 @@ from dataclasses import dataclass
 class Code:
     """A diagnostic code.
 
-    ``number``: number of the code, such as ``TV501``.  The number of a code never changes.
-    ``name``: name of the code, such as ``can-id-duplicate``.
-    ``severity``: severity of all diagnostics with this code.
-    ``summary``: description of the problem in one line.
-    ``outside``: whether the cause is outside the input files, for example on the CAN bus or in
-    another program.  If ``outside`` is true, the exit status of the command is 3.
+    - ``number``: number of the code, such as ``TV501``.  The number of a code never changes.
+    - ``name``: name of the code, such as ``can-id-duplicate``.
+    - ``severity``: severity of all diagnostics with this code.
+    - ``summary``: description of the problem in one line.
+    - ``outside``: whether the cause is outside the input files, for example on the CAN bus or in
+      another program.  If ``outside`` is true, the exit status of the command is 3.
     """
 
     number: str

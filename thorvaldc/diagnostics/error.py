@@ -9,7 +9,8 @@ from thorvaldc.diagnostics.report import Diagnostic, Span
 class DiagnosticError(Exception):
     """Raised if an operation is not possible.
 
-    ``diagnostic``: diagnostic with the reason and a hint.
+    - ``diagnostic``: diagnostic with the reason and a hint.
+
     A function without a ``Report`` raises this exception.  A caller with a ``Report`` adds the
     diagnostic to its report.
     """

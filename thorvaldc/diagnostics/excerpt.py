@@ -47,9 +47,9 @@ def json_text(document: Any) -> str:
 class Excerpt:
     """The visible part of a source line, with the position of a source span.
 
-    ``text``: visible part of the line.
-    ``start``: terminal column at which the source span starts, from 0.
-    ``length``: length of the source span in terminal columns.
+    - ``text``: visible part of the line.
+    - ``start``: terminal column at which the source span starts, from 0.
+    - ``length``: length of the source span in terminal columns.
     """
 
     text: str
@@ -60,8 +60,8 @@ class Excerpt:
 class Excerpts:
     """Reads the source lines of source spans.  Each source file is read only once.
 
-    ``sources``: path of each file name in the source spans.
-    ``width``: maximum width of an output line in terminal columns.
+    - ``sources``: path of each file name in the source spans.
+    - ``width``: maximum width of an output line in terminal columns.
     """
 
     def __init__(self, sources: Mapping[str, Path], width: int = 100) -> None:
@@ -77,7 +77,7 @@ class Excerpts:
     def show(self, span: Span, gutter: int) -> Excerpt | None:
         """Returns the first source line of a span, or ``None`` if the line cannot be read.
 
-        ``gutter``: number of columns for the line numbers.
+        - ``gutter``: number of columns for the line numbers.
         """
         line = self._line(span)
         if line is None:
@@ -116,10 +116,10 @@ class Excerpts:
 class _Line:
     """The layout of a source line in a terminal.
 
-    ``cells``: text that the terminal shows for each character.
-    ``starts``: terminal column of each character.  The last element of ``starts`` is the column
-    after the last character.
-    ``stripped``: number of characters without blanks at the end of the line.
+    - ``cells``: text that the terminal shows for each character.
+    - ``starts``: terminal column of each character.  The last element of ``starts`` is the column
+      after the last character.
+    - ``stripped``: number of characters without blanks at the end of the line.
     """
 
     cells: list[str]
@@ -163,8 +163,8 @@ def _cell(character: str) -> tuple[str, int]:
 def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
     """Cuts a source line to the maximum width, so that a source span stays visible.
 
-    ``begin``, ``end``: first terminal column of the span, and the column after the span.
-    ``width``: maximum width of the visible part in terminal columns.
+    - ``begin``, ``end``: first terminal column of the span, and the column after the span.
+    - ``width``: maximum width of the visible part in terminal columns.
 
         |<------------------ total ------------------>|
         aaaaaaaaaaaaaaaaaaaaXXXXXXaaaaaaaaaaaaaaaaaaaaa

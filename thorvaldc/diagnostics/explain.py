@@ -13,7 +13,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 class UnknownCode(LookupError):
     """Raised if no diagnostic code has the requested number or name.
 
-    ``hint``: suggestion of a similar code, or ``None``.
+    - ``hint``: suggestion of a similar code, or ``None``.
     """
 
     def __init__(self, number_or_name: str, hint: str | None) -> None:
@@ -24,7 +24,8 @@ class UnknownCode(LookupError):
 def find_code(number_or_name: str) -> Code:
     """Returns a diagnostic code by its number or name.
 
-    ``number_or_name``: ``TV501``, ``501`` or ``can-id-duplicate``, for example.
+    - ``number_or_name``: ``TV501``, ``501`` or ``can-id-duplicate``, for example.
+
     Raises ``UnknownCode`` if no diagnostic code has this number or name.
     """
     text = number_or_name.strip()

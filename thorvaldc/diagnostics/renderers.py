@@ -33,9 +33,9 @@ def render(
 ) -> str:
     """Returns a report as a text without colours.
 
-    ``format``: output format, one of ``FORMATS``.
-    ``sources``: path of each file name in the source spans.
-    ``builds``: description of each build result.  Only the JSON output contains the descriptions.
+    - ``format``: output format, one of ``FORMATS``.
+    - ``sources``: path of each file name in the source spans.
+    - ``builds``: description of each build result.  Only the JSON output contains the descriptions.
     """
     if format == "json":
         return render_json(report, builds=builds)
@@ -59,8 +59,8 @@ def render_text(
     Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The text
     of a diagnostic also contains the source lines and the hint.
 
-    ``color``: whether the text contains ANSI escape sequences for colours.
-    ``width``: maximum width of a source line in terminal columns.
+    - ``color``: whether the text contains ANSI escape sequences for colours.
+    - ``width``: maximum width of a source line in terminal columns.
     """
     excerpts = Excerpts(sources, width)
     paint = _painter(color)

@@ -52,11 +52,11 @@ class Label:
 class Diagnostic:
     """A message about an input.
 
-    ``code``: diagnostic code.
-    ``message``: one sentence with the value, the limit and the unit.
-    ``span``: source span of the invalid value, or ``None`` if the input is not a file.
-    ``hint``: advice for the user.
-    ``labels``: further source spans with texts.
+    - ``code``: diagnostic code.
+    - ``message``: one sentence with the value, the limit and the unit.
+    - ``span``: source span of the invalid value, or ``None`` if the input is not a file.
+    - ``hint``: advice for the user.
+    - ``labels``: further source spans with texts.
     """
 
     code: Code
@@ -90,11 +90,12 @@ class Report:
     ) -> None:
         """Adds a diagnostic to the report.
 
-        ``code``: name of the diagnostic code, such as ``"can-id-duplicate"``.
-        ``message``: one sentence with the value, the limit and the unit.
-        ``span``: source span of the invalid value.
-        ``hint``: advice for the user.
-        ``labels``: further source spans with texts.
+        - ``code``: name of the diagnostic code, such as ``"can-id-duplicate"``.
+        - ``message``: one sentence with the value, the limit and the unit.
+        - ``span``: source span of the invalid value.
+        - ``hint``: advice for the user.
+        - ``labels``: further source spans with texts.
+
         If the report already contains an equal diagnostic, nothing is added.  For example, a
         mistake in a module document is reported once, although a robot has nine such modules.
         """
@@ -120,7 +121,8 @@ class Report:
     def used_by(self, user: Label) -> Iterator[None]:
         """Adds a label at a module instance to the diagnostics of a ``with`` block.
 
-        ``user``: label at the module instance in the robot file.
+        - ``user``: label at the module instance in the robot file.
+
         A diagnostic in a module document gets the label ``user``, because the parameters of the
         module instance can cause the diagnostic.  A diagnostic in the library of the project
         gets the source span of ``user``, because the user cannot change the library.  The

@@ -21,8 +21,8 @@ class _UnknownKeyword(Exception):
 def passes(schema: dict[str, Any], value: Any) -> bool:
     """Returns whether a value is valid.  Returns ``False`` if the schema has an unknown keyword.
 
-    ``schema``: a JSON Schema without references.
-    ``value``: the document as plain Python dicts, lists and scalars.
+    - ``schema``: a JSON Schema without references.
+    - ``value``: the document as plain Python dicts, lists and scalars.
     """
     try:
         return _valid(schema, value)

@@ -59,13 +59,14 @@ def build_buses(
 ) -> tuple[Bus, ...]:
     """Build and check the buses of a robot with their nodes, CAN frames and signals.
 
-    ``devices``: module instances with a section `can`.
-    ``specs``: buses in the order of the robot file.  A device without a bus name is on the first
-    bus.
-    ``actuators``: motors of the robot.
-    ``sync_period``: control cycle in s.
-    ``foreign``: section `foreign_devices` of the robot file.
-    ``lock``: node ids of the last build, from the lock file.
+    - ``devices``: module instances with a section `can`.
+    - ``specs``: buses in the order of the robot file.  A device without a bus name is on the first
+      bus.
+    - ``actuators``: motors of the robot.
+    - ``sync_period``: control cycle in s.
+    - ``foreign``: section `foreign_devices` of the robot file.
+    - ``lock``: node ids of the last build, from the lock file.
+
     Returns no buses for a robot without devices, or if a bitrate is not positive.
     """
     for spec in specs:

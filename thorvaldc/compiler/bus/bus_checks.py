@@ -248,7 +248,8 @@ def _check_cob_ids(
     """Report COB-IDs that two CAN frames of a bus use.
 
     The frames of the master and of the CANopen standard services are included.
-    ``skipped``: names of nodes with a duplicate node id, whose frames are not checked.
+
+    - ``skipped``: names of nodes with a duplicate node id, whose frames are not checked.
     """
     first: dict[int, _Claim] = {}
     conflicts: dict[tuple[str, str], list[tuple[_Claim, _Claim]]] = {}

@@ -58,8 +58,9 @@ def frames_of(
 ) -> Iterator[FrameDefinition]:
     """Yield the CAN frames of a device.
 
-    ``node_id``: node id of the device.
-    ``sync_period``: control cycle in s.
+    - ``node_id``: node id of the device.
+    - ``sync_period``: control cycle in s.
+
     Reports an error for each invalid frame, and leaves the frame out of the result.
     """
     scope, name = device.scope, device.name
@@ -151,9 +152,9 @@ def standard_frames(
 
     The COB-IDs follow the predefined connection set of CiA 301.
 
-    ``name``: name of the device.
-    ``services``: list with the names of the services in the document.
-    ``heartbeat_period``: period of the heartbeat in s.
+    - ``name``: name of the device.
+    - ``services``: list with the names of the services in the document.
+    - ``heartbeat_period``: period of the heartbeat in s.
     """
     if services is None:
         return
@@ -209,10 +210,10 @@ def heartbeat(
 ) -> FrameDefinition:
     """Return the definition of a heartbeat frame (CiA 301).
 
-    ``prefix``: first part of the name of the frame.
-    ``producer``: node that sends the heartbeat.
-    ``consumers``: nodes that monitor the heartbeat.
-    ``period``: heartbeat period in s.
+    - ``prefix``: first part of the name of the frame.
+    - ``producer``: node that sends the heartbeat.
+    - ``consumers``: nodes that monitor the heartbeat.
+    - ``period``: heartbeat period in s.
     """
     return FrameDefinition(
         f"{prefix}_heartbeat",

@@ -19,10 +19,10 @@ CANOPEN = "canopen"
 class Wire(NamedTuple):
     """The connection of a motor to a channel of a motor controller.
 
-    ``channel``: name of the channel.
-    ``actuator``: the motor with its gear.
-    ``lower``, ``upper``: limits of the joint in rad, or ``None`` for a joint without limits.
-    ``span``: source span of the entry under ``channels`` in the robot file.
+    - ``channel``: name of the channel.
+    - ``actuator``: the motor with its gear.
+    - ``lower``, ``upper``: limits of the joint in rad, or ``None`` for a joint without limits.
+    - ``span``: source span of the entry under ``channels`` in the robot file.
     """
 
     channel: str
@@ -35,15 +35,15 @@ class Wire(NamedTuple):
 class Device(NamedTuple):
     """A module instance whose module type has a `can` section.
 
-    ``path``: path of the module instance in the robot.
-    ``name``: name of the device on the bus.
-    ``can``: section `can` of the module type.
-    ``channels``: section `channels` of the module type.
-    ``wires``: connections of motors to the channels.
-    ``address``: entry `can` of the module instance in the robot file.  The entry is an id, the
-    word ``auto`` or a mapping.
-    ``scope``: names and values for expressions in the module document.
-    ``span``: source span of the module instance in the robot file.
+    - ``path``: path of the module instance in the robot.
+    - ``name``: name of the device on the bus.
+    - ``can``: section `can` of the module type.
+    - ``channels``: section `channels` of the module type.
+    - ``wires``: connections of motors to the channels.
+    - ``address``: entry `can` of the module instance in the robot file.  The entry is an id, the
+      word ``auto`` or a mapping.
+    - ``scope``: names and values for expressions in the module document.
+    - ``span``: source span of the module instance in the robot file.
     """
 
     path: str
@@ -59,13 +59,13 @@ class Device(NamedTuple):
 class Placed(NamedTuple):
     """A device on a bus, with its node id.
 
-    ``path``: path of the module instance in the robot.
-    ``bus``: name of the bus.
-    ``span``: source span of the address of the device in the robot file.
-    ``serial_span``: source span of the serial number in the robot file.
-    ``node``: node of the device in the model.
-    ``frames``: CAN frames of the device.
-    ``module_span``: source span of the section `can` in the module document.
+    - ``path``: path of the module instance in the robot.
+    - ``bus``: name of the bus.
+    - ``span``: source span of the address of the device in the robot file.
+    - ``serial_span``: source span of the serial number in the robot file.
+    - ``node``: node of the device in the model.
+    - ``frames``: CAN frames of the device.
+    - ``module_span``: source span of the section `can` in the module document.
     """
 
     path: str
@@ -80,9 +80,9 @@ class Placed(NamedTuple):
 class BusSpec(NamedTuple):
     """A bus of the robot.
 
-    ``bitrate``: bitrate in bit/s.
-    ``span``: source span of the bus in the robot file.
-    ``stated``: whether the robot file contains the bitrate.
+    - ``bitrate``: bitrate in bit/s.
+    - ``span``: source span of the bus in the robot file.
+    - ``stated``: whether the robot file contains the bitrate.
     """
 
     name: str

@@ -25,7 +25,7 @@ def foreign_devices(
 ) -> list[Placed]:
     """Return the foreign devices of a robot with the CAN frames that the base driver relays.
 
-    ``section``: section `foreign_devices` of the robot file.
+    - ``section``: section `foreign_devices` of the robot file.
     """
     scope = Scope(None, {}, Library(), report, None)
     devices = []

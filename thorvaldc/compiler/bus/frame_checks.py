@@ -38,9 +38,9 @@ def check_layout(
     A frame has at most 8 bytes.  The signals must be inside the frame and must not overlap.
     The named values of a signal must fit into its bits, and the multiplexer must be valid.
 
-    ``frame``: definition of the frame in the module document.
-    ``length``: length of the frame in bytes.
-    ``signals``: tuples (signal, name of the channel).
+    - ``frame``: definition of the frame in the module document.
+    - ``length``: length of the frame in bytes.
+    - ``signals``: tuples (signal, name of the channel).
     """
     if not 0 <= length <= 8:
         length_node = frame.get("length") or frame
@@ -188,7 +188,7 @@ def check_scales(
 ) -> None:
     """Check that each signal of a joint can represent the whole speed or angle range of the joint.
 
-    ``signals``: tuples (signal, name of the channel).
+    - ``signals``: tuples (signal, name of the channel).
     """
     wires = {wire.channel: wire for wire in device.wires}
     nodes = dict(entries(frame.get("signals")))

@@ -75,7 +75,7 @@ def read_lock(document: Node, report: Report) -> Lock:
 def lock_text(robot: Robot, file: str) -> str:
     """Return the text of the lock file of a robot.
 
-    ``file``: name of the robot file, for the comment at the start of the lock file.
+    - ``file``: name of the robot file, for the comment at the start of the lock file.
     """
     lines = [HEAD.format(robot=file), f"{VERSION_KEY}: {VERSION}\n"]
     lines.append(f"{ADDRESSES}:\n" if has_pins(robot) else f"{ADDRESSES}: {{}}\n")

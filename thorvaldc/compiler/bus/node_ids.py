@@ -39,11 +39,11 @@ HEARTBEATS_MISSED = 3
 class _Request(NamedTuple):
     """The address of a device in the robot file.
 
-    ``bus``: name of the bus.
-    ``id``: requested node id, or ``None`` for `auto`.
-    ``serial``: serial number of the device, or ``None``.
-    ``span``: source span of the node id.
-    ``serial_span``: source span of the serial number.
+    - ``bus``: name of the bus.
+    - ``id``: requested node id, or ``None`` for `auto`.
+    - ``serial``: serial number of the device, or ``None``.
+    - ``span``: source span of the node id.
+    - ``serial_span``: source span of the serial number.
     """
 
     bus: str
@@ -66,11 +66,12 @@ def assign_ids(
 ) -> list[Placed]:
     """Assign a node id to each device, and create the CAN frames of the device.
 
-    ``devices``: devices without node ids.
-    ``foreign``: foreign devices, which already have node ids.
-    ``specs``: buses of the robot.
-    ``sync_period``: control cycle in s.
-    ``lock``: node ids of the last build.
+    - ``devices``: devices without node ids.
+    - ``foreign``: foreign devices, which already have node ids.
+    - ``specs``: buses of the robot.
+    - ``sync_period``: control cycle in s.
+    - ``lock``: node ids of the last build.
+
     Reports an error for a device that cannot get a node id, and leaves the device out of the
     result.
     """

@@ -58,7 +58,7 @@ def objects_of(
 def type_range(name: str) -> tuple[int, int]:
     """Return the smallest and the largest value of an object type.
 
-    ``name``: name of the type, a key of ``OBJECT_TYPES``.
+    - ``name``: name of the type, a key of ``OBJECT_TYPES``.
     """
     bits = OBJECT_TYPES[name][1]
     if name.startswith("integer"):

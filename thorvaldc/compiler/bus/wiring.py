@@ -20,12 +20,12 @@ DEFAULT_BUS = "main"
 class Wiring(NamedTuple):
     """Collects the CAN devices of a robot and the motors on their channels.
 
-    ``document``: robot document.
-    ``resolver``: resolver of the references to motors.
-    ``scope``: names and values for expressions in the robot document.
-    ``actuators``: actuators of the model, by name.
-    ``joints``: joints of the model, by name.
-    ``lock``: node ids of the last build, from the lock file.
+    - ``document``: robot document.
+    - ``resolver``: resolver of the references to motors.
+    - ``scope``: names and values for expressions in the robot document.
+    - ``actuators``: actuators of the model, by name.
+    - ``joints``: joints of the model, by name.
+    - ``lock``: node ids of the last build, from the lock file.
     """
 
     document: Node
@@ -39,8 +39,8 @@ class Wiring(NamedTuple):
     def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
         """Return the buses of a robot.
 
-        ``robot``: root of the tree of module instances.
-        ``period``: control cycle of the base driver in s.
+        - ``robot``: root of the tree of module instances.
+        - ``period``: control cycle of the base driver in s.
         """
         devices: list[Device] = []
         for leaf in robot.leaves():

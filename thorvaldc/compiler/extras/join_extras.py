@@ -16,8 +16,8 @@ from thorvaldc.model import Joint, Link, Mesh, Pose
 class Attachment:
     """A mounting position on a link.
 
-    ``link``: name of the link.
-    ``pose``: pose of the mounting position in the link frame.
+    - ``link``: name of the link.
+    - ``pose``: pose of the mounting position in the link frame.
     """
 
     link: str
@@ -34,10 +34,10 @@ FindAttachment = Callable[[str | None], Attachment | None]
 class Placement:
     """Position of the root links of a xacro file on the robot.
 
-    ``span``: source span of the entry in the robot file.
-    ``parent``: value of ``parent`` in the entry, or ``None`` for the root module of the robot.
-    ``pose``: pose of the root links relative to the mounting position of the parent.
-    ``placement_node``: first of the keys ``parent``, ``xyz`` and ``rpy`` that the entry contains.
+    - ``span``: source span of the entry in the robot file.
+    - ``parent``: value of ``parent`` in the entry, or ``None`` for the root module of the robot.
+    - ``pose``: pose of the root links relative to the mounting position of the parent.
+    - ``placement_node``: first of the keys ``parent``, ``xyz`` and ``rpy`` that the entry contains.
     """
 
     span: Span
@@ -49,8 +49,9 @@ class Placement:
 class ExtrasJoiner:
     """Adds the links and joints of extras to a robot, one xacro file after the other.
 
-    ``links``: source span of each link of the robot and of the extras already added.
-    ``joints``: source span of each joint of the robot and of the extras already added.
+    - ``links``: source span of each link of the robot and of the extras already added.
+    - ``joints``: source span of each joint of the robot and of the extras already added.
+
     An extra can be mounted on a link of an extra that was added earlier.
     """
 
@@ -73,8 +74,8 @@ class ExtrasJoiner:
     def add(self, entry: Placement, parts: UrdfParts) -> None:
         """Checks the links and joints of one xacro file, and connects them to the robot.
 
-        ``entry``: position of the root links on the robot.
-        ``parts``: links, joints and meshes of the file.
+        - ``entry``: position of the root links on the robot.
+        - ``parts``: links, joints and meshes of the file.
         """
         links = self.new_file_links(parts.links)
         joint_to = self.joints_by_child(parts.joints, links)
@@ -135,7 +136,7 @@ class ExtrasJoiner:
     ) -> dict[str, Joint]:
         """Returns the valid joints of a xacro file by the name of the child link.
 
-        ``links``: links that the xacro file defines, by name.
+        - ``links``: links that the xacro file defines, by name.
         """
         joint_to: dict[str, Joint] = {}
         names: dict[str, Span] = {}
@@ -182,8 +183,8 @@ class ExtrasJoiner:
     def mount(self, entry: Placement, roots: Sequence[Link]) -> list[Joint]:
         """Returns the fixed joints that mount the root links of a xacro file on the robot.
 
-        ``entry``: mounting position that the robot file requests.
-        ``roots``: links of the file without a parent joint.
+        - ``entry``: mounting position that the robot file requests.
+        - ``roots``: links of the file without a parent joint.
         """
         if not roots:
             if entry.placement_node is not None:

@@ -46,10 +46,10 @@ __all__ = ["Attachment", "ExtraParts", "load_extras"]
 class ExtraParts:
     """Links, joints and meshes of all extras of a robot.
 
-    ``links``: new links.  A parent link comes before its child links.
-    ``urdf_extensions``: XML text of the elements that are written only to URDF.
-    ``files``: path of each xacro file, by the name of the file in source spans.  A path begins
-    with the path of the folder of the robot file, unless an installed package contains the file.
+    - ``links``: new links.  A parent link comes before its child links.
+    - ``urdf_extensions``: XML text of the elements that are written only to URDF.
+    - ``files``: path of each xacro file, by the name of the file in source spans.  A path begins
+      with the path of the folder of the robot file, unless an installed package contains the file.
     """
 
     links: tuple[Link, ...] = ()
@@ -70,13 +70,14 @@ def load_extras(
 ) -> ExtraParts:
     """Loads the extras of a robot.
 
-    ``entries``: entries of the section ``extras`` in the robot file.
-    ``base_dir``: folder of the robot file.
-    ``links``: source span of each link of the robot, by the name of the link.
-    ``joints``: source span of each joint of the robot, by the name of the joint.
-    ``attach``: function that finds the mounting position of an entry.
-    ``report``: report that receives the errors.  If an extra has errors, the result does not
-    contain all its links and joints.
+    - ``entries``: entries of the section ``extras`` in the robot file.
+    - ``base_dir``: folder of the robot file.
+    - ``links``: source span of each link of the robot, by the name of the link.
+    - ``joints``: source span of each joint of the robot, by the name of the joint.
+    - ``attach``: function that finds the mounting position of an entry.
+    - ``report``: report that receives the errors.  If an extra has errors, the result does not
+      contain all its links and joints.
+
     If ``entries`` is empty, no worker process is started.
     """
     if not entries:
@@ -191,8 +192,8 @@ def _text(node: Node) -> str:
 def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
     """Returns a vector of three quantities in SI units.
 
-    ``node``: a list of three numbers or quantities.  A missing node gives the zero vector.
-    ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
+    - ``node``: a list of three numbers or quantities.  A missing node gives the zero vector.
+    - ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
     """
     if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
         return (0.0, 0.0, 0.0)

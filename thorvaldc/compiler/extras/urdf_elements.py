@@ -30,11 +30,11 @@ _FRACTION: _Range = (lambda value: 0.0 <= value <= 1.0, "must be between 0 and 1
 class _Numbers:
     """A URDF attribute that contains numbers in SI units.
 
-    ``count``: required number of numbers in the attribute.
-    ``default``: text that the reader uses if the attribute is missing.  An attribute without a
-    default is required.
-    ``range``: allowed range of each number.
-    ``range_code``: name of the diagnostic for a number outside the range.
+    - ``count``: required number of numbers in the attribute.
+    - ``default``: text that the reader uses if the attribute is missing.  An attribute without a
+      default is required.
+    - ``range``: allowed range of each number.
+    - ``range_code``: name of the diagnostic for a number outside the range.
     """
 
     count: int = 1
@@ -47,10 +47,10 @@ class _Numbers:
 class _Content:
     """The allowed content of a URDF element.
 
-    ``children``: names of the supported child elements.
-    ``text``: names of the attributes that contain text.
-    ``numbers``: attributes that contain numbers, by name.
-    ``ignored``: names of the child elements of URDF that the model cannot represent.
+    - ``children``: names of the supported child elements.
+    - ``text``: names of the attributes that contain text.
+    - ``numbers``: attributes that contain numbers, by name.
+    - ``ignored``: names of the child elements of URDF that the model cannot represent.
     """
 
     children: tuple[str, ...] = ()
@@ -114,8 +114,9 @@ def call_labels(element: Element) -> tuple[Label, ...]:
 class ElementReader:
     """Reads the attributes of URDF elements.
 
-    ``report``: report that receives the errors.
-    ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
+    - ``report``: report that receives the errors.
+    - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
+
     If an attribute has an error, a method adds a diagnostic and returns ``None``.
     """
 
@@ -165,7 +166,8 @@ class ElementReader:
     def numbers(self, element: Element, names: Sequence[str] | None = None) -> Any:
         """Returns the values of the numeric attributes of an element, by name.
 
-        ``names``: names of the attributes to read.  ``None`` reads all numeric attributes.
+        - ``names``: names of the attributes to read.  ``None`` reads all numeric attributes.
+
         The value of an attribute is a float, or a tuple of floats for several numbers.
         """
         self.check_content(element)

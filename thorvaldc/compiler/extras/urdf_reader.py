@@ -72,11 +72,11 @@ def read_urdf(
 ) -> UrdfParts:
     """Converts the child elements of ``<robot>`` to links and joints of the model.
 
-    ``module``: name that identifies the extra in the model.
-    ``load_mesh``: function that loads the mesh file of an element.  The arguments of this
-    function are the file name, the element and the scale.
-    ``report``: report that receives the errors.
-    ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
+    - ``module``: name that identifies the extra in the model.
+    - ``load_mesh``: function that loads the mesh file of an element.  The arguments of this
+      function are the file name, the element and the scale.
+    - ``report``: report that receives the errors.
+    - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
     """
     return _Reader(module, load_mesh, report, macros).read(elements)
 
@@ -329,7 +329,7 @@ class _Reader(ElementReader):
     def limits(self, joint: Element, kind: str, name: str) -> dict[str, float] | None:
         """Returns the limits of a joint by the names of the URDF attributes.
 
-        ``kind``: type of the joint, such as ``revolute``.  A continuous joint needs no limits.
+        - ``kind``: type of the joint, such as ``revolute``.  A continuous joint needs no limits.
         """
         element = joint.find("limit")
         if kind == "continuous":

@@ -36,12 +36,12 @@ MAX_LINE_BYTES = 64 << 20
 class Element:
     """An XML element of an expanded xacro file.
 
-    ``tag``: name of the element.
-    ``span``: source span at which a xacro file defines the element.
-    ``calls``: source spans of the macro calls that created the element, the innermost first.
-    ``file``: xacro file that defines the element.
-    ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The XML text is empty for all
-    other elements.
+    - ``tag``: name of the element.
+    - ``span``: source span at which a xacro file defines the element.
+    - ``calls``: source spans of the macro calls that created the element, the innermost first.
+    - ``file``: xacro file that defines the element.
+    - ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The XML text is empty for all
+      other elements.
     """
 
     tag: str
@@ -62,9 +62,9 @@ class Element:
 class Macro:
     """A xacro macro.
 
-    ``required``: names of the parameters without a default.
-    ``span``: source span of the macro definition.
-    ``called``: whether the file calls the macro.
+    - ``required``: names of the parameters without a default.
+    - ``span``: source span of the macro definition.
+    - ``called``: whether the file calls the macro.
     """
 
     name: str
@@ -77,11 +77,11 @@ class Macro:
 class ExpansionFailure:
     """The reason why a xacro file cannot be expanded.
 
-    ``kind``: kind of the failure, as in ``xacro_worker.ExpansionError``.
-    ``text``: description of the failure.
-    ``span``: source span of the failure, or ``None`` if it is unknown.
-    ``trail``: tuples (source span, text) of the includes, macro calls and property definitions
-    that led to the failure.
+    - ``kind``: kind of the failure, as in ``xacro_worker.ExpansionError``.
+    - ``text``: description of the failure.
+    - ``span``: source span of the failure, or ``None`` if it is unknown.
+    - ``trail``: tuples (source span, text) of the includes, macro calls and property definitions
+      that led to the failure.
     """
 
     kind: str
@@ -94,15 +94,15 @@ class ExpansionFailure:
 class ExpandedFile:
     """The result of the expansion of one xacro file.
 
-    ``failure``: reason why the file cannot be expanded, or ``None``.
-    ``elements``: child elements of ``<robot>``.
-    ``macros``: macros that the file defines.
-    ``warnings``: tuples (text, source span) of the warnings of xacro.
-    ``unused_arguments``: names of the arguments that the robot file sets but xacro does not read.
-    ``known_arguments``: names of the arguments that xacro reads.
-    ``packages``: folder of each ROS package that the file refers to.
-    ``paths``: converter of absolute paths to file names in messages.
-    ``files``: path of each file that xacro read, by the name of the file in source spans.
+    - ``failure``: reason why the file cannot be expanded, or ``None``.
+    - ``elements``: child elements of ``<robot>``.
+    - ``macros``: macros that the file defines.
+    - ``warnings``: tuples (text, source span) of the warnings of xacro.
+    - ``unused_arguments``: names of the arguments that the robot file sets but xacro does not read.
+    - ``known_arguments``: names of the arguments that xacro reads.
+    - ``packages``: folder of each ROS package that the file refers to.
+    - ``paths``: converter of absolute paths to file names in messages.
+    - ``files``: path of each file that xacro read, by the name of the file in source spans.
     """
 
     failure: ExpansionFailure | None
@@ -120,9 +120,9 @@ class ExpandedFile:
 class ExpansionRequest:
     """A request to expand one xacro file.
 
-    ``file``: absolute path of the xacro file.
-    ``args``: xacro arguments by name.
-    ``packages``: absolute path of the folder of each ROS package that the robot file names.
+    - ``file``: absolute path of the xacro file.
+    - ``args``: xacro arguments by name.
+    - ``packages``: absolute path of the folder of each ROS package that the robot file names.
     """
 
     file: Path
@@ -134,9 +134,10 @@ class ExpansionRequest:
 class DisplayPaths:
     """Converts absolute paths to file names for messages and outputs.
 
-    ``folder``: absolute path of the folder of the robot file.
-    ``display``: name of this folder in source spans.
-    ``installed``: folder of each installed ROS package, by the name of the package.
+    - ``folder``: absolute path of the folder of the robot file.
+    - ``display``: name of this folder in source spans.
+    - ``installed``: folder of each installed ROS package, by the name of the package.
+
     The name of a file in an installed package has the form ``package://...``.  The names of
     other files are relative.  Messages and outputs therefore do not depend on the folder of a
     checkout.
@@ -149,7 +150,7 @@ class DisplayPaths:
     def name(self, file: str) -> str:
         """Returns the name of a file for messages and outputs.
 
-        ``file``: absolute path of the file.
+        - ``file``: absolute path of the file.
         """
         for package, folder in self.installed.items():
             if file.startswith(os.path.join(folder, "")):
@@ -168,8 +169,8 @@ class DisplayPaths:
 def search_paths() -> dict[str, Sequence[str]]:
     """Returns the search paths of ROS packages from the environment variables.
 
-    ``ament``: folders in ``AMENT_PREFIX_PATH`` (ROS 2).
-    ``ros``: folders in ``ROS_PACKAGE_PATH`` (ROS 1).
+    - ``ament``: folders in ``AMENT_PREFIX_PATH`` (ROS 2).
+    - ``ros``: folders in ``ROS_PACKAGE_PATH`` (ROS 1).
     """
     return {
         "ament": _split(os.environ.get("AMENT_PREFIX_PATH", "")),
@@ -286,9 +287,9 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]:
     """Returns the answer for a file during whose expansion the worker process ended.
 
-    ``received``: number of bytes of the incomplete answer.
-    ``timed_out``: whether the compiler ended the worker after ``WALL_SECONDS``.
-    ``status``: exit status of the worker process.
+    - ``received``: number of bytes of the incomplete answer.
+    - ``timed_out``: whether the compiler ended the worker after ``WALL_SECONDS``.
+    - ``status``: exit status of the worker process.
     """
     if timed_out:
         text = f"its expansion took longer than {WALL_SECONDS:g} s"

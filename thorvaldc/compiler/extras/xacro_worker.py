@@ -39,10 +39,10 @@ _KEY = "position"
 class ExpansionError(Exception):
     """Raised if a xacro file cannot be expanded.
 
-    ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``
-    or ``expression``.  The compiler reports a different diagnostic for each kind.
-    ``text``: description of the error.
-    ``position``: position of the error, or ``None`` if it is unknown.
+    - ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``
+      or ``expression``.  The compiler reports a different diagnostic for each kind.
+    - ``text``: description of the error.
+    - ``position``: position of the error, or ``None`` if it is unknown.
     """
 
     def __init__(self, kind: str, text: str, position: Position | None = None) -> None:
@@ -139,8 +139,8 @@ def _position(node: Any) -> Position | None:
 class Expansion:
     """Expands one xacro file.
 
-    ``xacro``: the imported module xacro.
-    ``entry``: JSON object of the file in the request.
+    - ``xacro``: the imported module xacro.
+    - ``entry``: JSON object of the file in the request.
     """
 
     def __init__(self, xacro: Any, entry: dict[str, Any]) -> None:
@@ -192,7 +192,8 @@ class Expansion:
         """Wraps a function of xacro whose first argument is an element.
 
         If the function raises an exception, the wrapper stores the position of the element.
-        ``label``: text of the entry that the wrapper adds to the trail of the error.
+
+        - ``label``: text of the entry that the wrapper adds to the trail of the error.
         """
 
         def call(node: Any, *rest: Any) -> Any:
@@ -437,7 +438,7 @@ class Expansion:
     def describe(self, error: Exception) -> dict[str, Any]:
         """Returns the description of a failure for the JSON answer.
 
-        ``error``: exception that the method ``run`` raised.
+        - ``error``: exception that the method ``run`` raised.
         """
         kind, position = "expression", self.error_position
         expansion_error = _find_cause(error, ExpansionError)

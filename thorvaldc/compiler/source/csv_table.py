@@ -22,10 +22,10 @@ _MAX_INVALID_LINES = 10
 class RowRules:
     """Rules for the data lines of a CSV file.
 
-    ``value_code``: name of the diagnostic for an invalid cell or a wrong number of cells.
-    ``time_code``: name of the diagnostic for a time that does not increase.
-    ``time_hint``: hint of the diagnostic for a time that does not increase.
-    ``complete``: whether empty cells and an incomplete last line are errors.
+    - ``value_code``: name of the diagnostic for an invalid cell or a wrong number of cells.
+    - ``time_code``: name of the diagnostic for a time that does not increase.
+    - ``time_hint``: hint of the diagnostic for a time that does not increase.
+    - ``complete``: whether empty cells and an incomplete last line are errors.
     """
 
     value_code: str
@@ -41,9 +41,9 @@ _RECORD_ROWS = RowRules("record-value", "record-value")
 class Table:
     """A CSV file in memory.
 
-    ``display``: name of the file in messages.
-    ``header``: first line of the file.
-    ``columns``: numbers of each column, by the name of the column.
+    - ``display``: name of the file in messages.
+    - ``header``: first line of the file.
+    - ``columns``: numbers of each column, by the name of the column.
     """
 
     display: str
@@ -93,9 +93,10 @@ def read_columns(
 ) -> dict[str, list[float]] | None:
     """Returns the numbers of each column, or ``None`` if a line is invalid.
 
-    ``lines``: all lines of the file, including the first line with the column names.
-    ``names``: names of the columns, in the order of the file.
-    ``rules``: diagnostic codes for invalid lines.
+    - ``lines``: all lines of the file, including the first line with the column names.
+    - ``names``: names of the columns, in the order of the file.
+    - ``rules``: diagnostic codes for invalid lines.
+
     Each invalid line gives a diagnostic with line and column.  Reading stops after
     ``_MAX_INVALID_LINES`` invalid lines.
     """

@@ -36,7 +36,7 @@ _CONSTANTS: dict[str, Any] = {
 def show(value: Any, bare: bool = False) -> str:
     """Formats the value of an expression for a message.
 
-    ``bare``: returns only the value, such as ``a`` instead of ``the text `a```.
+    - ``bare``: returns only the value, such as ``a`` instead of ``the text `a```.
     """
     if value is None:
         return "none"
@@ -190,9 +190,10 @@ def choose(condition: Evaluate, value: Evaluate, otherwise: Evaluate, offset: in
 def logical(word: str, decisive: bool, operands: list[Evaluate], offset: int) -> Evaluate:
     """Returns a closure for the operator ``and`` or ``or``.
 
-    ``word``: name of the operator in error messages.
-    ``decisive``: operand value that decides the result.  The decisive value is false for ``and``
-    and true for ``or``.
+    - ``word``: name of the operator in error messages.
+    - ``decisive``: operand value that decides the result.  The decisive value is false for ``and``
+      and true for ``or``.
+
     The closure does not evaluate operands after the first decisive operand.
     """
 
@@ -222,8 +223,8 @@ _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
     """Returns a closure for a chain of comparisons, such as ``a < b <= c``.
 
-    ``first``: operand before the first operator.
-    ``rest``: a tuple (operator, right operand, offset) for each comparison of the chain.
+    - ``first``: operand before the first operator.
+    - ``rest``: a tuple (operator, right operand, offset) for each comparison of the chain.
     """
 
     def run(scope: Scope) -> bool:
@@ -259,8 +260,9 @@ def signed(operand: Evaluate, minus: bool, offset: int) -> Evaluate:
 def chain(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
     """Returns a closure for arithmetic operators of one level, such as ``a + b - c``.
 
-    ``first``: operand before the first operator.
-    ``rest``: a tuple (operator, right operand, offset) for each operator.
+    - ``first``: operand before the first operator.
+    - ``rest``: a tuple (operator, right operand, offset) for each operator.
+
     The closure applies the operators from left to right.
     """
 

@@ -15,10 +15,10 @@ from thorvaldc.compiler.source.units import UNIT_NAME, UNIT_POWER, UnitError, pa
 class ExpressionError(Exception):
     """Raised for an expression that has a syntax error or no value.
 
-    ``offset``: position of the error in the expression, in characters from 0.
-    ``hint``: hint of the diagnostic.
-    ``code``: name of the diagnostic, which is ``expression-syntax``, ``expression-name`` or
-    ``expression-value``.
+    - ``offset``: position of the error in the expression, in characters from 0.
+    - ``hint``: hint of the diagnostic.
+    - ``code``: name of the diagnostic, which is ``expression-syntax``, ``expression-name`` or
+      ``expression-value``.
     """
 
     def __init__(
@@ -78,12 +78,12 @@ END = "end"
 class Token:
     """A token of an expression.
 
-    ``kind``: kind of the token, which is number, name, text, operator, keyword or end.
-    ``text``: source text of the token.
-    ``offset``: position of the token in the expression, in characters from 0.
-    ``value``: number in SI, or the content of a text without its quotes.
-    ``divisors``: unit names that follow a ``/`` in a number token.  A divisor that is also a
-    known name is ambiguous.
+    - ``kind``: kind of the token, which is number, name, text, operator, keyword or end.
+    - ``text``: source text of the token.
+    - ``offset``: position of the token in the expression, in characters from 0.
+    - ``value``: number in SI, or the content of a text without its quotes.
+    - ``divisors``: unit names that follow a ``/`` in a number token.  A divisor that is also a
+      known name is ambiguous.
     """
 
     kind: str

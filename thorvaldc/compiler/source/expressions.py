@@ -48,9 +48,9 @@ MAX_DEPTH = 40
 def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
     """Returns the value of an expression in SI units.
 
-    ``text``: the expression, which a document contains between ``${`` and ``}``.
-    ``scope``: value of each known name.  A value is a number in SI, a truth value, a text, a
-    list or a mapping.  An expression reads an entry of a mapping as an attribute: ``a.key``.
+    - ``text``: the expression, which a document contains between ``${`` and ``}``.
+    - ``scope``: value of each known name.  A value is a number in SI, a truth value, a text, a list
+      or a mapping.  An expression reads an entry of a mapping as an attribute: ``a.key``.
 
     Evaluation looks up a name only when the expression needs the value of the name.  Therefore
     ``scope`` may compute its values on access.  A ``KeyError`` of ``scope`` means an unknown name.
@@ -209,7 +209,7 @@ class _Parser:
     def operators(self, level: int) -> Evaluate:
         """Parses the grammar rules ``comparison``, ``sum`` and ``product``.
 
-        ``level``: index of the rule in ``_LEVELS``.
+        - ``level``: index of the rule in ``_LEVELS``.
         """
         if level == len(_LEVELS):
             return self.unary()

@@ -14,9 +14,9 @@ def read_bytes(
 
     If the file cannot be read, adds a diagnostic to ``report`` and returns ``None``.
 
-    ``display``: name of the file in messages.
-    ``limit``: maximum number of bytes to read.  A negative limit reads the whole file.
-    ``folder_hint``: hint of the diagnostic if the path is a folder.
+    - ``display``: name of the file in messages.
+    - ``limit``: maximum number of bytes to read.  A negative limit reads the whole file.
+    - ``folder_hint``: hint of the diagnostic if the path is a folder.
     """
     try:
         with path.open("rb") as file:

@@ -12,10 +12,10 @@ Value = None | bool | int | float | str | tuple["Node", ...] | dict[str, "Node"]
 class Node(NamedTuple):
     """A YAML value with its source span.
 
-    ``value``: a scalar, a tuple of nodes for a list, or a dict of nodes for a mapping.
-    ``span``: source span of the value.
-    ``key_span``: source span of the key, if the value is an entry of a mapping.
-    ``quoted``: whether the value is in quotes.  In YAML ``"3"`` is a text, and ``3`` is a number.
+    - ``value``: a scalar, a tuple of nodes for a list, or a dict of nodes for a mapping.
+    - ``span``: source span of the value.
+    - ``key_span``: source span of the key, if the value is an entry of a mapping.
+    - ``quoted``: whether the value is in quotes.  In YAML ``"3"`` is a text, and ``3`` is a number.
     """
 
     value: Value

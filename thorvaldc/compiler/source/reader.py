@@ -28,7 +28,7 @@ MAX_DEPTH = 50
 def read_file(path: Path, display: str, report: Report) -> Node | None:
     """Reads a YAML file.  Returns ``None`` if the file is not readable.
 
-    ``display``: name of the file in messages.
+    - ``display``: name of the file in messages.
     """
     # Reading one byte more than the size limit is enough to detect a file that is too large.
     hint = "name the file in it, such as `robot.yaml`"
@@ -41,8 +41,9 @@ def read_file(path: Path, display: str, report: Report) -> Node | None:
 def read_text(data: bytes, file: str, report: Report) -> Node | None:
     """Parses a YAML document.  Returns ``None`` if ``data`` is not a YAML document.
 
-    ``file``: file name in source spans.
-    ``report``: report that receives the errors.
+    - ``file``: file name in source spans.
+    - ``report``: report that receives the errors.
+
     If single values have errors, returns the document with the most likely values.
     """
     root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
@@ -163,7 +164,7 @@ def _span_at(text: str, index: int, file: str) -> Span:
 class _YamlError(Exception):
     """Raised for a document that exceeds a limit or contains a recursive alias.
 
-    ``mark``: position of the error as a PyYAML ``Mark``.
+    - ``mark``: position of the error as a PyYAML ``Mark``.
     """
 
     def __init__(self, code: str, message: str, mark: Any, hint: str) -> None:
@@ -224,10 +225,12 @@ def _character_span(mark: Any, file: str) -> Span:
 class _Reader:
     """Converts PyYAML nodes to ``Node`` objects.
 
-    ``aliases``: whether the document can contain aliases.  With aliases, a PyYAML node can occur
-    several times in the tree.  The reader converts each PyYAML node once.  The values inside
-    an aliased node count towards ``MAX_VALUES`` at each occurrence of the node.  This limit
-    stops a small document that expands to billions of values ("billion laughs" attack).
+    - ``aliases``: whether the document can contain aliases.
+
+    With aliases, a PyYAML node can occur several times in the tree.  The reader converts each
+    PyYAML node once.  The values inside an aliased node count towards ``MAX_VALUES`` at each
+    occurrence of the node.  The limit ``MAX_VALUES`` stops a small document that expands to
+    billions of values ("billion laughs" attack).
     """
 
     def __init__(self, file: str, report: Report, aliases: bool) -> None:
@@ -282,7 +285,8 @@ class _Reader:
     def _collection_span(self, raw: Any, last: Span | None) -> Span:
         """Returns the source span of a list or mapping.
 
-        ``last``: source span of the last value in the list or mapping.
+        - ``last``: source span of the last value in the list or mapping.
+
         PyYAML ends a block list or mapping at the next token, which can be several lines later.
         The returned span ends at the end of the last value.
         """

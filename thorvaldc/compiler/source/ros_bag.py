@@ -49,9 +49,9 @@ def require_rosbags() -> None:
 class Bag:
     """Messages of selected topics of a ROS bag.
 
-    ``topics``: message type of every topic in the bag.
-    ``messages``: list of tuples (time, message) for each selected topic, in order of time.
-    The time is in s since the start of the bag.
+    - ``topics``: message type of every topic in the bag.
+    - ``messages``: list of tuples (time, message) for each selected topic, in order of time.  The
+      time is in s since the start of the bag.
     """
 
     topics: Mapping[str, str]
@@ -75,10 +75,11 @@ def read_bag(
 ) -> Bag | None:
     """Reads selected topics of a ROS bag.  Returns ``None`` if the bag is not readable.
 
-    ``display``: name of the bag in messages.
-    ``span``: source span of the diagnostics about the bag.
-    ``choose``: function that receives the message type of every topic in the bag and returns
-    the names of the topics to read.
+    - ``display``: name of the bag in messages.
+    - ``span``: source span of the diagnostics about the bag.
+    - ``choose``: function that receives the message type of every topic in the bag and returns the
+      names of the topics to read.
+
     Raises ``MissingPackageError`` if the package ``rosbags`` is not installed.
     """
     require_rosbags()

@@ -18,11 +18,11 @@ BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 class Quantity(NamedTuple):
     """A kind of quantity, such as a length or a torque.
 
-    ``name``: name of the kind of quantity in the schemas, such as ``angular_velocity``.
-    ``article``: indefinite article of the name in messages, ``a`` or ``an``.
-    ``unit``: SI unit of the quantity, such as ``rad/s``.
-    ``example``: a quantity of this kind for hints, such as ``650 mm``.
-    ``dimensions``: allowed dimensions of the unit of a quantity.
+    - ``name``: name of the kind of quantity in the schemas, such as ``angular_velocity``.
+    - ``article``: indefinite article of the name in messages, ``a`` or ``an``.
+    - ``unit``: SI unit of the quantity, such as ``rad/s``.
+    - ``example``: a quantity of this kind for hints, such as ``650 mm``.
+    - ``dimensions``: allowed dimensions of the unit of a quantity.
     """
 
     name: str

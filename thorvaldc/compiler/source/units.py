@@ -40,9 +40,9 @@ _MAX_POWER = 9
 class UnitError(Exception):
     """Raised for a text that is not a quantity of the expected kind.
 
-    ``message``: message of the diagnostic.
-    ``hint``: hint of the diagnostic.
-    ``code``: name of the diagnostic, ``bad-quantity`` or ``wrong-dimension``.
+    - ``message``: message of the diagnostic.
+    - ``hint``: hint of the diagnostic.
+    - ``code``: name of the diagnostic, ``bad-quantity`` or ``wrong-dimension``.
     """
 
     def __init__(self, message: str, hint: str | None = None, code: str = "bad-quantity") -> None:
@@ -57,8 +57,9 @@ class UnitError(Exception):
 def parse_quantity(text: str, quantity: str) -> float:
     """Returns the value of a quantity in SI units.
 
-    ``text``: a number with a unit.  A number without a unit is in SI units.
-    ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
+    - ``text``: a number with a unit.  A number without a unit is in SI units.
+    - ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
+
     Raises ``UnitError`` if the text is not a quantity of the expected kind.
     """
     kind = QUANTITIES[quantity]
@@ -230,8 +231,9 @@ def _parse_unit(text: str) -> Unit:
 def _parse_product(text: str, position: int, depth: int) -> tuple[Unit, int]:
     """Parses a product of units up to the end of the text or a closing parenthesis.
 
-    ``position``: position in the text at which parsing starts.
-    ``depth``: number of parentheses that are open at this position.
+    - ``position``: position in the text at which parsing starts.
+    - ``depth``: number of parentheses that are open at this position.
+
     Returns the unit and the position at which parsing ended.
     """
     result: Unit | None = None
@@ -339,8 +341,8 @@ def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
 def _raise_error(text: str, part: str) -> NoReturn:
     """Raises ``UnitError`` for an invalid unit.
 
-    ``text``: text of the whole unit, such as ``kg m^2``.
-    ``part``: part of the text that is not a valid unit.
+    - ``text``: text of the whole unit, such as ``kg m^2``.
+    - ``part``: part of the text that is not a valid unit.
     """
     part = part.strip()
     if part and part != text.strip() and re.fullmatch(UNIT_NAME, part) is None:

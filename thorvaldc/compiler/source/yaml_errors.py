@@ -98,9 +98,9 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
 def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -> None:
     """Adds the diagnostic for a YAML syntax error to ``report``.
 
-    ``error``: syntax error that PyYAML raised.
-    ``text``: text of the document.
-    ``file``: file name in source spans.
+    - ``error``: syntax error that PyYAML raised.
+    - ``text``: text of the document.
+    - ``file``: file name in source spans.
     """
     problem = str(error.problem or error.context or "unknown error")
     context = str(error.context or "")
@@ -159,8 +159,9 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
 def _is_unclosed(lines: list[str], opened: Span, stopped: Span) -> bool:
     """Returns whether a closing bracket is probably missing.
 
-    ``opened``: source span of the opening bracket.
-    ``stopped``: source span at which the parser stopped.
+    - ``opened``: source span of the opening bracket.
+    - ``stopped``: source span at which the parser stopped.
+
     A bracket is probably missing if the parser stopped at a later line, and this line is not
     indented more than the line of the opening bracket.
     """

@@ -127,9 +127,9 @@ def _quantity_errors(
 def _quantity_error(text: str, quantities: str | list[str]) -> UnitError | None:
     """Returns the error of a quantity, or ``None`` if the quantity is valid.
 
-    ``text``: a number with a unit.
-    ``quantities``: one or several allowed kinds of quantity.  The value ``any`` allows every kind
-    of quantity.
+    - ``text``: a number with a unit.
+    - ``quantities``: one or several allowed kinds of quantity.  The value ``any`` allows every kind
+      of quantity.
     """
     names = [quantities] if isinstance(quantities, str) else quantities
     first: UnitError | None = None

@@ -27,10 +27,10 @@ _ID_HINT = "a name has lower-case letters, digits and `_`, and begins with a let
 def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Report) -> None:
     """Adds the diagnostics for one error of jsonschema to ``report``.
 
-    ``root``: root node of the document.
-    ``reported``: source spans that already have a diagnostic.  An error at one of these source
-    spans gives no further diagnostic.  The function adds the source spans of new diagnostics
-    to ``reported``.
+    - ``root``: root node of the document.
+    - ``reported``: source spans that already have a diagnostic.  An error at one of these source
+      spans gives no further diagnostic.  The function adds the source spans of new diagnostics to
+      ``reported``.
     """
     path = list(error.absolute_path)
     node, schema = _find(root, path), error.schema
