@@ -62,6 +62,7 @@ def _is_fixed(target: Path) -> bool:
 
 
 def _delete_abandoned(parent: Path) -> None:
+    """Deletes the staging folders of killed processes in a folder."""
     with contextlib.suppress(OSError):
         for stage in sorted(parent.glob(f"{STAGE_PREFIX}*")):
             handle = _lock(stage, wait=False)

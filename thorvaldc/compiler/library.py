@@ -77,6 +77,7 @@ class ModuleType:
 
     @property
     def is_assembly(self) -> bool:
+        """True if the module type consists of other modules."""
         return self.document.get("modules") is not None
 
 
@@ -120,6 +121,8 @@ def _read_cached(
 
 
 def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleType | None:
+    """Reads a module file.  Returns ``None`` and reports the errors if the file is not valid."""
+
     def read(document: Node | None, file_report: Report) -> ModuleType | None:
         if document is None or not check(document, "module", file_report):
             return None
@@ -148,6 +151,7 @@ class Library:
         return dict(self._files)
 
     def exists(self, name: str) -> bool:
+        """Returns whether a library folder contains a module type with this name."""
         return any(os.path.isfile(folder / name / FILE) for folder, _ in self.folders)
 
     def load(self, name: str, node: Node, report: Report) -> ModuleType | None:
@@ -208,6 +212,7 @@ class Library:
 
 
 def _read_colors(node: Node | None, report: Report) -> dict[str, str]:
+    """Reads the colours of a palette file, by name.  Entries with errors are left out."""
     if node is None:
         return {}
     if not isinstance(node.value, dict):

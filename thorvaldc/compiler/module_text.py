@@ -61,6 +61,7 @@ def parameter_rows(module: ModuleType) -> Iterable[Row]:
 
 
 def _parameter_text(declaration: dict[str, Any]) -> str:
+    """Describes a parameter of a module type in one line of text."""
     kind = str(declaration.get("quantity") or declaration.get("type") or "number")
     facts = [kind.replace("_", " ")]
     if "default" in declaration:

@@ -176,10 +176,12 @@ def _library_folders(
 
 
 def _module_names(document: Node) -> set[str]:
+    """Returns the names of the modules in a robot document."""
     modules = document.get("modules")
     return set(modules.value) if modules is not None and isinstance(modules.value, dict) else set()
 
 
 def _modules_are_valid(source: SourceFile) -> bool:
+    """Returns whether the section ``modules`` of a document has no errors against the schema."""
     modules = source.document.get("modules") if source.document is not None else None
     return modules is None or not source.shape.has_error_in(modules.span)

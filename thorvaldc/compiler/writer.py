@@ -168,6 +168,7 @@ def _is_inside(path: str) -> bool:
 
 
 def _shown(folder: Path) -> str:
+    """Returns the name of a folder for messages."""
     return str(folder) if str(folder) != "." else "the current folder"
 
 
@@ -184,6 +185,7 @@ def _reason(error: OSError, target: Path) -> str:
 
 
 def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
+    """Writes the files to a staging folder, and replaces the target by the staging folder."""
     if target.exists() and not target.is_dir():
         raise WriteError(f"cannot write {shown}: it is a file, not a folder")
     _check_writable(target, shown)
@@ -238,6 +240,7 @@ class _FolderContent(NamedTuple):
 
 
 def _list_content(target: Path) -> _FolderContent:
+    """Lists the files of the last build and the files of the user in the build folder."""
     built: dict[str, None] | None = None
     with contextlib.suppress(OSError, ValueError, AttributeError, TypeError):
         manifest_content = json.loads((target / MANIFEST).read_bytes())
@@ -280,6 +283,7 @@ def _check_content(content: _FolderContent, files: Mapping[str, bytes], shown: s
 
 
 def _shorten(paths: list[str]) -> str:
+    """Joins the first three paths of a list for a message."""
     return ", ".join(paths[:3]) + (", ..." if len(paths) > 3 else "")
 
 
@@ -349,6 +353,7 @@ def _move_in(
 
 
 def _is_file(path: Path) -> bool:
+    """Returns whether a path exists and is a file or a symbolic link."""
     return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
 

@@ -226,6 +226,7 @@ def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
 
 
 def _text_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
+    """Converts a text STL file to binary STL."""
     words = data.split()
     numbers: list[float] = []
     try:
@@ -241,6 +242,7 @@ def _text_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
 
 
 def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _MeshError:
+    """Converts triangles to binary STL, and checks the number of triangles."""
     if len(triangles) > MAX_TRIANGLES:
         return _too_large(f"has {len(triangles)} triangles; at most {MAX_TRIANGLES} are read")
     try:
@@ -250,6 +252,11 @@ def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _M
 
 
 def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
+    """Checks the content of an OBJ file.
+
+    Returns the content without references to material files.  The second result is true if a
+    coordinate has a magnitude of 8 m or more.
+    """
     vertices = faces = 0
     largest = 0.0
     lines: list[bytes] = []
@@ -285,6 +292,7 @@ def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _Mesh
 
 
 def _convert_by_trimesh(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
+    """Reads a mesh file with the package trimesh, and converts the mesh to binary STL."""
     import logging
     import warnings
 

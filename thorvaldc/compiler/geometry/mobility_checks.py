@@ -102,6 +102,7 @@ def check_controllable(robot: Robot, report: Report) -> None:
 
 
 def _fixed_rows(robot: Robot) -> list[Row]:
+    """Returns the lateral rows of all wheels that neither steer nor swivel."""
     return [
         _lateral_row(wheel, wheel.heading)
         for wheel in robot.wheels
@@ -119,12 +120,14 @@ def _cannot_turn(robot: Robot) -> bool:
 
 
 def _lateral_row(wheel: Wheel, angle: float) -> Row:
+    """Returns the lateral row of a wheel with the heading ``angle`` (rad)."""
     x, y = contact_point(wheel)
     c, s = math.cos(angle), math.sin(angle)
     return (-s, c, c * x + s * y)
 
 
 def _rolling_row(wheel: Wheel, angle: float) -> Row:
+    """Returns the rolling row of a wheel with the heading ``angle`` (rad)."""
     x, y = contact_point(wheel)
     c, s = math.cos(angle), math.sin(angle)
     return (c, s, s * x - c * y)

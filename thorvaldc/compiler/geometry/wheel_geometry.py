@@ -175,6 +175,10 @@ def make_wheels(
 
 
 def _wheel_joints(tree: JointTree, wheel: PlacedWheel, report: Report) -> _WheelJoints | None:
+    """Returns the spin, steering, swivel and suspension joints of a wheel.
+
+    Returns ``None`` and reports an error if no rotating joint carries the wheel.
+    """
     movable = [joint for joint in tree.joints_above(wheel.link) if joint.type != "fixed"]
     if not movable or movable[0].type not in ("continuous", "revolute"):
         report.add(

@@ -133,6 +133,7 @@ class DriverSettingsReader:
         return tuple(self._parameter_set(name, entry, driver) for name, entry in sets.items())
 
     def _parameter_set(self, name: str, node: Node, driver: DriverSettings) -> ParameterSet:
+        """Reads one named parameter set."""
         radii_node = node.get("radii")
         radii = self._reader.text(radii_node) if radii_node is not None else None
         known = list(dict.fromkeys(key for wheel in self._wheels for key, _ in wheel.radii))

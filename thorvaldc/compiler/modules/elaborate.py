@@ -74,6 +74,8 @@ def elaborate(
 
 
 class _Elaborator:
+    """Elaborates one robot document to the model of the robot."""
+
     def __init__(
         self,
         document: Node,
@@ -227,6 +229,7 @@ class _Elaborator:
         )
 
     def _wiring(self, parts: RobotParts, report: Report) -> Wiring:
+        """Returns the reader of the CAN buses of the robot."""
         actuators = {actuator.name: actuator for actuator in parts.actuators}
         joints = {joint.name: joint for joint in parts.joints}
         return Wiring(
@@ -245,6 +248,7 @@ class _Elaborator:
 
 
 def _with_spring_reference(joint: Joint, tree: JointTree, wheels: list[Wheel]) -> Joint:
+    """Returns the joint with the rest position of the spring, if the joint has a spring."""
     if joint.stiffness <= 0.0:
         return joint
     loads = [wheel.load for wheel in wheels]

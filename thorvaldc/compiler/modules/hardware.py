@@ -55,6 +55,8 @@ def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | 
 
 
 class _HardwareReader:
+    """Reads the hardware of one module type for given parameter values."""
+
     def __init__(self, module: ModuleType, scope: Scope, report: Report) -> None:
         self.module = module
         self.scope = scope
@@ -63,6 +65,7 @@ class _HardwareReader:
         self.shapes = LinkShapeReader(module.folder, scope.library.palette(), report)
 
     def read(self) -> Hardware:
+        """Returns the hardware of the module and reports all errors in the module document."""
         section, document, values = self.module.section, self.module.document, self.values
         if not values.link_names and (section("links") or section("joints")):
             self.report.add(
@@ -116,6 +119,7 @@ class _HardwareReader:
     # -- links ------------------------------------------------------------------------
 
     def _link(self, name: str, node: Node) -> LinkPart:
+        """Reads a link with the visual shapes, collision shapes and masses of all parts."""
         visuals: list[Visual] = []
         collisions: list[Collision] = []
         masses: list[Inertial] = []
@@ -152,6 +156,7 @@ class _HardwareReader:
     # -- wheel, sensor, battery -------------------------------------------------------------
 
     def _wheel(self, node: Node) -> WheelPart:
+        """Reads the section `wheel` of a module document."""
         values, radii = self.values, node.get("radii")
         radius_names = entries(radii)
         return WheelPart(
@@ -189,6 +194,7 @@ class _HardwareReader:
             )
 
     def _sensor(self, node: Node) -> SensorPart:
+        """Reads the section `sensor` of a module document."""
         return SensorPart(
             self.scope.text(node.get("type")),
             self.values.link_name(node.get("link")),
@@ -196,6 +202,7 @@ class _HardwareReader:
         )
 
     def _battery(self, node: Node) -> BatteryPart:
+        """Reads the section `battery` of a module document."""
         return BatteryPart(
             self.scope.boolean(node.get("present"), True),
             self.values.link_name(node.get("link")),

@@ -86,12 +86,16 @@ class WheelPart(NamedTuple):
 
 
 class SensorPart(NamedTuple):
+    """A sensor of a module with its type, link and properties."""
+
     type: str
     link: str
     properties: tuple[tuple[str, Scalar], ...]
 
 
 class BatteryPart(NamedTuple):
+    """A battery enclosure.  ``present`` is false if the enclosure contains no battery."""
+
     present: bool
     link: str
     properties: tuple[tuple[str, Scalar], ...]

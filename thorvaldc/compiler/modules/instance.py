@@ -48,6 +48,7 @@ class Instance:
 
     @property
     def is_leaf(self) -> bool:
+        """True if the module instance is not an assembly and not the root."""
         return self.type is not None and not self.type.is_assembly
 
     @property
@@ -103,6 +104,7 @@ def used_by(path: str, span: Span) -> Label:
 
 
 def last_name(path: str) -> str:
+    """Returns the last name of a dotted path."""
     return path.rsplit(".", 1)[-1]
 
 

@@ -60,6 +60,7 @@ class _JointReader:
         self.damping = "damping" if linear else "rotational_damping"
 
     def read(self) -> JointPart:
+        """Returns the joint and reports errors in the document."""
         values, node = self.values, self.node
         axis = self._axis()
         lower, upper = self._limits()
@@ -87,6 +88,7 @@ class _JointReader:
         )
 
     def _axis(self) -> Vec3:
+        """Returns the joint axis as a unit vector in the joint frame."""
         axis_node = self.node.get("axis")
         axis = self.values.scope.vector(axis_node, "ratio", (0.0, 0.0, 1.0))
         length = norm(axis)
@@ -100,6 +102,7 @@ class _JointReader:
         return axis if length == 1.0 else scale(1.0 / length, axis)
 
     def _limits(self) -> tuple[float | None, float | None]:
+        """Returns the lower and upper position limits (m or rad), and checks the limits."""
         report = self.values.report
         lower_node, upper_node = self.node.get("lower"), self.node.get("upper")
         lower, upper = (
@@ -126,6 +129,7 @@ class _JointReader:
         return lower, upper
 
     def _positive_or_none(self, key: str, quantity: str) -> float | None:
+        """Returns the positive value of a key, or ``None`` if the key is missing."""
         if self.node.get(key) is None:
             return None
         return self.values.positive(self.node, key, quantity, 1.0)
@@ -173,6 +177,7 @@ def _check_tree(joints: tuple[JointPart, ...], values: ModuleValues) -> None:
 def _read_motor(
     values: ModuleValues, name: str, node: Node, joints: tuple[JointPart, ...]
 ) -> MotorPart:
+    """Reads a motor and computes the limits of the motor at the joint."""
     scope = values.scope
     joint_node = node.get("joint")
     joint = scope.text(joint_node)

@@ -96,6 +96,7 @@ class LinkShapeReader:
         return uniform_solid(shape, mass, thickness)
 
     def _shape(self, node: Node, scope: Scope) -> Shape | None:
+        """Reads a box, cylinder, sphere or mesh.  Lengths are in m."""
         box, cylinder = node.get("box"), node.get("cylinder")
         sphere, mesh = node.get("sphere"), node.get("mesh")
         if box is not None:
@@ -116,6 +117,7 @@ class LinkShapeReader:
         return None
 
     def _check_positive(self, sizes: tuple[float, ...], node: Node) -> None:
+        """Checks that all sizes of a shape are greater than 0."""
         if min(sizes) <= 0.0 and not self.report.has_errors:
             shown = ", ".join(f"{size:g}" for size in sizes)
             self.report.add(
@@ -123,6 +125,7 @@ class LinkShapeReader:
             )
 
     def _mesh(self, node: Node, scope: Scope) -> MeshShape | None:
+        """Loads a mesh file, and adds the mesh to ``meshes``."""
         file = node.get("file")
         if file is None:
             return None

@@ -76,6 +76,10 @@ class Mounting:
                 mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
 
     def _read_mount(self, inside: Instance, mounted_leaf: Instance, node: Node) -> Mount | None:
+        """Reads a `mount` entry.
+
+        Returns ``None`` and reports an error if the entry is not valid.
+        """
         scope = inside.scope
         if isinstance(node.value, dict):
             pose = scope.pose(node)

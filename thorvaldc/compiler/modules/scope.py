@@ -64,6 +64,7 @@ class ModuleChoice(Mapping[str, Any]):
 
     @property
     def scope(self) -> Scope:
+        """Scope with the parameter values of the chosen module."""
         if self._scope is None:
             if self.written_in.depth > MAX_CHOICES:
                 raise ReferenceCycleError(f"itself: {self.module.name} -> {self.module.name}")
@@ -151,6 +152,11 @@ class Scope(ValueReader):
         return value
 
     def _value_of(self, name: str) -> Any:
+        """Returns the value of a parameter or a `let` entry.
+
+        The value is computed once.  Raises ``KeyError`` for an unknown name, and
+        ``ReferenceCycleError`` if the value depends on itself.
+        """
         if name in self._values:
             return self._values[name]
         if name not in self._params and name not in self._let:
@@ -214,6 +220,7 @@ class Scope(ValueReader):
                 )
 
     def _parameter(self, name: str, declaration: Node) -> Any:
+        """Returns the value of a parameter, from an argument or from the default value."""
         argument = self._arguments.get(name)
         if argument is not None:
             node, scope = argument
@@ -358,6 +365,7 @@ class Scope(ValueReader):
         return value
 
     def _one_of(self, name: str, declaration: Node, choices: Node, node: Node, value: Any) -> Any:
+        """Returns the value of a parameter if the value is one of the listed choices."""
         known = [str(choice.value) for choice in items(choices)]
         if isinstance(value, ModuleChoice):
             is_known = value.module.name in known

@@ -62,6 +62,7 @@ class TwistInputReader:
         return entries(self._driver.get(key) if self._driver is not None else None)
 
     def _read(self, node: Node, default: TwistInput, *, may_be_silent: bool) -> TwistInput:
+        """Reads the priority, time-out and topic of a source or lock."""
         priority_node, topic = node.get("priority"), node.get("topic")
         priority = 0  # The schema check has reported a missing priority.
         if priority_node is not None and isinstance(priority_node.value, int):

@@ -104,6 +104,7 @@ class ValueReader(Mapping[str, Any]):
         return self._to_si(self.value(node), node, quantity, default)
 
     def _to_si(self, value: Any, node: Node, quantity: str, default: float) -> float:
+        """Converts a number or a text with a unit to a number in SI units."""
         if value is INVALID:
             return default
         if isinstance(value, bool):
@@ -122,6 +123,7 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def _warn_of_radians(self, value: float, node: Node) -> None:
+        """Warns that an angle without a unit is more than a full turn in radians."""
         self.report.add(
             "angle-in-radians",
             f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
@@ -130,6 +132,7 @@ class ValueReader(Mapping[str, Any]):
         )
 
     def _bounded(self, value: float, node: Node, default: float) -> float:
+        """Returns the value, or the default if the value is too small or too large for a robot."""
         if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:
             return float(value)
         self.report.add(
@@ -141,6 +144,7 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def boolean(self, node: Node | None, default: bool) -> bool:
+        """Returns the boolean value of a node, or the default if the node is missing or invalid."""
         if node is None:
             return default
         value = self.value(node)
@@ -151,6 +155,7 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def text(self, node: Node | None, default: str = "") -> str:
+        """Returns the text of a node, or the default if the node is missing or invalid."""
         if node is None:
             return default
         value = self.value(node)

@@ -152,6 +152,7 @@ def calibrate_wheels(
 
 
 def _calibrate_wheel(calibration: Calibration, wheel: PlacedWheel, report: Report) -> PlacedWheel:
+    """Returns a wheel with the measured radii."""
     part = wheel.part
     nominal_radii = dict(part.radii)
     radius, radii = part.radius, dict(nominal_radii)

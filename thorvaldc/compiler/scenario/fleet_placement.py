@@ -39,6 +39,7 @@ class _Footprint(NamedTuple):
     wheels: list[tuple[float, float, float]]
 
     def overlaps(self, other: _Footprint) -> bool:
+        """Returns whether the wheels of two robots overlap."""
         distance = math.hypot(self.x - other.x, self.y - other.y)
         return distance < self.radius + other.radius and any(
             math.dist(a[:2], b[:2]) < a[2] + b[2] for a in self.wheels for b in other.wheels
@@ -128,6 +129,7 @@ def _count(grid: Node, key: str) -> int:
 
 
 def _footprint(entry: str, placement: Placement) -> _Footprint:
+    """Computes the ground area that a placed robot covers."""
     x, y, _ = placement.pose.xyz
     wheels = []
     for wheel in placement.robot.wheels:

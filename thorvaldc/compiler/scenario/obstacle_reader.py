@@ -56,6 +56,7 @@ class ObstacleReader:
         return tuple(self._blocks)
 
     def _add(self, kind: str, name: str, shape: Shape, pose: Pose) -> None:
+        """Adds a block to the world."""
         self._blocks.append(Block(kind, name, shape, pose.clean()))
 
     def _line(self, node: Node) -> tuple[Pose, float]:
@@ -78,6 +79,7 @@ class ObstacleReader:
         return Pose.from_xyz_rpy(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (0.0, 0.0, yaw)), length
 
     def _add_kerb(self, node: Node, name: str) -> None:
+        """Adds a kerb, which is a box along a line."""
         center, length = self._line(node)
         width = self._quantities.positive(node, "width", "length", 0.15)
         height = self._quantities.positive(node, "height", "length", 0.05)
@@ -110,6 +112,7 @@ class ObstacleReader:
                 self._add("rail", f"{name}_{side}_{end}", pipe, pose)
 
     def _add_obstacle(self, node: Node, name: str) -> None:
+        """Adds a box, a sphere or a cylinder that stands on the ground."""
         pose, quantities = self._quantities.planar_pose(node), self._quantities
         shape_node = node.get("shape")
         shape_type = shape_node.value if shape_node is not None else None

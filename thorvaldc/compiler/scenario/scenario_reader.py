@@ -153,6 +153,7 @@ class _SectionReader:
         return tuple((name, tuple(listed)) for name, listed in commands.items())
 
     def _check_parameter_set(self, robot: str, node: Node | None) -> None:
+        """Checks that a robot has the parameter set that a command names."""
         known = [parameter_set.name for parameter_set in self.robots[robot].parameter_sets]
         if node is not None and node.value not in known:
             known_hint = f"it has {', '.join(known)}" if known else "its file names none"
@@ -164,6 +165,7 @@ class _SectionReader:
             )
 
     def wheel_faults(self, section: Node | None) -> Iterator[WheelFault]:
+        """Yields each valid fault that the scenario injects at a wheel."""
         for node in items(section):
             type_node, wheel = node.get("type"), node.get("wheel")
             if type_node is None or wheel is None or not isinstance(type_node.value, str):
@@ -186,6 +188,10 @@ class _SectionReader:
     def _wheel_fault(
         self, node: Node, fault_type: str, robot: str, wheel: Node
     ) -> WheelFault | None:
+        """Reads a fault at a wheel.
+
+        Returns ``None`` and reports an error if the fault is not valid.
+        """
         motor_node = node.get("motor")
         motor = str(motor_node.value) if motor_node is not None else "drive"
         if fault_type == "steering_offset":
@@ -257,6 +263,7 @@ class _SectionReader:
         return []
 
     def noise(self, node: Node | None) -> Noise:
+        """Returns the noise of the simulated sensors."""
         if node is None:
             return Noise()
         seed, counts = node.get("seed"), node.get("encoder_counts")
@@ -280,6 +287,7 @@ class _SectionReader:
         )
 
     def expectations(self, node: Node | None) -> Iterator[Expectation]:
+        """Yields the expected range of each metric in the section `expect`."""
         for metric, bounds in entries(node).items():
             quantity = _METRICS.get(metric)
             if quantity is None:
@@ -298,4 +306,5 @@ class _SectionReader:
 
 
 def _has_imu(robot: Robot) -> bool:
+    """Returns whether a robot has an inertial measurement unit."""
     return any(sensor.type == "imu" for sensor in robot.sensors)

@@ -75,6 +75,7 @@ def read_twists(
 
 
 def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] | None:
+    """Reads the commands in a CSV file."""
     table = read_table(path, display, report)
     return _commands_of_table(table, report) if table is not None else None
 
@@ -132,6 +133,8 @@ def _read_bag(
     topic: str,
     report: Report,
 ) -> dict[str, tuple[Command, ...]]:
+    """Reads the commands of each robot in a ROS bag, by the name of the robot."""
+
     def choose_topics(topics: Mapping[str, str]) -> list[str]:
         return _twist_topics(topics) if not topic else [topic] if topic in topics else []
 

@@ -46,11 +46,13 @@ def wheel_friction(document: Node, quantities: BoundedQuantities) -> float | Non
 
 
 def with_friction(robot: Robot, coefficient: float) -> Robot:
+    """Returns the robot with the same friction coefficient for all wheels."""
     wheels = (replace(wheel, friction=coefficient) for wheel in robot.wheels)
     return replace(robot, wheels=tuple(wheels))
 
 
 def _ground(node: Node, quantities: BoundedQuantities, report: Report) -> Ground:
+    """Reads the ground, and reports keys that have no effect on this type of ground."""
     type_node = node.get("type")
     ground_type = str(type_node.value) if type_node is not None else ""
     keys_without_effect = {
