@@ -1,5 +1,6 @@
-"""Commissioning: scans a robot's bus, plans and writes addresses and values, and verifies them.
+"""Commissioning of the CANopen nodes on a robot's bus: scan, plan, flash and verify.
 
-See docs/commissioning.md.  All of it uses a ``CanInterface``, in virtual or in real time.
-None of it was ever tried on physical hardware.
+The commissioning gives each node its node id and its parameter values.  The page
+docs/commissioning.md describes the procedure.  The commissioning uses a ``CanInterface`` to a
+simulated or real bus.  The commissioning was never tested on physical hardware.
 """

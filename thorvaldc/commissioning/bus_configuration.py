@@ -1,4 +1,4 @@
-"""The required configuration of a bus: its nodes with identities, addresses and values."""
+"""Required configuration of a bus: node ids, identities and object values of all nodes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from thorvaldc.model.robot import Robot
 
 CANOPEN = "canopen"
 PARKING = range(112, 127)
-"""Node ids that only a flash uses, while it exchanges the ids of nodes."""
+"""Node ids that are used only temporarily, while a flash exchanges the ids of nodes."""
 STATUSWORDS = (0x6041, 0x6841)
 """Status words (CiA 402) of the first and the second motor of a drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterValue:
-    """A required value of an entry in a node's object dictionary."""
+    """Required value of an object in the object dictionary of a node."""
 
     name: str
     index: int
@@ -31,23 +31,35 @@ class ParameterValue:
 
     @property
     def key(self) -> tuple[int, int]:
-        """Index and subindex."""
+        """Index and subindex of the object."""
         return self.index, self.subindex
 
     @property
     def label(self) -> str:
-        """``1017:0``"""
+        """Index (hexadecimal) and subindex of the object as text, for example ``1017:0``."""
         return f"{self.index:04x}:{self.subindex}"
 
 
 @dataclass(frozen=True, slots=True)
 class NodeConfiguration:
-    """The required configuration of a node.
+    """Required configuration of a node.
 
-    ``id`` 255: no id, which only a rollback can require.  ``sdo``: the node has an object
-    dictionary.  ``seen_by``: identifiers and periods (s) of its periodic frames.
-    ``statuswords``: objects that report whether a drive is enabled.  The names of the fields are
-    keys of the journal.
+    - ``name``, ``module``: names of the node and of its module in the robot file;
+    - ``protocol``: protocol of the node in the robot file;
+    - ``id``: node id; only a rollback can require 255, which means no node id;
+    - ``canopen``: ``True`` if the node has a CANopen node id;
+    - ``lss``: ``True`` if LSS can set the node id;
+    - ``sdo``: ``True`` if the node has an object dictionary;
+    - ``drive``: ``True`` if the node can move motors;
+    - ``vendor``, ``product``, ``revision``, ``serial``: identity (object 0x1018), ``None`` if the
+      robot file contains no number;
+    - ``device_type``: object 0x1000, or ``None``;
+    - ``heartbeat``: heartbeat period (s), or ``None``;
+    - ``seen_by``: identifiers and periods (s) of the periodic frames of the node;
+    - ``statuswords``: indices of the objects that report the power state of a motor;
+    - ``values``: required values of objects.
+
+    The journal uses the field names as JSON keys, so a field must not be renamed.
     """
 
     name: str
@@ -70,14 +82,17 @@ class NodeConfiguration:
 
     @property
     def identity(self) -> Identity | None:
-        """The identity, if the robot file contains all of it."""
+        """Identity of the node, or ``None`` if the robot file does not contain all four numbers."""
         numbers = self.vendor, self.product, self.revision, self.serial
         if self.vendor is None or self.product is None or self.revision is None:
             return None
         return None if self.serial is None else Identity(*(n or 0 for n in numbers))
 
     def is_like(self, identity: Identity) -> bool:
-        """Whether a device with this identity can be the node; absent numbers match all."""
+        """Returns ``True`` if a device with this identity can be the node.
+
+        A number that the robot file does not contain matches every number.
+        """
         required = (self.vendor, self.product, self.revision, self.serial)
         return all(
             number is None or number == actual
@@ -86,13 +101,18 @@ class NodeConfiguration:
 
     @property
     def by_hand(self) -> bool:
-        """Only the maker's tool can set the id."""
+        """``True`` if the node id can be set only with the tool of the manufacturer."""
         return self.canopen and not self.lss and self.protocol != "foreign"
 
 
 @dataclass(frozen=True, slots=True)
 class BusConfiguration:
-    """The nodes of a bus.  ``robot`` and ``bus`` are names; ``bitrate`` in bit/s."""
+    """Required configuration of a bus.
+
+    - ``robot``, ``bus``: names of the robot and the bus;
+    - ``bitrate``: bitrate in bit/s;
+    - ``nodes``: required configurations of the nodes.
+    """
 
     robot: str
     bus: str
@@ -104,7 +124,10 @@ class BusConfiguration:
         return digest(to_json(self))
 
     def node(self, name: str) -> NodeConfiguration:
-        """Raises ``KeyError``."""
+        """Returns the configuration of a node.
+
+        Raises ``KeyError`` if the bus has no node ``name``.
+        """
         for node in self.nodes:
             if node.name == name:
                 return node
@@ -112,7 +135,7 @@ class BusConfiguration:
 
 
 def configuration_of(robot: Robot, bus: Bus) -> BusConfiguration:
-    """Returns the configuration that a robot requires of one of its buses."""
+    """Returns the required configuration of a bus, as the robot model defines it."""
     return BusConfiguration(
         robot.name,
         bus.name,
@@ -160,7 +183,7 @@ def _number(serial: str | None) -> int | None:
 
 
 def digest(value: Any) -> str:
-    """Returns the SHA-256 of a JSON value, the same on every machine."""
+    """Returns the SHA-256 hash of a JSON value; the hash is equal on every computer."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -184,7 +207,11 @@ def to_json(target: BusConfiguration) -> dict[str, Any]:
 
 
 def from_json(value: Mapping[str, Any]) -> BusConfiguration:
-    """Raises ``KeyError``, ``TypeError`` or ``ValueError`` for another JSON value."""
+    """Converts the JSON form of a bus configuration into a ``BusConfiguration``.
+
+    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a bus
+    configuration.
+    """
     nodes = []
     for entry in value["nodes"]:
         fields = dict(entry)

@@ -1,4 +1,4 @@
-"""A file lock that allows one commissioning program per bus on this computer."""
+"""File lock that allows only one commissioning program for each bus on a computer."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from thorvaldc.diagnostics.error import DiagnosticError
 
 
 class BusLock:
-    """A context manager; the operating system releases the lock when the process ends."""
+    """Context manager that locks a bus.
+
+    The operating system releases the lock when the process ends.
+    """
 
     def __init__(self, spec: str) -> None:
-        """``spec``: the bus as on the command line."""
+        """``spec`` is the name of the CAN interface on the command line."""
         self.spec = spec
         self._file: int | None = None
 
     def __enter__(self) -> BusLock:
-        """Raises ``DiagnosticError`` (``bus-locked``), or ``OSError`` for the file."""
+        """Locks the bus.
+
+        Raises ``DiagnosticError`` (``bus-locked``) if another program has locked the bus.  Raises
+        ``OSError`` if the lock file cannot be opened.
+        """
         name = re.sub(r"[^A-Za-z0-9.]+", "_", self.spec)[-40:]
         path = runtime_directory() / f"master-{name}.lock"
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)

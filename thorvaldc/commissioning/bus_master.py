@@ -1,4 +1,4 @@
-"""The only master of a bus: sends requests, collects responses, and evaluates every frame."""
+"""CAN master of the commissioning: sends requests, collects responses, evaluates all frames."""
 
 from __future__ import annotations
 
@@ -27,21 +27,26 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus
 
 MASTER = "master"
-"""Producer of the master's frames in the model."""
+"""Name of the master as a producer of frames in the robot model."""
 SEND_TIMEOUT = 0.1
-"""s"""
+"""Longest time (s) to wait for room in the send queue."""
 _OWN_FRAME = CanFrame(0x7FF)
-"""Stands for a frame of this program that the interface returned; no node uses its id."""
+"""Placeholder for a frame that this program has sent itself; no node uses the identifier 0x7FF."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Time-outs (s).
+    """Time-outs and waiting times (s).
 
-    ``sdo``, ``lss``, ``fastscan``: for a response.  ``store``: for a write to non-volatile
-    memory.  ``boot``: for the boot-up message after a reset.  ``settle``: for further responses
-    after the first.  ``absent``: for a response that is not expected.  ``probe_gap``: between
-    requests to ids without a known node.  ``probe_tail``: for late responses after the last.
+    - ``sdo``: time-out of an SDO response;
+    - ``lss``: time-out of an LSS response;
+    - ``fastscan``: time-out of a response in an LSS fastscan;
+    - ``store``: time-out of a write to non-volatile memory;
+    - ``boot``: time-out of the boot-up message after a reset;
+    - ``settle``: waiting time for further responses after the first response;
+    - ``absent``: waiting time to confirm that no node responds;
+    - ``probe_gap``: time between two requests during the search for nodes;
+    - ``probe_tail``: waiting time for late responses after the last request of the search.
     """
 
     sdo: float = 0.5
@@ -56,11 +61,11 @@ class Timing:
 
 
 class BusMaster:
-    """Sends for the master, and sorts the received frames.
+    """CAN master that sends requests and evaluates all received frames.
 
-    All waiting methods raise ``DiagnosticError``: ``bus-error`` if the CAN controller is not
-    error-active or the interface is lost, and, while ``exclusive``, ``bus-other-master`` at any
-    frame that only a master sends.
+    All methods that wait for frames raise ``DiagnosticError`` (``bus-error``) if the CAN controller
+    is not error-active or if the CAN interface is lost.  If ``exclusive`` is ``True``, these
+    methods also raise ``DiagnosticError`` (``bus-other-master``) after a frame of another master.
     """
 
     def __init__(self, interface: CanInterface, bus: Bus, timing: Timing | None = None) -> None:
@@ -69,13 +74,13 @@ class BusMaster:
         self.timing = timing or Timing()
         self.exclusive = False
         self.masters: dict[str, int] = {}
-        """Number of frames from another master, by description."""
+        """Number of frames from another master, by description of the frame."""
         self.received: dict[int, list[float]] = {}
-        """Times (s) of the frames, by identifier."""
+        """Times of reception (s) of all frames, by identifier."""
         self.states: dict[int, int] = {}
-        """NMT state of the last heartbeat, by node id."""
+        """NMT state in the newest heartbeat, by node id."""
         self.boots: list[int] = []
-        """Node ids of the boot-up messages."""
+        """Node ids of the received boot-up messages."""
         self.frames = 0
         self.bits = 0
         self.surplus: dict[int, int] = {}
@@ -90,13 +95,16 @@ class BusMaster:
 
     @property
     def now(self) -> float:
-        """s"""
+        """Current time (s) on the clock of the CAN interface."""
         return self.interface.now
 
     # -- sending ----------------------------------------------------------------------------
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Sends a frame once.  Raises ``DiagnosticError`` if that fails."""
+        """Sends a frame without repetition.
+
+        Raises ``DiagnosticError`` (``bus-error``) if the frame cannot be sent.
+        """
         self._check_state()
         try:
             sent = self.interface.send(CanFrame(identifier, data), timeout=SEND_TIMEOUT)
@@ -121,9 +129,11 @@ class BusMaster:
     def collect(
         self, fits: Callable[[CanFrame], bool], timeout: float, settle: float | None = None
     ) -> list[CanFrame]:
-        """Returns all frames that fit, until ``settle`` s after the first or ``timeout`` s.
+        """Receives frames and returns all frames for which ``fits`` returns ``True``.
 
-        ``settle`` ``None``: waits the full time-out, for late responses.
+        The waiting time is at most ``timeout`` seconds, and at most ``settle`` seconds after the
+        first fitting frame.  If ``settle`` is ``None``, the method always waits ``timeout`` seconds
+        to receive late responses.
         """
         frames: list[CanFrame] = []
         limit = self.now + timeout
@@ -144,17 +154,20 @@ class BusMaster:
         timeout: float,
         settle: float | None,
     ) -> list[CanFrame]:
-        """Sends a request and returns all responses."""
+        """Sends a request and returns all responses; ``collect`` describes the parameters."""
         self._drain()
         self.send(identifier, data)
         return self.collect(fits, timeout, settle)
 
     def listen(self, seconds: float) -> None:
-        """Receives frames for so long, without sending."""
+        """Receives frames for ``seconds`` without sending."""
         self.collect(lambda frame: False, seconds)
 
     def wait_for_boots(self, ids: list[int], timeout: float) -> list[int]:
-        """Waits for one boot-up message per item of ``ids``; returns those that are missing."""
+        """Waits for the boot-up messages of the node ids in ``ids``.
+
+        Returns the node ids whose boot-up messages did not arrive within ``timeout`` seconds.
+        """
         missing = list(ids)
         limit = self.now + timeout
         while missing:
@@ -167,13 +180,13 @@ class BusMaster:
         return missing
 
     def wait_for_count(self, count: int, timeout: float) -> None:
-        """Waits for this number of boot-up messages, whatever their ids."""
+        """Waits for ``count`` boot-up messages of any nodes, at most ``timeout`` seconds."""
         limit = self.now + timeout
         while len(self.boots) < count and self._next(limit - self.now) is not None:
             pass
 
     def forget(self) -> None:
-        """Drops everything received so far, including frames in the queue."""
+        """Deletes all records of received frames, and the frames in the receive queue."""
         self._drain()
         self.received.clear()
         self.states.clear()
@@ -223,7 +236,7 @@ class BusMaster:
                 raise other_master_error([sign])
 
     def _sign_of_master(self, frame: CanFrame) -> str:
-        """Describes a frame that only a master sends; empty for other frames."""
+        """Returns the description of a frame that only a master sends, else an empty text."""
         identifier = frame.id
         if identifier in self._from_nodes:
             return ""

@@ -1,4 +1,4 @@
-"""Scan results, plans and verifications as text tables and as JSON."""
+"""Formats scan results, plans and verifications as text tables and as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from thorvaldc.commissioning.verify import Verification
 
 
 def scan_table(scan: ScanResult) -> str:
-    """Returns a row for each node: verdict, name, id in the robot file, id on the bus, device."""
+    """Returns a text table with one row for each node and each unknown device.
+
+    The columns are: verdict, name of the node, node id in the robot file, node id on the bus, and
+    description of the device.
+    """
     header = ("verdict", "node", "id", "found", "device")
     return text_table([header, *(_scan_row(entry) for entry in scan.entries)])
 
@@ -33,7 +37,7 @@ def _scan_row(entry: ScanEntry) -> tuple[str, ...]:
 
 
 def scan_notes(scan: ScanResult) -> list[str]:
-    """Returns what the user should know beside the table."""
+    """Returns notes for the user about duplicates, other masters and enabled drives."""
     notes = [
         f"two devices may have the id {node_id}: {evidence}"
         for node_id, evidence in scan.duplicates
@@ -47,7 +51,7 @@ def scan_notes(scan: ScanResult) -> list[str]:
 
 
 def plan_table(plan: Plan) -> str:
-    """Returns the steps, problems, notes and hash of a plan."""
+    """Returns the steps, problems, notes and hash of a plan as text."""
     lines = []
     if plan.steps:
         rows = [("step", "how", "what")]
@@ -65,7 +69,7 @@ def plan_table(plan: Plan) -> str:
 
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:
-    """Returns the plan as plain values."""
+    """Returns a plan as JSON values."""
     return {
         "hash": plan.hash,
         "robot": plan.configuration.robot,
@@ -78,7 +82,10 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
 
 
 def verification_table(verification: Verification) -> str:
-    """Returns a row for each check: result, node, quantity, expected and measured value."""
+    """Returns a text table with one row for each check of a verification.
+
+    The columns are: result, node, checked quantity, expected value, and value on the bus.
+    """
     rows = [("", "node", "what", "wanted", "found")]
     rows += [
         (
@@ -94,7 +101,7 @@ def verification_table(verification: Verification) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Aligns the columns to the left."""
+    """Returns the rows as text with left-aligned columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     lines = (
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))

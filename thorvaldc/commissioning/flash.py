@@ -1,20 +1,24 @@
-"""Executes a plan: first the guards, then step by step, each verified and in the journal.
+"""Executes a plan of the commissioning (flash).
 
-The bus is the truth; the journal records the intention.  A flash in time:
+Before the first step the flash checks that writing is safe.  Each step is verified and recorded in
+the journal.  The state of the bus is always read from the devices, never from the journal.  The
+journal records the planned steps and the previous values.  The sequence of a flash:
 
-    scan        all devices are the robot's, no other master, no drive enabled
-    reset       the robot's own nodes, so that each shows what it has stored
-    scan        the same ids as before, and the plan is made from this scan
+    scan        check: only devices of this robot, no other master, no drive enabled
+    reset       the nodes of the robot, so that each node loads its stored values
+    scan        check: same node ids as before; the plan is made from this scan
     journal     run (the plan with its hash)
     step 0      journal begin (previous values) - write - reset - read back - journal done
     step 1      ...
     journal     end
 
-After a power cut or a stop at any point, ``resume`` scans and resets again, checks that each
-device has an id that the journal's plans gave it at some time, and makes a new plan from there.
-The steps that are already stored are missing in the new plan; a step that was cut is either
-stored or not, and a new step does the rest.  ``rollback`` does the same towards the ids and
-values that the journal contains from before the first step.
+``resume`` continues a flash after a power cut or a stop at any point.  ``resume`` scans the bus and
+resets the nodes again.  Each device must have a node id that a plan in the journal contains for
+this device.  Then ``resume`` makes a new plan from the scan.  The new plan contains only the steps
+whose results are not stored yet.
+
+``rollback`` works like ``resume``, but restores the node ids and values from before the first step.
+The journal contains the previous node ids and values.
 """
 
 from __future__ import annotations
@@ -38,16 +42,20 @@ from thorvaldc.commissioning.step_executor import Operator, StepExecutor, StepFa
 from thorvaldc.diagnostics.error import DiagnosticError
 
 Progress = Callable[[int, int, PlanStep, bool], None]
-"""Called with the number of the step (from 0), the number of steps, the step, and ``done``."""
+"""Called before and after each step.
+
+The arguments are the index of the step (from 0), the number of steps, the step, and ``True`` if the
+step is completed."""
 
 
 class Flash:
-    """A bus and its journal.
+    """Writes the required configuration to the nodes of a bus.
 
-    ``apply``, ``resume`` and ``rollback`` raise ``DiagnosticError``: ``bus-error``,
-    ``bus-other-master``, ``bus-wrong-robot``, ``bus-drive-enabled``, ``plan-impossible``,
-    ``plan-changed``, ``journal-mismatch``, ``flash-ambiguous``, ``flash-stopped``.  Nothing is
-    written before all guards have passed, and nothing after a stop.
+    ``apply``, ``resume`` and ``rollback`` raise ``DiagnosticError`` with one of these names:
+    ``bus-error``, ``bus-other-master``, ``bus-wrong-robot``, ``bus-drive-enabled``,
+    ``plan-impossible``, ``plan-changed``, ``journal-mismatch``, ``flash-ambiguous``,
+    ``flash-stopped``.  The flash writes to no device before all checks have passed.  After a failed
+    step the flash writes to no device.
     """
 
     def __init__(
@@ -70,7 +78,10 @@ class Flash:
     # -- the three modes -----------------------------------------------------------------------
 
     def apply(self, expected: str | None = None) -> Plan:
-        """Makes a plan and executes it.  ``expected``: the hash that the plan must have."""
+        """Makes a plan from a scan of the bus and executes the plan.
+
+        ``expected`` is the required hash of the plan, or ``None`` for any plan.
+        """
         unfinished = self.journal.unfinished
         if unfinished is not None:
             mode = "rollback" if unfinished.mode == ROLLBACK else "flash"
@@ -91,7 +102,7 @@ class Flash:
         return self._execute(APPLY, plan)
 
     def resume(self) -> Plan:
-        """Continues the last run of the journal from the present state of the bus."""
+        """Continues the unfinished flash in the journal from the present state of the bus."""
         unfinished = self.journal.unfinished
         if unfinished is None:
             raise DiagnosticError(
@@ -105,7 +116,7 @@ class Flash:
         return self._continue(RESUME, self.configuration)
 
     def rollback(self) -> Plan:
-        """Restores the ids and values from before the last ``apply``."""
+        """Restores the node ids and object values from before the last ``apply``."""
         chain = self.journal.chain
         if not chain or (chain[-1].mode == ROLLBACK and chain[-1].finished):
             raise DiagnosticError(
@@ -122,14 +133,19 @@ class Flash:
         return self._execute(mode, make_plan(configuration, scan))
 
     def _previous_configuration(self) -> BusConfiguration:
-        """Returns the bus before the first step: scanned ids, and previous values."""
+        """Returns the configuration of the bus before the first step of the flash.
+
+        The node ids are the scanned node ids, and the values are the previous values in the
+        journal.
+        """
         chain = self.journal.chain
         first = chain[0].plan
         start, identities = dict(first.start), dict(first.identities)
         previous: dict[str, dict[tuple[int, int], ParameterValue]] = {}
         for run in chain:
             for name, values_before in run.previous_values():
-                # The first record counts; a later one may contain a half-written state.
+                # Only the first record of a node is used.  A later record may contain values that
+                # an incomplete step has written.
                 previous.setdefault(name, {value.key: value for value in values_before})
         changed = {step.node for step in first.steps} | set(previous)
         nodes = []
@@ -139,7 +155,8 @@ class Flash:
             node_id = start.get(node.name, node.id) if node.name in changed else node.id
             node = dataclasses.replace(node, id=node_id, values=values)
             if known is not None:
-                # The same devices as before, even if the file contains no serial numbers.
+                # The scanned identity ensures that the rollback uses the same device, even if the
+                # robot file contains no serial number.
                 vendor, product, revision, serial = known
                 node = dataclasses.replace(
                     node, vendor=vendor, product=product, revision=revision, serial=serial
@@ -150,7 +167,10 @@ class Flash:
     # -- guards --------------------------------------------------------------------------------
 
     def _scan_and_reset(self, configuration: BusConfiguration) -> tuple[ScanResult, ScanResult]:
-        """Scans the bus before and after a reset of the robot's nodes; both scans must pass."""
+        """Scans the bus, resets the nodes of the robot, and scans the bus again.
+
+        Returns both scan results.  Raises ``DiagnosticError`` if a check of a scan fails.
+        """
         self.master.exclusive = False
         scanner = Scanner(self.master, configuration, self._scanning)
         first = scanner.active(values=False, texts=False)
@@ -205,7 +225,10 @@ class Flash:
             )
 
     def _check_reachable(self, scan: ScanResult) -> None:
-        """Checks that each device has an id of the journal's plans, or lost its id in a step."""
+        """Checks that a plan in the journal explains the node id of each device.
+
+        A device may also be without node id if a step for this device was started.
+        """
         chain = self.journal.chain
         identities = dict(chain[0].plan.identities)
         allowed: dict[str, set[int]] = {}
@@ -237,7 +260,7 @@ class Flash:
         if mode == APPLY and not plan.steps:
             return plan
         self.master.exclusive = True
-        self.master.surplus.clear()  # the scan has reported these as duplicates
+        self.master.surplus.clear()  # the scan has already reported surplus responses as duplicates
         self.journal.start(mode, plan)
         number = 0
         try:

@@ -1,4 +1,6 @@
-"""The journal of a flash: one JSON record per line, on the disk before and after each step.
+"""Journal of a flash, in which each line is a record in JSON.
+
+Records are written to the disk before and after each step of the flash:
 
     {"record":"run", "mode":"apply", "hash":..., "plan":{...}}
     {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values]}
@@ -6,9 +8,9 @@
     ...
     {"record":"end"}         or {"record":"stopped", "reason":...}, or nothing after a power cut
 
-Records are only appended.  A power cut can tear the last line: the reader skips a torn line if a
-new run follows it or the file ends.  That is safe because the bus is the truth; the journal
-contains the intention and the previous values.
+Records are only appended.  A power cut can leave an incomplete line at the end of the journal.  The
+reader skips an incomplete line at the end of the file or before a new run.  Skipping the line is
+safe, because the state of the devices is always read from the bus.
 """
 
 from __future__ import annotations
@@ -35,23 +37,27 @@ _HEAD = b'{"record":"'
 
 
 class Storage(Protocol):
-    """The medium of a journal."""
+    """Storage medium of a journal, for example a file."""
 
     name: str
 
     def read(self) -> bytes: ...
 
     def append(self, data: bytes) -> None:
-        """Returns when the bytes are on the disk."""
+        """Appends bytes, and returns when the bytes are stored on the disk."""
 
     def close(self) -> None: ...
 
 
 class JournalFile:
-    """A journal in a file, locked for this process while it is open."""
+    """Journal file, which is locked for this process while the file is open."""
 
     def __init__(self, path: Path) -> None:
-        """Raises ``OSError``, or ``DiagnosticError`` (``bus-locked``) if it is in use."""
+        """Opens or creates the journal file ``path``.
+
+        Raises ``OSError`` if the file cannot be opened.  Raises ``DiagnosticError``
+        (``bus-locked``) if another flash uses the file.
+        """
         self.name = str(path)
         self._path = path
         self._is_new = not path.exists()
@@ -85,7 +91,7 @@ class JournalFile:
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Closes the file, and removes a new one that is still empty."""
+        """Closes the journal file, and removes a new file that is still empty."""
         if self._is_new and os.fstat(self._file).st_size == 0:
             self._path.unlink(missing_ok=True)
         os.close(self._file)
@@ -93,7 +99,12 @@ class JournalFile:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run in the journal: its mode, its plan and the records that follow."""
+    """Run of a flash in the journal.
+
+    - ``mode``: ``apply``, ``resume`` or ``rollback``;
+    - ``plan``: plan of the run;
+    - ``records``: records of the run after the plan.
+    """
 
     mode: str
     plan: Plan
@@ -105,11 +116,11 @@ class Run:
 
     @property
     def started_steps(self) -> list[int]:
-        """Numbers (from 0) of the steps that were started, in order."""
+        """Indices (from 0) of the started steps in the plan, in order of execution."""
         return [record["step"] for record in self.records if record["record"] == "begin"]
 
     def previous_values(self) -> list[tuple[str, tuple[ParameterValue, ...]]]:
-        """Node and previous values of each step that changes values, in order."""
+        """Returns the node and the previous values for each step that changes object values."""
         return [
             (record["node"], values_from_json(record["old"]))
             for record in self.records
@@ -118,15 +129,20 @@ class Run:
 
 
 class Journal:
+    """Journal of the flashes of one robot bus."""
+
     def __init__(self, storage: Storage) -> None:
-        """Raises ``DiagnosticError`` (``journal-unreadable``) if the content is not a journal."""
+        """Reads all records of the journal.
+
+        Raises ``DiagnosticError`` (``journal-unreadable``) if the content is not a journal.
+        """
         self.storage = storage
         self._data = storage.read()
         self.runs = self._read(self._data)
 
     @property
     def chain(self) -> list[Run]:
-        """The last run with mode ``apply``, and the resumes and rollbacks after it."""
+        """Last run with the mode ``apply``, and all later runs."""
         for index in range(len(self.runs) - 1, -1, -1):
             if self.runs[index].mode == APPLY:
                 return self.runs[index:]
@@ -134,7 +150,7 @@ class Journal:
 
     @property
     def unfinished(self) -> Run | None:
-        """The last run, if it did not reach its end."""
+        """Last run in the journal, or ``None`` if the last run has finished."""
         return self.runs[-1] if self.runs and not self.runs[-1].finished else None
 
     def start(self, mode: str, plan: Plan) -> None:
@@ -154,7 +170,10 @@ class Journal:
     def begin(
         self, step: int, node: str, description: str, old: Sequence[ParameterValue] = ()
     ) -> None:
-        """Records the start of a step; ``old``: the present values that it will change."""
+        """Records the start of a step.
+
+        ``old`` contains the previous values of the objects that the step changes.
+        """
         record: dict[str, Any] = {
             "record": "begin",
             "step": step,
@@ -166,7 +185,7 @@ class Journal:
         self._append(record)
 
     def done(self, step: int, node: str, read: Any) -> None:
-        """Records the end of a step and what was read back."""
+        """Records the end of a step and the values that were read back."""
         self._append({"record": "done", "step": step, "node": node, "read": read})
 
     def stop(self, reason: str) -> None:
@@ -211,7 +230,8 @@ class Journal:
                     continue
                 self._check(record)
             except (ValueError, KeyError, TypeError, AttributeError):
-                # A power cut leaves the beginning of a record; only a new run may follow.
+                # A power cut leaves the beginning of a record.  After an incomplete line only a new
+                # run is valid.
                 if torn or not (line.startswith(_HEAD) or _HEAD.startswith(line)):
                     raise self._unreadable(f"line {number} is not a record") from None
                 torn = number

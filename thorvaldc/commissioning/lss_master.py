@@ -1,6 +1,8 @@
-"""An LSS master (layer setting services, CiA 305) that counts the responses.
+"""LSS master (layer setting services, CiA 305), which sets the node ids of devices.
 
-Set the id of a device whose identity is known (all requests 0x7E5, all responses 0x7E4):
+The COB-ID of all LSS requests is 0x7E5, and the COB-ID of all LSS responses is 0x7E4.  The LSS
+master counts the responses to detect two devices with the same identity.  The sequence to set the
+node id of a device with a known identity:
 
     master                                     slave
     04 00  switch all to WAITING      ----->   (no response)
@@ -10,16 +12,18 @@ Set the id of a device whose identity is known (all requests 0x7E5, all response
     17     store                      ----->   17 00    after the write to its memory
     04 00  switch all to WAITING      ----->   a first id takes effect now
 
-Fastscan finds the identity of a device without an id.  Every slave whose bits match so far
-answers, so a missing answer means that the bit is 1 for all that are left.  For each of the four
-parts, from bit 31 to bit 0:
+An LSS fastscan finds the identity of a device without node id.  A request contains the known bits
+of the identity and the number of the bit to check, which is 0 in the request.  All slaves whose
+identities match the request respond.  If no slave responds, the checked bit is 1 in all remaining
+identities.  The sequence for each of the four parts of the identity, from bit 31 to bit 0:
 
     51 number, bit, part, part        ----->   4F  some identity has 0 at this bit: keep it
                                       ----->   --  no identity has 0: set this bit in ``number``
     51 number, 0, part, next part     ----->   4F  confirms the part; the slaves go to ``next part``
 
-After the confirmation of the last part (its ``next part`` is 0), exactly one slave is left, in the
-CONFIGURATION state: identities are unique.  132 requests: 4 x (32 + 1); one more starts the scan.
+Identities are unique, so exactly one slave is in the CONFIGURATION state after the confirmation of
+the last part.  In the last confirmation ``next part`` is 0.  A fastscan needs one request to start
+and 4 x (32 + 1) = 132 further requests.
 """
 
 from __future__ import annotations
@@ -33,21 +37,28 @@ from thorvaldc.commissioning.bus_master import BusMaster
 
 
 class LssError(Exception):
-    """A slave did not answer, several answered, or one refused; the message states which."""
+    """Missing response, multiple responses or refusal of an LSS request."""
 
 
 class LssMaster:
-    """At most one slave is in the configuration state; ``switch_to_waiting`` ends it for all."""
+    """Client of the layer setting services (LSS).
+
+    At most one slave may be in the configuration state at a time.  ``switch_to_waiting`` ends the
+    configuration state of all slaves.
+    """
 
     def __init__(self, master: BusMaster) -> None:
         self.master = master
 
     def switch_to_waiting(self) -> None:
-        """Switches all slaves to the waiting state; there is no response."""
+        """Switches all slaves to the waiting state; slaves do not respond to this request."""
         self._send(bytes([lss.SWITCH_STATE_GLOBAL, lss.WAITING]))
 
     def select(self, identity: Identity) -> int:
-        """Returns how many slaves with this identity enter the configuration state."""
+        """Switches the slaves with this identity to the configuration state.
+
+        Returns the number of slaves that respond.
+        """
         for command, number in zip(lss.SWITCH_STATE_SELECTIVE, identity, strict=True):
             request = struct.pack("<BI", command, number)
             if command == lss.SWITCH_STATE_SELECTIVE[-1]:
@@ -56,17 +67,27 @@ class LssMaster:
         return 0
 
     def node_id(self) -> int:
-        """Reads the active id of the selected slave; 255: none.  Raises ``LssError``."""
+        """Returns the active node id of the selected slave; 255 means no node id.
+
+        Raises ``LssError`` if not exactly one slave responds.
+        """
         return self._single_response(bytes([lss.INQUIRE_NODE_ID]))[1]
 
     def configure_id(self, node_id: int) -> None:
-        """Sets the pending id.  Raises ``LssError``."""
+        """Sets the pending node id of the selected slave.
+
+        Raises ``LssError`` if the slave refuses the node id, or if not exactly one slave responds.
+        """
         response = self._single_response(bytes([lss.CONFIGURE_NODE_ID, node_id]))
         if response[1]:
             raise LssError(f"it refuses the id {node_id} (code {response[1]})")
 
     def store(self) -> None:
-        """Stores the pending id.  Raises ``LssError``."""
+        """Stores the pending node id of the selected slave in non-volatile memory.
+
+        Raises ``LssError`` if the slave cannot store the node id, or if not exactly one slave
+        responds.
+        """
         response = self._single_response(bytes([lss.STORE_CONFIGURATION]), self.master.timing.store)
         if response[1] == 1:
             raise LssError("it cannot store its id")
@@ -74,14 +95,15 @@ class LssMaster:
             raise LssError(f"storing its id failed (code {response[1]})")
 
     def has_unconfigured_slave(self) -> bool:
-        """Whether a slave without an id is in the waiting state; also starts a fastscan."""
+        """Starts a fastscan; returns ``True`` if a waiting slave without node id responds."""
         return self._fastscan_request(0, lss.FASTSCAN_START, 0, 0)
 
     def fastscan(self) -> Identity | None:
-        """Finds a slave without an id, and leaves it in the configuration state.
+        """Returns the identity of a slave without node id, or ``None`` if there is no such slave.
 
-        ``None``: there is none.  Raises ``LssError`` if the responses contradict each other.
-        Each request waits its full time-out: a late response would count for the next one.
+        The slave is then in the configuration state.  Raises ``LssError`` if the responses
+        contradict each other.  Each request waits for the full time-out, because a late response
+        would be counted as a response to the next request.
         """
         if not self.has_unconfigured_slave():
             return None
@@ -114,7 +136,10 @@ class LssMaster:
     def _request(
         self, request: bytes, response: int, settle: float | None, timeout: float | None = None
     ) -> list[CanFrame]:
-        """Returns all responses; ``response`` is their command specifier."""
+        """Sends an LSS request and returns all responses.
+
+        ``response`` is the command specifier of the expected responses.
+        """
 
         def fits(frame: CanFrame) -> bool:
             return frame.id == lss.RESPONSE and len(frame.data) == 8 and frame.data[0] == response

@@ -1,4 +1,7 @@
-"""Writes values to a node's object dictionary, in the order that CiA 301 requires for PDOs."""
+"""Writes values to the object dictionary of a node.
+
+The order of the writes follows the rules of CiA 301 for changes of PDO parameters.
+"""
 
 from __future__ import annotations
 
@@ -9,28 +12,31 @@ from thorvaldc.commissioning.bus_configuration import ParameterValue
 from thorvaldc.commissioning.sdo_client import SdoAborted, SdoClient
 
 SAVE = 0x65766173
-"""ASCII `save`, the signature of object 0x1010."""
+"""Value that starts storing when written to object 0x1010: the ASCII text `save`."""
 STORE_PARAMETERS = 0x1010
 INVALID = 1 << 31
-"""Bit of a PDO's COB-ID that switches the PDO off."""
+"""Bit in the COB-ID entry of a PDO that disables the PDO."""
 PDOS = range(0x1400, 0x1C00)
-"""Objects of PDOs: communication (0x1400, 0x1800) and, with bit 0x200, mapping."""
+"""Indices of PDO objects: communication (from 0x1400, 0x1800) and mapping (with bit 0x200)."""
 MAPPING = 0x200
 
 PresentValues = Mapping[tuple[int, int], int | None]
-"""Values by (index, subindex); ``None``: the node refuses to read it."""
+"""Values of objects by index and subindex; ``None`` if the node refuses to read an object."""
 
 
 class ObjectWriter:
+    """Reads and writes object values over SDO."""
+
     def __init__(self, sdo: SdoClient) -> None:
         self.sdo = sdo
 
     def read(
         self, node: int, values: Sequence[ParameterValue]
     ) -> dict[tuple[int, int], int | None]:
-        """Reads the present values, ``None`` if the node refuses.
+        """Reads the present values of the objects in ``values``.
 
-        Raises ``SdoTimeout``, ``SdoMultipleResponses``.
+        The value of an object that the node refuses to read is ``None``.  Raises ``SdoTimeout`` or
+        ``SdoMultipleResponses`` if not exactly one node responds.
         """
         present: dict[tuple[int, int], int | None] = {}
         for value in values:
@@ -41,10 +47,11 @@ class ObjectWriter:
         return present
 
     def write(self, node: int, values: Sequence[ParameterValue], present: PresentValues) -> None:
-        """Writes the values that differ from ``present``, and reads each back.
+        """Writes all values that differ from ``present``, and reads each written value back.
 
-        A PDO is switched off while its parameters change, and a mapping is emptied while its
-        entries change.  Raises ``SdoAborted``, ``SdoTimeout``, ``SdoMultipleResponses``.
+        A PDO is disabled while its parameters are written.  The number of mapped objects is 0 while
+        the entries of a PDO mapping are written.  Raises ``SdoAborted`` if the node refuses a
+        value.  Raises ``SdoTimeout`` or ``SdoMultipleResponses`` if not exactly one node responds.
         """
         differing = [value for value in values if present.get(value.key) != value.value]
         for value in differing:
@@ -56,7 +63,10 @@ class ObjectWriter:
             self._write_pdo(node, base, changed, present)
 
     def save(self, node: int) -> None:
-        """Stores the parameters (object 0x1010).  Raises as ``write`` does."""
+        """Stores the parameters of a node in non-volatile memory (object 0x1010).
+
+        Raises the same exceptions as ``write``.
+        """
         timeout = self.sdo.master.timing.store
         self.sdo.write_number(node, STORE_PARAMETERS, 1, "unsigned32", SAVE, timeout)
 
@@ -67,7 +77,11 @@ class ObjectWriter:
         changed: Sequence[ParameterValue],
         present: PresentValues,
     ) -> None:
-        """Switches the PDO off, writes mapping and parameters, and writes its COB-ID last."""
+        """Writes mapping and parameters of a PDO.
+
+        The PDO is disabled before the first write.  Writing the COB-ID enables the PDO again, so
+        the COB-ID is written last.
+        """
         cob_id = self._final_value(node, base, 1, "unsigned32", changed, present)
         present_id = present.get((base, 1))
         off = (cob_id.value if present_id is None else present_id) | INVALID
@@ -94,7 +108,10 @@ class ObjectWriter:
         changed: Sequence[ParameterValue],
         present: PresentValues,
     ) -> ParameterValue:
-        """Returns the value of an entry after the write: the changed one, or the present one."""
+        """Returns the value that an object has after the write.
+
+        An object that is not in ``changed`` keeps its present value.
+        """
         for value in changed:
             if value.key == (index, subindex):
                 return value
@@ -111,7 +128,7 @@ class ObjectWriter:
 
 
 class WriteIgnored(SdoAborted):
-    """The node accepted the write, but the object has another value."""
+    """The node has accepted a write, but the object has a different value afterwards."""
 
     def __init__(self, value: ParameterValue, read_back: int) -> None:
         Exception.__init__(

@@ -1,4 +1,4 @@
-"""The plan of a flash: its steps, and their form in JSON."""
+"""Plan of a flash and its steps, with conversion to and from JSON."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ LSS_SERIAL, LSS_FASTSCAN, ATTACH_ONE, DOWNLOAD = (
     "attach-one",
     "parameters",
 )
-"""Methods of the steps."""
+"""Names of the methods by which a step is executed."""
 
 
 @dataclass(frozen=True, slots=True)
 class AddressStep:
-    """Gives a device, addressed by its identity, another id; 255 removes the id.
+    """Step that changes the node id of a device by LSS; the node id 255 means no node id.
 
-    Precondition: the device has the id ``before``, and no device has ``after``.  Check: after a
-    reset exactly one device answers at ``after``, with this identity.  Inverse: the step
-    with both ids exchanged.
+    Before the step the device must have the node id ``before``, and no device may have the node id
+    ``after``.  After the step and a reset, exactly one device must respond at ``after``, and the
+    identity of the device must match ``identity``.  The step with ``before`` and ``after``
+    exchanged undoes this step.
     """
 
     node: str
@@ -54,10 +55,13 @@ class AddressStep:
 
 @dataclass(frozen=True, slots=True)
 class ConfigureStep:
-    """Writes the values that differ, reads each back, stores them, resets, and reads all again.
+    """Step that writes the object values of a node.
 
-    Precondition: the node alone answers at ``id``, and is not enabled.  Inverse: the step with
-    the previous values, which the journal contains.  ``differing`` ``None``: not known yet.
+    The step writes each value that differs and reads the written value back.  Then the step stores
+    the values, resets the node, and reads all values again.  Before the step exactly one node must
+    respond at ``id``, and no motor of the node may be enabled.  A step with the previous values in
+    the journal undoes this step.  ``differing`` is the number of differing values, or ``None`` if
+    the number is not known yet.
     """
 
     node: str
@@ -76,10 +80,11 @@ class ConfigureStep:
 
 @dataclass(frozen=True, slots=True)
 class AttachStep:
-    """The operator powers one module alone and sets its id with the maker's tool.
+    """Step in which the operator sets a node id with the tool of the manufacturer.
 
-    The flash writes nothing.  Check: exactly one device answers, with this id and the right type.
-    The operator also does the inverse.
+    The operator powers only the module of this node.  The program writes no values in this step.
+    After the step exactly one device must respond, with the node id ``after`` and the required
+    device type.  Only the operator can undo this step.
     """
 
     node: str
@@ -96,10 +101,15 @@ PlanStep = AddressStep | ConfigureStep | AttachStep
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """``start``: the present ids by node.  ``identities``: by node, where they are known.
+    """Steps from the scanned bus to the required configuration.
 
-    ``strangers`` (devices that are not the robot's) and ``problems`` prevent the execution;
-    ``notes`` do not.
+    - ``configuration``: required configuration of the bus;
+    - ``start``: node ids on the bus before the first step, by name of the node;
+    - ``identities``: known identities of the devices, by name of the node;
+    - ``steps``: steps in the order of their execution;
+    - ``strangers``: devices that do not belong to the robot; a plan with strangers is not executed;
+    - ``problems``: reasons that prevent the execution of the plan;
+    - ``notes``: messages that do not prevent the execution of the plan.
     """
 
     configuration: BusConfiguration
@@ -112,12 +122,12 @@ class Plan:
 
     @property
     def hash(self) -> str:
-        """Hash of the required configuration, the present ids and identities, and the steps."""
+        """SHA-256 hash of the required configuration, node ids, identities and steps."""
         return digest(plan_to_json(self))
 
     @property
     def ids(self) -> dict[str, set[int]]:
-        """All ids that a node has at any time during the plan."""
+        """All node ids that each node has during the plan, by name of the node."""
         ids: dict[str, set[int]] = {name: {node} for name, node in self.start}
         for step in self.steps:
             if isinstance(step, AddressStep):
@@ -184,7 +194,10 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_from_json(value: Mapping[str, Any]) -> Plan:
-    """Raises ``KeyError``, ``TypeError`` or ``ValueError`` for another JSON value."""
+    """Converts the JSON form of a plan into a ``Plan``.
+
+    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a plan.
+    """
     return Plan(
         from_json(value["target"]),
         tuple((name, node) for name, node in value["start"]),

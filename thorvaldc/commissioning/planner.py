@@ -1,17 +1,19 @@
-"""Plans a flash: orders the steps from the scanned bus to the required configuration.
+"""Plans the steps of a flash from the scanned bus to the required configuration.
 
-Two nodes must never share an id, not even for a moment, because SDO could not address either of
-them.  So each step moves one node to an id that is free at that time.  Draw an arrow from each node
-to the node that has its required id now:
+Two nodes must never share a node id, because SDO cannot address two nodes with the same id.  So
+each step moves one node to a node id that is free at that time.  In the diagram A(1->2) means that
+node A has the id 1 and requires the id 2.  An arrow leads from each node to the node whose id is
+required:
 
     chain   A(1->2) --> B(2->3) --> (3 is free)      move B to 3, then A to 2
     cycle   A(1->2) --> B(2->1) --> A                no id is free: park A at 112; then B to 1,
                                                      then A from 112 to 2
 
-Required ids are distinct, so the arrows form chains and cycles.  A chain unwinds from its free
-end.  A cycle becomes a chain when one of its nodes is parked, so one parking id at a time is
-enough.  A chain that ends at a node that keeps its id makes the plan impossible.  If new nodes
-share an id at the start, that id is free as soon as all of them have moved.
+The required node ids are distinct, so the arrows form chains and cycles.  In a chain, the first
+node to move is the node whose required id is free.  A cycle becomes a chain when one node of the
+cycle is moved to a parking id.  So one parking id at a time is sufficient.  The plan is impossible
+if a required id belongs to a device that keeps its id.  If new nodes share a node id, this id is
+free when all nodes with this id have moved.
 """
 
 from __future__ import annotations
@@ -42,7 +44,10 @@ from thorvaldc.commissioning.scan_result import (
 
 
 def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
-    """Returns the steps from the scanned bus to the configuration, and what prevents them."""
+    """Returns the plan that changes the scanned bus into the required configuration.
+
+    The problems in the plan are the reasons that prevent its execution.
+    """
     strangers, problems, notes = _find_obstacles(configuration, scan)
     ids = scan.ids()
     identities = {
@@ -68,7 +73,8 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
     moves, blocked = _address_steps(moving, ids, identities, occupied, by_hand)
     problems += blocked
     steps: list[PlanStep] = [AttachStep(node.name, node.id) for node in by_hand]
-    # A node that loses its id gets its values first; all others after the moves.
+    # The values of a node that loses its node id are written before the node ids change.  The
+    # values of all other nodes are written after the node ids have changed.
     losing_id = [node for node in moving if node.id == UNCONFIGURED]
     early = _configure_steps(losing_id, scan, ids, identities, ids)
     required_ids = {node.name: node.id for node in configuration.nodes}
@@ -101,7 +107,7 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
 def _nodes_set_by_hand(
     configuration: BusConfiguration, scan: ScanResult
 ) -> list[NodeConfiguration]:
-    """Nodes without their id, which only the maker's tool can set."""
+    """Returns the nodes whose id must be set with the tool of the manufacturer."""
     return [
         node
         for node in configuration.nodes
@@ -115,7 +121,7 @@ def _nodes_set_by_hand(
 def _find_obstacles(
     configuration: BusConfiguration, scan: ScanResult
 ) -> tuple[list[str], list[str], list[str]]:
-    """Returns strangers, problems and notes, as in ``Plan``."""
+    """Returns the strangers, problems and notes of a plan."""
     strangers: list[str] = []
     problems: list[str] = []
     notes: list[str] = []
@@ -145,10 +151,10 @@ def _find_obstacles(
 def _unknown_device(
     configuration: BusConfiguration, scan: ScanResult, entry: ScanEntry
 ) -> tuple[list[str], list[str]]:
-    """Returns a stranger or a problem for a device that the file does not name."""
+    """Returns the strangers and problems for a device that is not in the robot file."""
     device = entry.device
     if _nodes_set_by_hand(configuration, scan) and device is not None:
-        # It may be a node whose id the operator still has to set.
+        # The device may be a node whose node id the operator must still set.
         identity = device.identity
         if any(
             node.by_hand and (identity is None or node.is_like(identity))
@@ -172,7 +178,7 @@ def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResu
     at = Counter(scan.ids().values())
     known = node.lss and device is not None and device.identity is not None
     ids = {node.id} if device is None else {node.id, device.id}
-    # Nodes that share an id are no problem if the scan knows all of them by serial number.
+    # A shared node id is not a problem if LSS has found all these devices by serial number.
     if known and not any(i in ids and at[i] < 2 for i, _ in scan.duplicates):
         return []
     shared = device.id if device is not None and device.id is not None else node.id
@@ -182,7 +188,7 @@ def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResu
 def _candidates(
     configuration: BusConfiguration, scan: ScanResult, device: FoundDevice
 ) -> list[str]:
-    """Missing nodes that the device can be: the file contains no serial number for them."""
+    """Returns the names of missing nodes without serial number that the device can be."""
     return [
         node.name
         for node in configuration.nodes
@@ -216,9 +222,10 @@ def _address_steps(
     occupied: Counter[int],
     by_hand: Sequence[NodeConfiguration],
 ) -> tuple[list[AddressStep], list[str]]:
-    """Returns the moves, each to a free id, and a problem for each node that cannot move.
+    """Returns the steps that change node ids, and a problem for each node that cannot move.
 
-    ``occupied`` counts the devices at each id; it is updated.
+    Each step moves a node to a free node id.  ``occupied`` is the number of devices at each node
+    id; the function updates ``occupied``.
     """
     present = {node.name: ids[node.name] for node in moving}
     remaining = list(moving)
@@ -241,7 +248,7 @@ def _address_steps(
             move(movable, movable.id)
             remaining.remove(movable)
             continue
-        # Only cycles are left, and chains that end at a node that stays: park a node of a cycle.
+        # Now no required node id is free.  One node of a cycle is moved to a parking id.
         required = {node.id for node in remaining}
         blocker = next(
             (
@@ -268,7 +275,11 @@ def _configure_steps(
     identities: Mapping[str, Identity],
     ids_then: Mapping[str, int],
 ) -> list[ConfigureStep]:
-    """Returns the steps for nodes with differing values; ``ids_then``: ids at that time."""
+    """Returns the steps that write object values to the nodes with differing values.
+
+    ``ids`` contains the scanned node ids.  ``ids_then`` contains the node ids at the time of the
+    steps.
+    """
     steps = []
     for node in nodes:
         if not node.sdo or not node.values:

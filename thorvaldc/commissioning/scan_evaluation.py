@@ -1,4 +1,4 @@
-"""Evaluates a scan: which device is which node, and the verdict on each node and device."""
+"""Assigns scanned devices to the nodes of the robot file, and gives a verdict on each node."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from thorvaldc.commissioning.scan_result import (
 
 @dataclass
 class Findings:
-    """Results of the requests of a scan.
+    """Devices and duplicates that a scan has found on the bus.
 
-    ``evidence``: signs of a duplicate, by id.  ``by_id``: devices that answered SDO requests.
-    ``by_name``: devices that LSS found by the identity of a node.  ``without_id``: devices that
-    fastscan found.
+    - ``evidence``: reason to suspect two devices with one node id, by node id;
+    - ``by_id``: devices that have responded to SDO requests, by node id;
+    - ``by_name``: devices that LSS has found by identity, by name of the node;
+    - ``without_id``: devices without node id that an LSS fastscan has found.
     """
 
     evidence: dict[int, str] = field(default_factory=dict)
@@ -37,9 +38,10 @@ class Findings:
 
 
 class ScanEvaluation:
-    """Compares findings with the configuration.
+    """Compares the findings of a scan with the required configuration.
 
-    ``received``: times of the frames by identifier.  ``known``: identifiers in the CAN map.
+    ``received`` contains the times of reception (s) by identifier.  ``known`` contains the
+    identifiers in the CAN map of the robot.
     """
 
     def __init__(
@@ -55,7 +57,7 @@ class ScanEvaluation:
         self._known = known
 
     def passive_entries(self) -> list[ScanEntry]:
-        """Verdicts after a passive scan, from received frames alone."""
+        """Returns the verdicts after a passive scan, which uses only received frames."""
         entries = []
         for node in self.configuration.nodes:
             evidence = self.findings.evidence.get(node.id) if node.canopen else None
@@ -71,7 +73,11 @@ class ScanEvaluation:
         return entries + self._unknown_heartbeats()
 
     def active_entries(self) -> list[ScanEntry]:
-        """Verdicts after an active scan: the nodes in order, then devices not in the file."""
+        """Returns the verdicts after an active scan.
+
+        The entries of the nodes come first, in the order of the robot file.  The entries of devices
+        that are not in the robot file follow.
+        """
         devices = self._assign_devices()
         entries = [self._verdict(node, devices.get(node.name)) for node in self.configuration.nodes]
         for device in (*self.findings.by_id.values(), *self.findings.without_id):
@@ -85,15 +91,15 @@ class ScanEvaluation:
         entries: Sequence[ScanEntry],
         assigned: Collection[FoundDevice],
     ) -> bool:
-        """Whether the entries already contain a device."""
+        """Returns ``True`` if the entries already contain the device."""
         if any(device is other for other in assigned):
             return True
-        # Several devices have this id: one entry reports them all.
+        # If several devices have the same node id, one entry reports all devices with this id.
         is_duplicate = device.id in self.findings.evidence and device.id != UNCONFIGURED
         same_id = (entry.device is not None and entry.device.id == device.id for entry in entries)
         if is_duplicate and any(same_id):
             return True
-        # LSS and SDO can find the same device.
+        # LSS and SDO can find the same device, so devices are compared by identity and node id.
         return device.identity is not None and any(
             other.identity == device.identity and other.id == device.id for other in assigned
         )
@@ -111,15 +117,15 @@ class ScanEvaluation:
     # -- which device is which node ---------------------------------------------------------------
 
     def _assign_devices(self) -> dict[str, FoundDevice]:
-        """Returns the device of each node, by the node's name."""
+        """Returns the device for each node on the bus, by name of the node."""
         devices: dict[str, FoundDevice] = {}
         for node in self.configuration.nodes:
             device = self._device_of(node)
             if device is not None:
                 devices[node.name] = device
         for node in self.configuration.nodes:
-            # Without serial number in the file: a single device of this product is the node,
-            # if no other node can be it.
+            # A node without serial number in the robot file is assigned to a matching device, if
+            # exactly one device matches and this device matches no other node.
             if node.name in devices or not node.lss or node.serial is not None:
                 continue
             free = [
@@ -143,7 +149,10 @@ class ScanEvaluation:
         return devices
 
     def _device_of(self, node: NodeConfiguration) -> FoundDevice | None:
-        """The device found by serial number, at the node's id, or by its frames."""
+        """Returns the device for a node, or ``None``.
+
+        The device is found by the serial number, by the node id, or by the periodic frames.
+        """
         by_id = self.findings.by_id
         selected = self.findings.by_name.get(node.name)
         at_id = by_id.get(node.id) if node.canopen else None
@@ -154,7 +163,7 @@ class ScanEvaluation:
         if at_id is not None and _can_be(node, at_id):
             return at_id
         if node.serial is not None:
-            # A device may report its serial number over SDO and not answer LSS.
+            # A device may report its serial number over SDO without responding to LSS.
             elsewhere = next((device for device in by_id.values() if _can_be(node, device)), None)
             if elsewhere is not None:
                 return elsewhere
@@ -194,7 +203,7 @@ class ScanEvaluation:
         return any(identifier in self._received for identifier, _ in node.seen_by)
 
     def _unknown_heartbeats(self) -> list[ScanEntry]:
-        """Entries for ids that only send heartbeats, and that the file does not name."""
+        """Returns entries for unknown node ids from which only heartbeats were received."""
         entries = []
         for identifier in sorted(self._received):
             node = identifier - HEARTBEAT
@@ -208,7 +217,7 @@ class ScanEvaluation:
 
 
 def _can_be(node: NodeConfiguration, device: FoundDevice) -> bool:
-    """Whether the identity and the device type fit the node."""
+    """Returns ``True`` if the identity and device type of the device match the node."""
     if device.identity is None or not node.is_like(device.identity):
         return False
     required = node.device_type

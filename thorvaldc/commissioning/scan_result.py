@@ -1,4 +1,4 @@
-"""The result of a scan: the devices on the bus, and the verdict on each node."""
+"""Result of a scan: the devices on the bus and the verdict on each node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ DUPLICATE, WRONG_IDENTITY, WITHOUT_ID = "duplicate-suspected", "wrong-identity",
 
 @dataclass(frozen=True, slots=True)
 class FoundDevice:
-    """A device on the bus.  ``id`` 255: it has no id; ``None``: it is not a CANopen device."""
+    """A device that a scan has found on the bus.
+
+    - ``id``: node id, 255 for a device without node id, ``None`` if it is not a CANopen device;
+    - ``identity``: identity (object 0x1018), ``None`` if unknown;
+    - ``device_type``: device type (object 0x1000), ``None`` if unknown;
+    - ``texts``: device name, hardware version and software version.
+    """
 
     id: int | None
     identity: Identity | None = None
@@ -23,7 +29,14 @@ class FoundDevice:
 
 @dataclass(frozen=True, slots=True)
 class ScanEntry:
-    """The verdict on a node, or on a device that the robot file does not name (``node`` empty)."""
+    """Verdict on a node of the robot file or on an unknown device.
+
+    - ``node``: name of the node, empty for a device that is not in the robot file;
+    - ``verdict``: ``ok``, ``missing``, ``unexpected`` or another verdict of this module;
+    - ``wanted_id``: node id in the robot file;
+    - ``device``: device for this node, ``None`` if no device was found;
+    - ``detail``: reason for the verdict.
+    """
 
     node: str
     verdict: str
@@ -34,11 +47,15 @@ class ScanEntry:
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """``active``: the scan sent requests.  ``masters``: frames of another master.
+    """Result of a scan.
 
-    ``enabled``: drives that may move, each with the reason.  ``duplicates``: evidence by id.
-    ``values``: contents of the object dictionaries by node, where they were read; ``None``: the
-    node refuses to read an object.
+    - ``active``: ``True`` if the scan has sent requests;
+    - ``entries``: verdicts on all nodes and on unknown devices;
+    - ``masters``: descriptions of frames of another master;
+    - ``enabled``: names of drives that may move, with the reason for each drive;
+    - ``duplicates``: node ids that two devices may have, with the reason for each node id;
+    - ``values``: object values by node, ``None`` for an object that could not be read;
+    - ``frames``: number of received frames.
     """
 
     active: bool
@@ -50,14 +67,17 @@ class ScanResult:
     frames: int = 0
 
     def entry(self, node: str) -> ScanEntry:
-        """Raises ``KeyError``."""
+        """Returns the entry of a node.
+
+        Raises ``KeyError`` if the scan result has no node ``node``.
+        """
         for entry in self.entries:
             if entry.node == node:
                 return entry
         raise KeyError(node)
 
     def ids(self) -> dict[str, int]:
-        """The CANopen id of each node of the robot on the bus; 255: it has none."""
+        """Returns the node id on the bus by name of the node; 255 means no node id."""
         return {
             entry.node: entry.device.id
             for entry in self.entries
@@ -89,7 +109,10 @@ def _entry_json(entry: ScanEntry) -> dict[str, Any]:
 
 
 def identity_text(identity: Identity | None) -> str:
-    """``vendor 0x469, product 0x402, revision 0x1, serial 0x101``"""
+    """Returns the identity of a device as text.
+
+    An example is ``vendor 0x469, product 0x402, revision 0x1, serial 0x101``.
+    """
     if identity is None:
         return "a device of unknown identity"
     vendor, product, revision, serial = identity

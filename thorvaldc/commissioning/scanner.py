@@ -1,9 +1,11 @@
-"""Scans a bus: first by listening only, then, if requested, with requests to one node at a time.
+"""Scans a bus for CANopen nodes.
 
-Two nodes with the same id cause no error on the bus.  So the scanner counts all responses and reads
-the serial numbers twice.  It never tries a bitrate by sending.
+A passive scan only listens.  An active scan listens first, and then sends requests to one node at a
+time.  Two nodes with the same node id cause no error on the bus.  So the scanner counts all
+responses and reads the serial numbers twice to detect duplicates.  The scanner never sends frames
+to test a bitrate.
 
-Active scan in time:
+The sequence of an active scan:
 
     listen       > 3 heartbeat periods      rate of heartbeats, boot-ups, another master
     discover     0x601, 0x602, ... 0x67E    one upload of 0x1000 each, 4 ms apart
@@ -41,26 +43,28 @@ from thorvaldc.commissioning.sdo_client import (
 )
 
 PERIODS = 3.2
-"""Listening time in periods of the slowest heartbeat: one node sends at most 4 heartbeats in that
-time, two nodes with one id at least 6."""
+"""Listening time in periods of the slowest heartbeat.
+
+In this time one node sends at most 4 heartbeats, and two nodes with the same id send at least 6."""
 SHORTEST_LISTENING = 0.3
-"""s"""
+"""Shortest listening time (s)."""
 BACKLOG = 0.02
-"""s: a node that was alone on the bus now sends the frames that waited for an acknowledge.  Its
-heartbeats of this time count as one."""
+"""Time (s) at the start of listening in which the heartbeats of a node count as one.
+
+A node that was alone on the bus now sends all frames that were not acknowledged before."""
 SERIAL_ROUNDS = 2
-"""Number of times that the serial number is read."""
+"""Number of times that each serial number is read."""
 IDENTITY, DEVICE_TYPE = 0x1018, 0x1000
 TEXTS = (0x1008, 0x1009, 0x100A)
-"""Objects: device name, hardware version, software version."""
+"""Indices of the objects for device name, hardware version and software version."""
 SURPLUS = "more answers than requests"
 LAST_SCANNED_ID = 126
-"""127 is the master's id."""
+"""Highest scanned node id; node id 127 belongs to the master."""
 MAXIMUM_DEVICES = 126
 PROGRESS_STEP = 8
 
 Progress = Callable[[str, int, int], None]
-"""Called with the present activity, the number of finished parts, and the number of all parts."""
+"""Called with the name of the activity, the number of finished parts, and the number of parts."""
 
 
 class Scanner:
@@ -77,15 +81,16 @@ class Scanner:
         self._findings = Findings()
 
     def passive(self) -> ScanResult:
-        """Listens; sends nothing."""
+        """Scans the bus without sending frames."""
         self._listen()
         return self._result(False, self._evaluation().passive_entries())
 
     def active(self, *, values: bool = True, texts: bool = True) -> ScanResult:
-        """Listens, then sends requests to every id.
+        """Scans the bus by listening and by sending requests to every node id.
 
-        ``values``: also reads the objects that the configuration contains.  ``texts``: also reads
-        names and versions.  Raises ``DiagnosticError`` (``bus-other-master``).
+        If ``values`` is ``True``, the scan also reads the objects in the required configuration.
+        If ``texts`` is ``True``, the scan also reads the names and versions of the devices.  Raises
+        ``DiagnosticError`` (``bus-other-master``) if another master is on the bus.
         """
         self._listen()
         if self.master.masters:
@@ -99,7 +104,7 @@ class Scanner:
         return self._evaluate(values)
 
     def again(self, previous: ScanResult, *, values: bool = True) -> ScanResult:
-        """Scans only the devices of ``previous``, soon after a reset of the robot's nodes."""
+        """Scans again the devices in the scan result ``previous``, after a reset of the nodes."""
         findings = self._findings
         findings.evidence = dict(previous.duplicates)
         lss_nodes = {node.name for node in self.configuration.nodes if node.lss}
@@ -150,7 +155,7 @@ class Scanner:
                 evidence[node_id] = f"{self.master.boots.count(node_id)} boot-ups"
 
     def _discover(self) -> None:
-        """Sends one short request to every id that can be a node's, and counts the responses."""
+        """Sends one SDO request to every possible node id, and counts the responses."""
         used = {frame.cob_id for frame in self.master.bus.frames if frame.kind != "sdo"}
         without_sdo = {n.id for n in self.configuration.nodes if n.canopen and not n.sdo}
         without_sdo.add(self.master.bus.master_id)
@@ -196,7 +201,8 @@ class Scanner:
                 self._read_all(node, IDENTITY, subindex, SERIAL_ROUNDS if subindex == 4 else 1)
                 for subindex in (1, 2, 3, 4)
             ]
-            # A number that the node refuses counts as 0; without an answer it is unknown.
+            # If the node refuses to report a number of the identity, the number is 0.  If the node
+            # does not respond, the identity is unknown.
             complete = all(numbers) and numbers[0][-1] is not None
             identity = Identity(*(answers[-1] or 0 for answers in numbers)) if complete else None
             read_texts: tuple[str, ...] = ()
@@ -206,7 +212,10 @@ class Scanner:
         self._progress("reading identities", len(ids), len(ids))
 
     def _read_all(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
-        """Returns every response to ``rounds`` requests for a number; ``None``: refused."""
+        """Requests a number ``rounds`` times and returns the numbers in all responses.
+
+        ``None`` in the result is a refused request.
+        """
         evidence = self._findings.evidence
         numbers: list[int | None] = []
         for _ in range(rounds):
@@ -231,7 +240,7 @@ class Scanner:
             return ""
 
     def _select(self, identities: Sequence[tuple[str, Identity]]) -> None:
-        """Finds the ids of the devices with these identities by LSS."""
+        """Finds the node ids of the devices with the given identities by LSS."""
         for position, (name, identity) in enumerate(identities):
             self._progress("selecting by serial number", position, len(identities))
             self.lss.switch_to_waiting()
@@ -247,18 +256,19 @@ class Scanner:
             try:
                 self._findings.by_name[name] = FoundDevice(self.lss.node_id(), identity)
             except LssError:
-                continue  # the device is gone or its answers are doubtful: it does not count
+                continue  # a device that does not respond correctly is ignored
         if identities:
             self._progress("selecting by serial number", len(identities), len(identities))
             self.lss.switch_to_waiting()
 
     def _find_devices_without_id(self) -> None:
-        """Finds devices without id that no serial number of the file selected."""
+        """Finds devices without node id whose serial numbers are not in the robot file."""
         self.lss.switch_to_waiting()
         if not self.lss.has_unconfigured_slave():
             return
         for device in self._findings.by_name.values():
-            # In the configuration state a slave does not answer fastscan.
+            # An LSS slave does not respond to a fastscan in the configuration state.  So the
+            # devices that are already known are switched to the configuration state.
             if device.id == UNCONFIGURED and device.identity is not None:
                 self.lss.select(device.identity)
         devices = self._findings.without_id
@@ -314,7 +324,7 @@ class Scanner:
             elif active and entry.verdict in (OK, WRONG_IDENTITY, WITHOUT_ID):
                 enabled += [(node.name, reason) for reason in self._enabled(node, node_id)]
         evidence = self._findings.evidence
-        # Surplus responses that came after the evaluation, while values were read.
+        # Surplus responses that arrived while values were read are added here.
         late = [(i, SURPLUS) for i in sorted(self.master.surplus) if i not in evidence]
         return ScanResult(
             active,
@@ -327,7 +337,7 @@ class Scanner:
         )
 
     def _enabled(self, node: NodeConfiguration, node_id: int) -> list[str]:
-        """Returns the status words by which motors of the node are powered."""
+        """Returns a message for each status word that reports an enabled motor of the node."""
         reasons = []
         for index in node.statuswords:
             try:

@@ -1,6 +1,7 @@
-"""An SDO client (CiA 301) that counts the responses, so that it detects two nodes with one id.
+"""SDO client (CiA 301) that detects two nodes with the same node id.
 
-``thorvaldc.can.sdo`` draws the messages.
+The SDO client counts the responses to each request.  The module ``thorvaldc.can.sdo`` describes the
+SDO messages.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_master import BusMaster
 
 LONGEST_TEXT = 256
-"""Bytes of a text after which the client stops to read."""
+"""Length (bytes) after which the client stops reading a text."""
 
 
 class SdoAborted(Exception):
-    """The node aborted the transfer."""
+    """The node has aborted the SDO transfer."""
 
     def __init__(self, code: int) -> None:
         super().__init__(sdo.abort_text(code))
@@ -25,14 +26,14 @@ class SdoAborted(Exception):
 
 
 class SdoTimeout(Exception):
-    """The node did not answer in time."""
+    """The node has not responded within the time-out."""
 
     def __init__(self) -> None:
         super().__init__("it does not answer")
 
 
 class SdoMultipleResponses(Exception):
-    """More than one node answered."""
+    """More than one node has responded to a request."""
 
     def __init__(self, count: int) -> None:
         super().__init__(f"{count} answers to one request")
@@ -40,29 +41,40 @@ class SdoMultipleResponses(Exception):
 
 @dataclass(frozen=True, slots=True)
 class UploadResponse:
-    """The response of one node to an upload request: its value, or the abort code."""
+    """Response of a node to an SDO upload request.
+
+    - ``data``: data bytes of the object;
+    - ``abort``: abort code, or ``None`` if the node has returned data.
+    """
 
     data: bytes = b""
     abort: int | None = None
 
 
 class SdoClient:
+    """Reads and writes the objects of nodes over SDO."""
+
     def __init__(self, master: BusMaster) -> None:
         self.master = master
 
     def upload_all(
         self, node: int, index: int, subindex: int, *, timeout: float
     ) -> list[UploadResponse]:
-        """Returns every response to one request to read a number.
+        """Requests an object and returns all responses.
 
-        Of a longer value, such as a text, the data is its length.
+        The data of a response is the value of the object, up to 4 bytes.  For a longer object, such
+        as a text, the data is the length of the object.
         """
         request = sdo.upload_request(index, subindex)
         frames = self._request(node, request, timeout, self.master.timing.settle)
         return [_upload_response(frame.data) for frame in frames]
 
     def read_number(self, node: int, index: int, subindex: int, type_name: str) -> int:
-        """Raises ``SdoAborted``, ``SdoTimeout`` or ``SdoMultipleResponses``."""
+        """Reads an object that is a number.
+
+        Raises ``SdoAborted`` if the node refuses the request.  Raises ``SdoTimeout`` or
+        ``SdoMultipleResponses`` if not exactly one node responds.
+        """
         response = _upload_response(
             self._single_response(node, sdo.upload_request(index, subindex))
         )
@@ -71,7 +83,10 @@ class SdoClient:
         return sdo.decode_number(type_name, response.data)
 
     def read_text(self, node: int, index: int) -> str:
-        """Reads a text, in segments if it is long.  Raises as ``read_number`` does."""
+        """Reads an object that is a text; a text of more than 4 bytes is read in segments.
+
+        Raises the same exceptions as ``read_number``.
+        """
         response = self._single_response(node, sdo.upload_request(index, 0))
         _raise_abort(response)
         if sdo.is_expedited(response):
@@ -96,7 +111,10 @@ class SdoClient:
         value: int,
         timeout: float | None = None,
     ) -> None:
-        """Writes by expedited download.  Raises as ``read_number`` does."""
+        """Writes an object that is a number, by an expedited SDO download.
+
+        Raises the same exceptions as ``read_number``.
+        """
         data = sdo.encode_number(type_name, value)
         request = sdo.download_request(index, subindex, data)
         _raise_abort(self._single_response(node, request, timeout))
@@ -106,7 +124,11 @@ class SdoClient:
     def _single_response(
         self, node: int, request: bytes, timeout: float | None = None, segment: bool = False
     ) -> bytes:
-        """Returns the response.  A later second one does no harm: it fits no later request."""
+        """Returns the only response to an SDO request.
+
+        The client does not wait for a second response.  A late second response has no effect,
+        because the response matches no later request.
+        """
         frames = self._request(node, request, timeout or self.master.timing.sdo, 0.0, segment)
         if not frames:
             raise SdoTimeout

@@ -1,6 +1,7 @@
-"""Executes the steps of a plan: checks the precondition, writes, and proves the result by reading.
+"""Executes the steps of a plan.
 
-An address step, with its entries in the journal:
+Each step checks its precondition, writes to the node, and reads the result back.  The sequence of
+an address step, with its entries in the journal:
 
     check      no node answers SDO at the new id
     journal    begin
@@ -10,8 +11,9 @@ An address step, with its entries in the journal:
     check      exactly one node answers at the new id, with this identity
     journal    done
 
-The reset proves that the id is stored.  A power cut before "store" leaves the old id, and after
-it the new one; both are ids that the plan names, so ``--resume`` can go on from either.
+The reset verifies that the node id is stored.  After a power cut before "store" the node has the
+old node id.  After a power cut after "store" the node has the new node id.  The plan contains both
+node ids, so ``--resume`` can continue in both cases.
 """
 
 from __future__ import annotations
@@ -34,21 +36,30 @@ from thorvaldc.commissioning.sdo_client import SdoClient
 
 
 class Operator(Protocol):
-    """The person who powers modules and uses the maker's tool."""
+    """Person who switches the power of modules and uses the tool of the manufacturer."""
 
     def attach(self, step: AttachStep, instructions: str) -> bool:
-        """Requests the step and waits until it is done; ``False``: the operator declines."""
+        """Asks the operator to execute a step, and waits for the operator.
+
+        Returns ``False`` if the operator declines the step.
+        """
 
     def power_all(self, instructions: str) -> bool:
-        """Requests power for all modules; ``False``: the operator declines."""
+        """Asks the operator to power all modules.
+
+        Returns ``False`` if the operator declines.
+        """
 
 
 class StepFailed(Exception):
-    """A step did not have its effect; the message states the observation."""
+    """Failure of a step; the message states the observed difference."""
 
 
 class StepExecutor:
-    """Executes steps and records them in the journal.  ``nodes_at``: number of nodes by id."""
+    """Executes the steps of a plan and records each step in the journal.
+
+    ``nodes_at`` is the number of nodes at each node id.
+    """
 
     def __init__(self, master: BusMaster, journal: Journal, operator: Operator | None) -> None:
         self.master = master
@@ -60,10 +71,10 @@ class StepExecutor:
         self.nodes_at: Counter[int] = Counter()
 
     def run(self, number: int, step: PlanStep, configuration: BusConfiguration) -> None:
-        """Executes a step.
+        """Executes the step with the index ``number`` in the plan.
 
-        Raises ``StepFailed``, ``LssError``, ``SdoAborted``, ``SdoTimeout`` or
-        ``SdoMultipleResponses``.
+        Raises ``StepFailed`` if a check fails.  Raises ``LssError``, ``SdoAborted``, ``SdoTimeout``
+        or ``SdoMultipleResponses`` if a node does not respond as required.
         """
         if isinstance(step, AddressStep):
             self._check_free(step.after)
@@ -78,11 +89,15 @@ class StepExecutor:
             raise StepFailed(f"more answers than requests came from id {node_id}")
 
     def reset(self, ids: list[int], count: int) -> None:
-        """Resets the nodes with these ids, ``count`` in all, so that they load their memory."""
+        """Resets the nodes with the given node ids, so that each node loads its stored values.
+
+        ``count`` is the number of nodes with these ids, which is the number of expected boot-up
+        messages.
+        """
         self.master.boots.clear()
         for node in ids:
             self.master.nmt(NmtCommand.RESET_NODE, node)
-        # A node that has lost its id sends no boot-up message: the wait for it runs out.
+        # A node without node id sends no boot-up message, so the wait may end with the time-out.
         self.master.wait_for_count(count, self.master.timing.boot)
         self.master.listen(self.master.timing.absent / 4)
 
@@ -109,7 +124,8 @@ class StepExecutor:
         self.master.boots.clear()
         lss.switch_to_waiting()
         if step.before == UNCONFIGURED:
-            # A first id takes effect without a reset; the reset proves that it is stored.
+            # The first node id of a node takes effect without a reset.  The reset then verifies
+            # that the node id is stored.
             self._wait_for_boots([step.after])
             self._restart(step.after, step.after)
         else:
@@ -122,11 +138,14 @@ class StepExecutor:
             self._check_identity(step.after, step.identity)
 
     def _restart(self, node: int, after: int) -> None:
-        """Resets the node with id ``node``, and waits for its boot-up message with ``after``."""
+        """Resets the node with the node id ``node`` and waits for its boot-up message.
+
+        ``after`` is the node id of the node after the reset.
+        """
         self.master.boots.clear()
         self.master.nmt(NmtCommand.RESET_NODE, node)
         if after != UNCONFIGURED:
-            # The reset also restarts other nodes that still share the old id.
+            # The reset also restarts all other nodes with the old node id.
             others = [node] * (self.nodes_at[node] - 1) if node != after else []
             self._wait_for_boots([after, *others])
 
@@ -136,7 +155,7 @@ class StepExecutor:
             raise StepFailed(f"no node has started with the id {missing[0]}")
 
     def _check_identity(self, node: int, identity: Identity | None) -> None:
-        """Checks that exactly one node answers at this id, with the identity of the plan."""
+        """Checks that exactly one node responds at a node id, with the required identity."""
         for subindex in (1, 2, 3, 4):
             required = None if identity is None else identity[subindex - 1]
             timeout = self.master.timing.sdo
@@ -157,7 +176,10 @@ class StepExecutor:
                 raise StepFailed(f"the device at id {node} does not report its identity")
 
     def _check_without_id(self, identity: Identity) -> None:
-        """Checks that the device has no id.  It sends no boot-up message, so LSS polls it."""
+        """Checks that the device has no node id.
+
+        A device without node id sends no boot-up message, so the device is polled by LSS.
+        """
         limit = self.master.now + self.master.timing.boot
         while True:
             self.lss.switch_to_waiting()
@@ -226,7 +248,11 @@ class StepExecutor:
         self.journal.done(number, step.node, read)
 
     def power_all(self, plan: Plan, number: int) -> None:
-        """After the last attach step: has all modules powered, and checks that each has its id."""
+        """Asks the operator to power all modules after the last attach step.
+
+        Then a scan checks that each module has its required node id.  ``number`` is the index of
+        the executed attach step in the plan.
+        """
         if any(isinstance(step, AttachStep) for step in plan.steps[number + 1 :]):
             return
         if self.operator is None or not self.operator.power_all("Power all modules again."):

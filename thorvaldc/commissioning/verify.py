@@ -1,4 +1,7 @@
-"""Compares a bus with the robot file; only reads, writes and resets nothing."""
+"""Compares the nodes on a bus with the robot file.
+
+The verification reads values from the nodes.  No value is written and no node is reset.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,25 @@ from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model.bus import Bus
 
 LONGEST_LISTENING = 3.0
-"""s"""
+"""Longest listening time (s)."""
 PERIODS = 5
-"""Number of periods of the slowest frame to listen for."""
+"""Listening time in periods of the slowest frame."""
 PERIOD_TOLERANCE = 0.1
-"""Accepted deviation of the mean period, as a share of the period."""
+"""Largest accepted deviation of a mean period, as a share of the expected period."""
 LEAST_TOLERANCE = 2e-3
-"""s"""
+"""Smallest tolerance (s) for the deviation of a mean period."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One comparison.  ``node`` empty: it concerns the whole bus."""
+    """Comparison of an expected value with the value on the bus.
+
+    - ``node``: name of the node, empty for a check of the whole bus;
+    - ``what``: name of the checked quantity;
+    - ``expected``: expected value as text;
+    - ``actual``: value on the bus as text;
+    - ``passed``: ``True`` if the value on the bus is accepted.
+    """
 
     node: str
     what: str
@@ -46,7 +56,14 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """``not_seen``: periodic frames that no node sends now; drives send PDOs after NMT start."""
+    """Result of a verification.
+
+    - ``scan``: result of the scan;
+    - ``checks``: all comparisons;
+    - ``not_seen``: names of periodic frames that were not received, such as PDOs of a drive before
+      NMT start;
+    - ``load``: bus load, 0 to 1.
+    """
 
     scan: ScanResult
     checks: tuple[Check, ...]
@@ -73,7 +90,10 @@ def verify(
     bus: Bus,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
-    """Compares identities, values, periods and load.  Raises ``DiagnosticError`` as a scan does."""
+    """Compares identities, object values, frame periods and bus load with the robot file.
+
+    Raises the same ``DiagnosticError`` as ``Scanner.active``.
+    """
     scan = Scanner(master, configuration, progress).active(values=True, texts=False)
     checks = [
         Check(
@@ -105,7 +125,11 @@ def verify(
 def _check_frames(
     master: BusMaster, configuration: BusConfiguration, bus: Bus
 ) -> tuple[list[Check], tuple[str, ...], float]:
-    """Listens, and returns the checks of periods and load, the frames not seen, and the load."""
+    """Receives frames and checks the periods of the frames and the bus load.
+
+    Returns the checks, the names of the periodic frames that were not received, and the bus load
+    (0 to 1).
+    """
     slowest = max(
         (period for node in configuration.nodes for _, period in node.seen_by), default=0.1
     )

@@ -226,7 +226,7 @@ class BaseStateMachine:
     def may_command(self) -> bool:
         """``True`` after all motor controllers were found to match the robot file.
 
-        Only then may the driver send commands to the motors.
+        Before this comparison the driver must not send commands to the motors.
         """
         return self._verified
 

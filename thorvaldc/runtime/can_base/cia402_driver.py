@@ -125,8 +125,8 @@ class _AxisStateMachine:
     def _reset_once(self) -> ControlWord:
         """Returns the control word of a drive in FAULT: ``FAULT_RESET`` or ``DISABLE_VOLTAGE``.
 
-        The drive resets a fault at a rising edge of the bit.  One reset is allowed at the start-up
-        and one for each ``reset`` by the operator.
+        The drive resets a fault at a rising edge of the bit FAULT_RESET.  One reset is allowed at
+        the start-up and one for each ``reset`` by the operator.
         """
         if self.reset_allowed:
             self.reset_allowed, self.reset_cycles = False, RESET_CYCLES
@@ -257,8 +257,8 @@ class Cia402Controller(MotorController):
             axis = machine.axis
             follows = intent is Intent.FOLLOW and machine.enabled
             if axis.steering and not follows and math.isfinite(axis.position):
-                # The steering must not jump to an old target when the drive is enabled.  So the
-                # target is the measured angle while the drive is not enabled.
+                # While the drive is not enabled, the steering target is the measured angle.  So the
+                # steering does not jump to an old target when the drive is enabled.
                 axis.target = axis.position
             target = axis.target if axis.steering or follows else 0.0
             values = [

@@ -4,16 +4,17 @@ The relay passes only frames whose identifiers the robot file lists.  The robot 
 a minimum interval between the frames of an identifier.
 
 The relay limits the rate of an identifier with the minimum interval T by a due time.  A frame is
-dropped if it arrives more than T/2 before the due time.  After each passed frame the new due time
-is the later one of old due time and arrival time, plus T:
+dropped if it arrives more than T/2 before the due time.  Each passed frame changes the
+due time to max(due time, arrival time) + T:
 
     due times   |                   |                   |                   |
     arrivals    x         x    -               x             -      x
 
     x: the frame passes;  -: the frame is dropped, because the due time is more than T/2 away
 
-So the relay tolerates a jitter of half an interval.  The mean rate never exceeds 1/T, because the
-due time after an early frame is counted from the old due time, not from the early arrival.
+The relay therefore tolerates a jitter of half an interval.  The mean rate never exceeds 1/T,
+because the due time after an early frame is counted from the old due time, not from the early
+arrival.
 """
 
 from __future__ import annotations

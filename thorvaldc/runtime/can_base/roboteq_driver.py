@@ -220,7 +220,7 @@ class RoboteqScriptController(MotorController):
 
         The wheel speed follows its target with a ramp and a delay.  So every wheel speed between
         the lowest and the highest target of the last ``DEVIATION_TIME`` seconds is accepted.  A
-        steering joint deviates if it stands away from its target angle.
+        steering joint that stands away from its target angle counts as deviating.
         """
         for axis in self.axes:
             if not follows:
@@ -300,7 +300,7 @@ class RoboteqScriptController(MotorController):
             return None
         if homing and modes != self._modes:
             self._home_commanded = True
-            # Until this time the reports may still describe the previous homing.
+            # Reports in the next two periods of TPDO 4 may still describe the previous homing.
             self._home_reports_from = now + 2.0 * FAST_CONSTANTS / 1000.0
             self._homing_failed = False
         self._modes, self._modes_sent_at = modes, now
