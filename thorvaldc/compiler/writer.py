@@ -259,7 +259,7 @@ def _list_content(target: Path) -> _FolderContent:
         if not folders and not names and here != target:
             user_files.append(f"{relative.as_posix()}/")
         if built is None and user_files:
-            break  # The folder is rejected, and it may be a home folder with many files.
+            break  # Stop the search, because a rejected folder may contain very many files.
     return _FolderContent(built, user_files)
 
 
@@ -314,8 +314,8 @@ def _move_in(
     """
     old_files = [p for p in content.built or {} if p != MANIFEST and _is_file(target / p)]
     backup = stage / f"{STAGE_PREFIX}old"
-    # While the files are moved, the manifest lists the files of the old and the new build.  If
-    # this process is killed, the next build may therefore replace the files of both builds.
+    # While the files are moved, the manifest lists the files of the old and the new build.  After
+    # a killed process, the next build may therefore replace the files of both builds.
     interim_manifest = json.loads(files[MANIFEST])
     interim_manifest["complete"] = False
     interim_manifest["files"] = dict.fromkeys([*old_files, *interim_manifest["files"]], "")

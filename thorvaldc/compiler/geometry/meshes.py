@@ -21,7 +21,7 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Mesh, Vec3
 
-# The STL reader of MuJoCo accepts at most this number of triangles.
+# The STL reader of MuJoCo accepts at most 200 000 triangles.
 MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
 MAX_EXTENT = 20.0  # Largest size of a mesh (m).  The unit of a larger mesh is probably mm.

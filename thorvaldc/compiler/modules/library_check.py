@@ -14,7 +14,7 @@ from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
-# The check of a single device uses a bus with this bit rate (bit/s) and control cycle (s).
+# Bit rate (bit/s) of the bus, and control cycle (s), for the check of a single device.
 BITRATE = 500_000
 CYCLE = 0.02
 

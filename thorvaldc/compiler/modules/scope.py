@@ -334,9 +334,9 @@ class Scope(ValueReader):
         return ModuleChoice(module, params, self)
 
     def _in_range(self, name: str, declaration: Node, node: Node, value: Any) -> Any:
-        """Returns the value of a parameter if the value is one of the choices and within limits.
+        """Checks the value of a parameter against the choices and the limits of the parameter.
 
-        Otherwise the method reports an error and returns ``INVALID``.
+        Returns the value.  Reports an error and returns ``INVALID`` if the value is not allowed.
         """
         if value is None or value is INVALID:
             return value
@@ -365,7 +365,10 @@ class Scope(ValueReader):
         return value
 
     def _one_of(self, name: str, declaration: Node, choices: Node, node: Node, value: Any) -> Any:
-        """Returns the value of a parameter if the value is one of the listed choices."""
+        """Checks that the value of a parameter is one of the allowed choices.
+
+        Returns the value.  Reports an error and returns ``INVALID`` if the value is not allowed.
+        """
         known = [str(choice.value) for choice in items(choices)]
         if isinstance(value, ModuleChoice):
             is_known = value.module.name in known

@@ -11,8 +11,8 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import TwistInput
 
-# The names, priorities and topics are those of the twist multiplexer in the original system.  The
-# joystick of a person has a higher priority than the autonomous navigation.
+# The default sources and locks have the same names, priorities and topics as in the twist
+# multiplexer of the original system.  The joystick has a higher priority than the navigation.
 DEFAULT_SOURCES = {"teleop_joy": 100, "auto_nav": 10}
 DEFAULT_LOCKS = {
     "safety_stop": (255, "safety_stop/lock"),
