@@ -243,7 +243,12 @@ class BaseDriver:
             if first_joints or hold_reason:
                 self.calculator.reset(joints)
             feasible = self.calculator.feasible(commanded_twist)
-            infeasible = Twist(*(c - f for c, f in zip(commanded_twist, feasible, strict=True)))
+            if feasible is not commanded_twist:
+                infeasible = Twist(
+                    commanded_twist.vx - feasible.vx,
+                    commanded_twist.vy - feasible.vy,
+                    commanded_twist.wz - feasible.wz,
+                )
             ramped = self._ramped(self._limited(feasible), period)
             command = self.calculator.command(ramped, joints, period)
         self.base.write(command.joints, now)

@@ -80,10 +80,10 @@ class Odometry:
         correlation = self.calculator.estimator.noise.correlation
         if estimate.rank < 3:
             correlation = max(correlation, _LOW_RANK_CORRELATION)
-        covariance = se2.propagate(
+        motion, covariance = se2.integrate(
             self.covariance_at_joints, estimate.twist, estimate.covariance, elapsed, correlation
         )
-        pose = self.pose.moved(se2.exp(estimate.twist, elapsed))
+        pose = self.pose.moved(motion)
         self.store(joints, now, estimate, pose, covariance)
 
     def mark_missing(self, now: float) -> None:

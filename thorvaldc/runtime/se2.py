@@ -136,10 +136,21 @@ def propagate(
     dt: float,
     correlation: float = 0.0,
 ) -> Cov3:
-    """Returns the covariance of the pose after a motion of ``dt`` s.
+    """Returns the covariance of the pose after a motion of ``dt`` s, as ``integrate`` does."""
+    return integrate(covariance, twist, twist_covariance, dt, correlation)[1]
 
-    The motion has the twist ``twist`` with the covariance Q. The covariance P of the pose changes
-    by
+
+def integrate(
+    covariance: Cov3,
+    twist: Twist,
+    twist_covariance: Cov3,
+    dt: float,
+    correlation: float = 0.0,
+) -> tuple[Pose2, Cov3]:
+    """Integrates a constant twist over ``dt`` s; returns the motion and the covariance of the pose.
+
+    The motion is that of ``exp``.  The twist has the covariance Q.  The covariance P of the pose
+    changes by
 
         P <- Ad P Ad' + J Q J' dt^2
 
@@ -160,8 +171,10 @@ def propagate(
     d2 = dt * dt
     if correlation > 0.0:
         d2 /= math.tanh(dt / (2.0 * correlation))
-    turn = Turn(math.cos(angle), math.sin(angle), _sin_over(angle), _versin_over(angle), p, q)
-    return propagated(covariance, twist_covariance, dx, dy, turn, d2)
+    s, v = _sin_over(angle), _versin_over(angle)
+    turn = Turn(math.cos(angle), math.sin(angle), s, v, p, q)
+    motion = Pose2(s * dx - v * dy, v * dx + s * dy, angle)
+    return motion, propagated(covariance, twist_covariance, dx, dy, turn, d2)
 
 
 class Turn(NamedTuple):

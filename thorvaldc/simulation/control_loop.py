@@ -124,7 +124,10 @@ class ControlLoop:
         command = state.command
         if command is None:
             return
-        if largest_component(state.infeasible) > largest_component(self.infeasible):
+        infeasible = state.infeasible
+        if infeasible is not ZERO_TWIST and (
+            largest_component(infeasible) > largest_component(self.infeasible)
+        ):
             self.infeasible, self.infeasible_twist = state.infeasible, state.commanded_twist
         for i in command.unreachable:
             if i not in self.unreachable and largest_component(state.ramped) > NEGLIGIBLE_TWIST:

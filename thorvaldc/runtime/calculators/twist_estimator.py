@@ -18,6 +18,7 @@ axis, a turning steering joint moves the contact.  The measurements include this
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -212,18 +213,16 @@ class TwistEstimator:
             raise NotFiniteError(_UNBOUNDED) from None
 
     def _estimate(self, states: JointStates) -> TwistEstimate:
-        measurements = self._measurements(states)
+        measurements, right_side = self._measurements(states)
         yaw_rate, noise = states.yaw_rate, self.squares
-        (vx, vy, wz), rank = self._unweighted_fit(measurements, yaw_rate)
+        (vx, vy, wz), rank = self._unweighted_fit(measurements, right_side, yaw_rate)
         prior = (0.0, 0.0) if rank == 3 else self.prior
         fit = fit_twist(measurements, vx, vy, wz, noise, prior, yaw_rate)
         for _ in range(self.options.polish):
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
-        if self.options.faulty:
-            for d, gate in zip(tests, self.gates, strict=True):
-                if d > gate:
-                    return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank)
+        if self.options.faulty and any(map(operator.gt, tests, self.gates)):
+            return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank)
         return self._result(fit, tests, rank)
 
     def least_squares(self, states: JointStates) -> Twist:
@@ -232,7 +231,7 @@ class TwistEstimator:
         Raises the same errors as ``check``.
         """
         self.check(states)
-        (vx, vy, wz), _ = self._unweighted_fit(self._measurements(states), states.yaw_rate)
+        (vx, vy, wz), _ = self._unweighted_fit(*self._measurements(states), states.yaw_rate)
         xm, ym = self._centre
         return Twist(vx + ym * wz, vy - xm * wz, wz)
 
@@ -248,7 +247,7 @@ class TwistEstimator:
         xm, ym = self._centre
         vx, vy = vx - ym * wz, vy + xm * wz
         for wheel, (flags, c, s, x, y, z_l, z_t, _, _) in zip(
-            self.wheels, self._measurements(states), strict=True
+            self.wheels, self._measurements(states)[0], strict=True
         ):
             ux, uy = vx - wz * y, vy + wz * x
             along = c * ux + s * uy - z_l if flags & USE_ROLL else 0.0
@@ -257,10 +256,18 @@ class TwistEstimator:
 
     # -- measurements and unweighted fit ----------------------------------------------
 
-    def _measurements(self, states: JointStates) -> list[Measurement]:
+    def _measurements(
+        self, states: JointStates
+    ) -> tuple[list[Measurement], tuple[float, float, float]]:
+        """Returns the measurements of the wheels, and b = sum L' z_L of all wheels.
+
+        The vector b is the right-hand side of the unweighted fit for wheels without trail and
+        lateral offset.
+        """
         speeds, angles = states.speeds, states.angles
         cosine, sine = math.cos, math.sin
         measurements: list[Measurement] = []
+        b1 = b2 = b3 = 0.0
         for wheel in self.wheels:
             i, heading, sign, c, s, x, y, trail, lateral, radius, flags, steered, skids = wheel
             z_l, z_t = radius * speeds[i], 0.0
@@ -277,20 +284,22 @@ class TwistEstimator:
                     z_t = -trail * turning
                 c, s = cos, sin
             measurements.append((flags, c, s, x, y, z_l, z_t, steered, skids))
-        return measurements
-
-    def _unweighted_fit(
-        self, measurements: list[Measurement], yaw_rate: float | None
-    ) -> tuple[tuple[float, float, float], int]:
-        """Returns the unweighted least-squares twist about the centroid, and the rank."""
-        if self.inverse is None or yaw_rate is not None:
-            return self._solve(unweighted_normal_equations(measurements), yaw_rate)
-        b1 = b2 = b3 = 0.0
-        for _, c, s, x, y, z_l, _, _, _ in measurements:
             zx, zy = c * z_l, s * z_l
             b1 += zx
             b2 += zy
             b3 += zy * x - zx * y
+        return measurements, (b1, b2, b3)
+
+    def _unweighted_fit(
+        self,
+        measurements: list[Measurement],
+        right_side: tuple[float, float, float],
+        yaw_rate: float | None,
+    ) -> tuple[tuple[float, float, float], int]:
+        """Returns the unweighted least-squares twist about the centroid, and the rank."""
+        if self.inverse is None or yaw_rate is not None:
+            return self._solve(unweighted_normal_equations(measurements), yaw_rate)
+        b1, b2, b3 = right_side
         (q11, q12, q13, q22, q23, q33), rank = self.inverse
         twist = (
             q11 * b1 + q12 * b2 + q13 * b3,

@@ -205,11 +205,13 @@ def fit_twist(
         ux, uy = vx - wz * y, vy + wz * x
         if z_t:
             ux, uy = ux + s * z_t, uy - c * z_t
-        across = c * uy - s * ux
-        a2 = ux * ux + uy * uy
-        v2 = a2 + z_t * z_t
+            a2 = ux * ux + uy * uy
+            v2 = a2 + z_t * z_t
+        else:
+            v2 = a2 = ux * ux + uy * uy
         v_l, v_t = ratio2 * v2 + floor2, angle2 * v2 + slip2
         if steered:
+            across = c * uy - s * ux
             t2 = across * across
             # The predicted direction is used only within 30 deg of the measured direction.  A
             # larger difference means that the wheel is faulty.

@@ -92,8 +92,12 @@ class MujocoBase(GroundTruthBase):
         all_joints = self._spin + self._steering
         last_q = max((q for _, q, _ in all_joints), default=6)
         last_v = max((v for _, _, v in all_joints), default=5)
-        self._qpos = slice(self._base, self._base + last_q + 1)
-        self._qvel = slice(self._base_velocity, self._base_velocity + last_v + 1)
+        # Views of MuJoCo's arrays.  Making a view takes four times as long as copying the values
+        # of the view.  MuJoCo never moves the arrays of a scene.
+        data, base, base_velocity = scene.data, self._base, self._base_velocity
+        self._qpos = data.qpos[base : base + last_q + 1]
+        self._qvel = data.qvel[base_velocity : base_velocity + last_v + 1]
+        self._base_qpos = data.qpos[base : base + 7]
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
             self._open_speed_loops()
@@ -105,9 +109,9 @@ class MujocoBase(GroundTruthBase):
 
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
-        data, ratios, offsets = self.scene.data, self._ratios, self._offsets
+        ratios, offsets = self._ratios, self._offsets
         # Reading a single number from a list is several times faster than from a numpy array.
-        qpos, qvel = data.qpos[self._qpos].tolist(), data.qvel[self._qvel].tolist()
+        qpos, qvel = self._qpos.tolist(), self._qvel.tolist()
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
         for i, q, v in self._spin:
@@ -237,5 +241,5 @@ class MujocoBase(GroundTruthBase):
         The values are read from ``qpos``.  The array ``xpos`` of MuJoCo is not used, because
         ``xpos`` after a step contains the positions at the beginning of the step.
         """
-        position: list[float] = self.scene.data.qpos[self._base : self._base + 7].tolist()
+        position: list[float] = self._base_qpos.tolist()
         return position
