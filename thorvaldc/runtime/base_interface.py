@@ -16,12 +16,14 @@ class JointStates:
     - ``angles``: steering angles, rad.  The angles are calibrated: a steering angle is the
       encoder's reading plus ``Actuator.encoder_offset``.
     - ``angle_rates``: steering rates, rad/s.
-    - ``positions``: positions of the spin joints, rad, not wrapped.  ``None`` if the base does not
-      measure them.
-    - ``yaw_rate``: yaw rate of ``base_link``, rad/s, measured by a gyro.  ``None`` without a gyro.
+    - ``positions``: positions of the spin joints in rad, not wrapped.  ``positions`` is ``None`` if
+      the base does not measure positions.
+    - ``yaw_rate``: yaw rate of ``base_link``, rad/s, measured by a gyro.  ``yaw_rate`` is ``None``
+      if the robot has no gyro.
 
-    A joint without encoder has the value 0, which is not used.  Examples are the spin joint of a
-    wheel without motor and the steering joint of a wheel without steering.
+    The entries of a joint without encoder are 0 and are not used.  Examples of joints without
+    encoder are the spin joint of a wheel without motor and the steering joint of a wheel without
+    steering.
     """
 
     time: float
@@ -55,13 +57,13 @@ class BaseHandle(abc.ABC):
     def hold_reason(self) -> str:
         """Reason why the base does not follow commands now, such as homing or a fault.
 
-        Empty if the base follows commands.
+        The reason is empty if the base follows commands.
         """
         return ""
 
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
-        """Returns the joint states at ``now``.  Unknown values are NaN."""
+        """Returns the joint states at ``now``.  Unknown joint values are NaN."""
 
     @abc.abstractmethod
     def write(self, commands: JointCommands, now: float) -> None:
@@ -70,8 +72,8 @@ class BaseHandle(abc.ABC):
     def expect_single_commands(self) -> None:
         """Tells the base that ``write`` will be called on every change of a single joint's command.
 
-        The times of these calls are irregular.  The base therefore cannot derive the rates of set
-        points from successive commands.
+        The calls of ``write`` then come at irregular times.  The base therefore cannot derive the
+        rates of set points from successive commands.
         """
         return
 

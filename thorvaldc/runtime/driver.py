@@ -52,8 +52,8 @@ class DriverState:
     - ``commanded_twist``: twist of the active command.
     - ``ramped``: feasible part of the commanded twist, after the speed limits and the ramp.
     - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
-    - ``command``: joint commands for ``ramped``.  ``None`` before the first tick.
-    - ``joints``: last usable joint states.  ``None`` before the first measurement.
+    - ``command``: joint commands for ``ramped``, or ``None`` before the first tick.
+    - ``joints``: last usable joint states, or ``None`` before the first measurement.
     - ``odometry``: estimate of the mean twist since the previous tick.
     - ``pose``: pose of ``base_link`` in the odometry frame.
     - ``pose_covariance``: covariance of ``pose``, expressed as a small motion in ``base_link``.
@@ -127,8 +127,8 @@ class BaseDriver:
     def command(self, twist: Twist, now: float) -> bool:
         """Commands ``twist`` from ``now`` on, for at most the command timeout.
 
-        Returns ``False`` if the twist or the time is not finite or too large.  The previous command
-        then stays active until its timeout.
+        Returns ``False`` if the twist or the time is not finite or too large.  If a command is
+        rejected, the previous command stays active until its timeout.
         """
         if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
             return False
@@ -156,10 +156,10 @@ class BaseDriver:
     def use(self, parameters: str | None) -> None:
         """Switches to a parameter set of the robot file.  ``None`` selects the ordinary values.
 
-        The change takes effect in the next tick, after the odometry update.  The motion up to this
-        update is computed with the previous wheel radii, and the pose does not jump.  Raises
-        ``DiagnosticError`` if the parameter set is unknown.  The parameters are unchanged after
-        this error.
+        The change takes effect in the next tick, after the odometry update.  The motion up to the
+        change is computed with the previous wheel radii, and the pose does not jump.  Raises
+        ``DiagnosticError`` if the parameter set is unknown.  The parameters are unchanged after an
+        error.
         """
         self._stage(Parameters.from_robot(self.robot, parameters))
 
@@ -178,7 +178,7 @@ class BaseDriver:
 
         Parameters that are not named keep their values.  All changes take effect together in the
         next tick, after the odometry update.  Raises ``ParameterError`` if a name is unknown or a
-        value is invalid.  The parameters are unchanged after this error.
+        value is invalid.  The parameters are unchanged after an error.
         """
         current = self._staged[0] if self._staged is not None else self.parameters
         self._stage(current.changed(self.robot, radii, noise, limits))
@@ -209,8 +209,8 @@ class BaseDriver:
         states at ``now`` if the caller has already read them.
 
         The motion of the robot is unknown while joint states are unusable, and during an interval
-        of more than ``LONGEST_INTERVAL`` without joint states.  The pose then does not change, and
-        its covariance grows by the largest possible motion.
+        of more than ``LONGEST_INTERVAL`` without joint states.  While the motion is unknown, the
+        pose does not change, and its covariance grows by the largest possible motion.
         """
         state = self.state
         first = not math.isfinite(state.time)
@@ -233,11 +233,12 @@ class BaseDriver:
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
         if hold_reason:
-            # While the base does not follow commands, it stops the robot itself.  Afterwards the
-            # ramp starts from rest.
+            # A base that does not follow commands stops the robot itself.  When the base follows
+            # commands again, the ramp starts from rest.
             self._ramp.restart(ZERO_TWIST)
         if fault:
-            # The motion of the wheels is unknown.  The ramp to zero uses no measurement.
+            # The motion of the wheels is unknown.  The twist ramps down to zero without
+            # measurements.
             command = self.calculator.command(self._ramped(ZERO_TWIST, period), None, period)
         else:
             if first_joints or hold_reason:

@@ -21,8 +21,8 @@ _TIME_TOLERANCE = 1e-9
 class Selection:
     """The selected source and its twist.
 
-    - ``source``: name of the selected source.  Empty if no source is selected.
-    - ``twist``: twist of the selected source.  Zero if no source is selected.
+    - ``source``: name of the selected source, or empty if no source is selected.
+    - ``twist``: twist of the selected source, or zero if no source is selected.
     - ``time``: time (s) at which the source published the twist.
     - ``locks``: names of the active locks.
     """
@@ -60,7 +60,7 @@ class Multiplexer:
     also active before its first publication, and while its last publication is older than the
     time-out.
 
-    These rules are the rules of the ROS node twist_mux, with one exception.  A lock of this
+    The multiplexer follows the rules of the ROS node twist_mux with one exception.  A lock of the
     multiplexer stops the robot immediately, and a lock of twist_mux stops the robot after the
     driver's time-out.
 
@@ -89,11 +89,13 @@ class Multiplexer:
         return tuple(self._locks)
 
     def publish(self, source: str, twist: Twist, now: float) -> bool:
-        """Publishes a twist of a source at ``now``.  The twist is valid for the source's time-out.
+        """Publishes a twist of a source at ``now``.
 
-        Returns ``False`` if the twist or the time is not finite or too large.  The previous twist
-        of the source then stays valid until its time-out.  Raises ``ParameterError`` if the source
-        is unknown.
+        The twist is valid until the time-out of the source.
+
+        Returns ``False`` if the twist or the time is not finite or too large.  If a twist is
+        rejected, the previous twist of the source stays valid until its time-out.  Raises
+        ``ParameterError`` if the source is unknown.
         """
         publisher = self._find("source of twists", source, self._sources)
         if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):

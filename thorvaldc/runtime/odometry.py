@@ -23,9 +23,9 @@ class Odometry:
     - ``pose``: pose of ``base_link`` in the odometry frame.
     - ``covariance``: covariance of the pose, expressed as a small motion in ``base_link``.  The
       covariance grows while joint states are missing.
-    - ``joints``: last joint states.  ``None`` before the first update.
+    - ``joints``: last joint states, or ``None`` before the first update.
     - ``covariance_at_joints``: covariance of the pose at the time of ``joints``.
-    - ``calculator``: base calculator.  It can be replaced between two updates without a change of
+    - ``calculator``: base calculator, which can be replaced between two updates without a change of
       the pose.
     - ``top_speeds``: largest possible speed (m/s) and yaw rate (rad/s) while joint states are
       missing.
@@ -51,12 +51,12 @@ class Odometry:
 
         Between two joint states the robot is assumed to move with the mean twist.  The motion is
         unknown if the interval is longer than ``LONGEST_INTERVAL`` or if the time of the joint
-        states decreases.  The pose then does not change, and its covariance grows by the largest
-        possible motion.  If the time of the joint states has not changed, the joint states count as
-        missing.
+        states decreases.  If the motion is unknown, the pose does not change, and its covariance
+        grows by the largest possible motion.  If the time of the joint states has not changed, the
+        joint states count as missing.
 
         Raises ``ValueError`` if the joint states are unusable, and ``NotFiniteError`` if a value is
-        NaN. The odometry is unchanged after these errors.
+        NaN. The odometry is unchanged after an error.
         """
         previous = self.joints
         if previous is None:
@@ -124,9 +124,9 @@ def _mean_states(start: JointStates, end: JointStates, dt: float) -> JointStates
     positions.
 
     The measured angles at the start and the end of the interval are averaged.  Each measured angle
-    therefore affects two intervals, with half of its error in each interval.  The error of a sum
+    affects two intervals, with half of its error in each interval.  The error of a sum of angles
     over many intervals is the same as with independent errors of full size in each interval.  The
-    covariance of the pose assumes such independent errors.
+    covariance of the pose is computed for independent errors in each interval.
     """
     if start.positions is not None and end.positions is not None:
         speeds = [(b - a) / dt for a, b in zip(start.positions, end.positions, strict=True)]

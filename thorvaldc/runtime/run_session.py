@@ -1,6 +1,6 @@
 """A complete run of a robot on its buses, from the start to the shutdown and the summary.
 
-The command ``thorvaldc run`` uses ``RunSession``.  A Python program can use it, too::
+The command ``thorvaldc run`` uses ``RunSession``.  A Python program can use ``RunSession``, too::
 
     interfaces = open_interfaces("socketcan:can0", robot)
     session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), duration=10.0)
@@ -42,7 +42,7 @@ class RunSession:
 
     - ``twist``: twist that the session commands while no source of the control channel drives.
     - ``duration``: duration of the run in s, from the time when the robot is ready.
-    - ``channel``: name of the control channel.  Empty for a run without a control channel.
+    - ``channel``: name of the control channel, or empty for a run without a control channel.
     """
 
     def __init__(
@@ -60,14 +60,14 @@ class RunSession:
         """Prepares the run with the CAN interfaces of the robot's buses.
 
         - ``interfaces``: CAN interface of each bus, by the name of the bus.
-        - ``threaded``: if ``True``, a thread for each bus reads the received frames.  ``False`` for
-          a simulated robot in this process.
+        - ``threaded``: if ``True``, a thread for each bus reads the received frames.  A simulated
+          robot in this process needs ``threaded=False``.
         - ``paced``: if ``True``, the loop waits so that virtual time does not run faster than real
           time.
 
         The session closes the interfaces at the end of the run.  Raises ``DiagnosticError`` if the
         base cannot be created, and ``OSError`` if the control channel is in use.  The interfaces
-        are closed after these errors.
+        are closed after an error.
         """
         self.robot = robot
         self.twist = twist

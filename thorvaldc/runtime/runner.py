@@ -46,7 +46,7 @@ T = TypeVar("T")
 class RequestRefused(ValueError):
     """A service of the robot refused a request and changed nothing.
 
-    The message contains the reason.
+    The message of the exception contains the reason.
     """
 
 
@@ -86,13 +86,13 @@ class Timing:
 class BaseRunner:
     """A running robot with its base on the buses, its driver and its services.
 
-    All work happens in the thread that calls ``cycle`` or ``run``.  Other threads use ``submit`` to
-    call a service.  A service raises ``RequestRefused`` if it cannot be executed.
+    All work of the runner happens in the thread that calls ``cycle`` or ``run``.  Other threads use
+    ``submit`` to call a service.  A service raises ``RequestRefused`` if it cannot be executed.
 
     - ``base``: base on the buses.
     - ``driver``: base driver.
-    - ``clock``: CAN interface of the first bus, which measures the time.  In a simulation, this
-      time is virtual.
+    - ``clock``: CAN interface of the first bus, which measures the time.  The time of a simulated
+      bus is virtual.
     """
 
     def __init__(
@@ -316,8 +316,8 @@ class BaseRunner:
         - ``radii``: wheel radii (m) by wheel name.
         - ``limits``: limits in SI units by name.
 
-        All changes take effect between the same two cycles.  Raises ``RequestRefused`` if a name is
-        unknown or a value is invalid.  No value is changed then.
+        All changes take effect together, between two cycles.  Raises ``RequestRefused`` if a name
+        is unknown or a value is invalid.  If the request is refused, no value is changed.
         """
         try:
             if radii or limits:
@@ -412,7 +412,7 @@ class BaseRunner:
     def relay_drops(self) -> dict[str, int]:
         """Returns the number of dropped frames for each CAN id and reason.
 
-        An example of a key is ``0x240 too often``.
+        A key of the result is a text such as ``0x240 too often``.
         """
         return {
             f"{cob_id:#05x} {reason}": number

@@ -12,7 +12,7 @@ The integral of this velocity over 0 <= t <= dt is
     [ sin a / a       -(1 - cos a) / a ]
     [ (1 - cos a) / a   sin a / a      ]  v dt
 
-Near a = 0, Taylor series replace the quotients.
+Near a = 0, the functions compute the quotients by Taylor series.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _versin_over(a: float) -> float:
 def exp(twist: Twist, dt: float) -> Pose2:
     """Returns the motion of a robot that moves with a constant twist for ``dt`` s.
 
-    This function is the exponential map of SE(2).
+    The function ``exp`` is the exponential map of SE(2).
     """
     dx, dy, a = twist.vx * dt, twist.vy * dt, twist.wz * dt
     s, v = _sin_over(a), _versin_over(a)
@@ -113,7 +113,7 @@ def chord_over_arc(angle: float) -> float:
 def _planar(c: float, s: float, a: float, b: float, p: Cov3) -> Cov3:
     """Returns the matrix product M P M' with M = [[c, s, a], [-s, c, b], [0, 0, 1]].
 
-    The result is exactly symmetric.
+    The product is an exactly symmetric matrix.
     """
     (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
     r13, r23 = c * p13 + s * p23, c * p23 - s * p13
@@ -136,7 +136,10 @@ def propagate(
     dt: float,
     correlation: float = 0.0,
 ) -> Cov3:
-    """Returns the covariance of the pose after a motion of ``dt`` s, as ``integrate`` does."""
+    """Returns the covariance of the pose after a motion of ``dt`` s.
+
+    The documentation of ``integrate`` derives the covariance.
+    """
     return integrate(covariance, twist, twist_covariance, dt, correlation)[1]
 
 
@@ -147,21 +150,23 @@ def integrate(
     dt: float,
     correlation: float = 0.0,
 ) -> tuple[Pose2, Cov3]:
-    """Integrates a constant twist over ``dt`` s; returns the motion and the covariance of the pose.
+    """Integrates a constant twist over ``dt`` s.
 
-    The motion is that of ``exp``.  The twist has the covariance Q.  The covariance P of the pose
-    changes by
+    Returns the motion, as computed by ``exp``, and the covariance of the pose after the motion.
+    The covariance P of the pose changes by
 
         P <- Ad P Ad' + J Q J' dt^2
 
-    Ad is the adjoint of the inverse motion, and J is the right Jacobian of SE(2) (Sola et al., "A
-    micro Lie theory for state estimation in robotics", 2018, equations 161 and 163).
+    Q is the covariance of the twist, Ad is the adjoint of the inverse motion, and J is the right
+    Jacobian of SE(2) (Sola et al., "A micro Lie theory for state estimation in robotics", 2018,
+    equations 161 and 163).
 
     With ``correlation`` = 0, the twist errors of two steps are independent.  Otherwise the
     correlation of the errors decreases with the time constant ``correlation`` (s), by the factor r
     = exp(-dt / correlation) per step.  Over a time n dt much longer than the time constant, the
     variance of a sum of n errors is n Q (1 + 2 r + 2 r^2 + ...) = n Q (1 + r) / (1 - r) = n Q /
-    tanh(dt / (2 correlation)).  For shorter times this formula overestimates the variance.
+    tanh(dt / (2 correlation)).  For times that are not much longer than the time constant, the
+    formula overestimates the variance.
     """
     dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
     if abs(angle) < 1e-3:
@@ -180,7 +185,7 @@ def integrate(
 class Turn(NamedTuple):
     """Functions of the angle a by which a robot turns in one step.
 
-    The values are numbers for one robot, or arrays for many robots.
+    The fields are numbers for one robot, or arrays for many robots.
     """
 
     c: Any  # cos a
@@ -201,7 +206,7 @@ def propagated(covariance: Cov3, noise: Cov3, dx: Any, dy: Any, turn: Turn, d2: 
     c, s, sa, va, p, q = turn
     x, y = sa * dx - va * dy, va * dx + sa * dy  # the step t, as in `exp`
     # The adjoint Ad: a small rotation w before the step moves the end of the step by w x t.  In the
-    # frame at the end of the step, this motion is R' (w x t).
+    # frame at the end of the step, the end of the step moves by R' (w x t).
     moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
     added = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, noise)
     (m11, m12, m13), (_, m22, m23), (_, _, m33) = moved

@@ -74,13 +74,13 @@ class Ramp:
     def limit_lead(self, actual: Twist, aligned: bool = True) -> None:
         """Limits the lead of the ramp over ``actual``, the twist of the wheels, to ``LEAD``.
 
-        While wheels steer or are at their limits, the robot is slower than the ramp.  Without this
-        limit, the robot would accelerate abruptly as soon as the wheels are ready.
+        While wheels steer or are at their limits, the robot is slower than the ramp.  If the lead
+        were not limited, the robot would accelerate abruptly as soon as the wheels are ready.
 
-        ``aligned`` is ``False`` if wheels have to turn far.  The ramp then only slows down and
-        keeps its direction.  If the ramp moved towards the actual direction, the wheels that turn
-        the long way because of a steering limit would turn back and never reach their target
-        angles.
+        ``aligned`` is ``False`` if wheels have to turn far.  If wheels have to turn far, the ramp
+        only slows down and keeps its direction.  If the ramp moved towards the actual direction,
+        the wheels that turn the long way because of a steering limit would turn back and never
+        reach their target angles.
         """
         vx, vy, wz = self.twist
         if not aligned:

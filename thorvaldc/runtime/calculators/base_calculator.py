@@ -26,16 +26,17 @@ class BaseCommand:
 
     - ``joints``: commands of the spin and steering joints of each wheel.
     - ``target``: feasible twist nearest to the commanded twist, scaled to the wheels' speed limits.
-    - ``twist``: twist that these joint commands produce.  It differs from ``target`` while wheels
-      steer or accelerate.
+    - ``twist``: twist that these joint commands produce.  ``twist`` differs from ``target`` while
+      wheels steer or accelerate.
     - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
     - ``scale``: factor by which the speed limits reduce the twist. 1 if no wheel reaches its limit.
     - ``unreachable``: indices of the wheels that stand still because no angle within their steering
       limits fits the twist.
     - ``required_rates``: for each wheel, the steering rate (rad/s) that would reach the target
-      angle within the tick.  A wheel is late if its rate limit is lower. 0 without a time step.
-    - ``must_stop``: ``True`` if a rolling wheel has to turn around.  All wheels then hold their
-      angles until the driver has ramped the twist down to zero.
+      angle within the tick.  If the rate limit of a wheel is lower than this rate, the wheel
+      arrives late.  The rates are 0 without a time step.
+    - ``must_stop``: ``True`` if a rolling wheel has to turn around.  In this case all wheels hold
+      their angles until the driver has ramped the twist down to zero.
     - ``aligned``: ``True`` if every wheel is close enough to its target angle to roll.
     """
 
@@ -79,9 +80,9 @@ class BaseCalculator(abc.ABC):
     """Computes the joint commands and the odometry of one robot, and stores the last command.
 
     A subclass defines ``name``, ``summary`` and ``Options``.  ``Options`` is a frozen dataclass of
-    scalars with default values.  Its ``__post_init__`` raises ``ValueError`` for values out of
-    range.  A subclass also overrides ``unsuited_reason`` to reject robots that the calculator
-    cannot drive.
+    scalars with default values.  The method ``Options.__post_init__`` raises ``ValueError`` for
+    values out of range.  A subclass also overrides ``unsuited_reason`` to reject robots that the
+    calculator cannot drive.
     """
 
     name: ClassVar[str]
@@ -118,8 +119,8 @@ class BaseCalculator(abc.ABC):
         in s since the last command, the joint commands respect the rate and acceleration limits of
         the motors.  Without ``states`` and ``dt``, the result is the inverse kinematics.
 
-        Raises ``NotFiniteError`` if a value is not a finite number.  The last command is unchanged
-        after this error.
+        Raises ``NotFiniteError`` if a value is not a finite number.  If ``command`` raises an
+        error, it does not change the stored last command.
         """
 
     def odometry(self, states: JointStates) -> TwistEstimate:
@@ -134,8 +135,8 @@ class BaseCalculator(abc.ABC):
     def reset(self, states: JointStates | None = None) -> None:
         """Discards the last command.
 
-        The calculator then assumes that the joints are at ``states``.  Without ``states``, it
-        assumes that all joints are at zero.
+        After a reset, the calculator assumes that the joints are at ``states``.  Without
+        ``states``, the calculator assumes that all joints are at zero.
         """
 
     def with_parameters(self, radii: Sequence[float], noise: Noise) -> Self:

@@ -27,12 +27,12 @@ class WheelGeometry:
 
     - ``driven``: ``True`` if a motor drives the spin joint.
     - ``steered``: ``True`` if a motor turns the steering joint.
-    - ``swivel``: ``True`` if the wheel turns freely about its steering axis.  Such a wheel does not
-      measure the robot's motion.
+    - ``swivel``: ``True`` if the wheel turns freely about its steering axis.  A swivelling wheel
+      does not measure the robot's motion.
     - ``encoder``: ``True`` if the wheel speed is measured.
     - ``max_speed``: speed limit of the spin joint, rad/s.
     - ``max_acceleration``: acceleration limit of the spin joint, rad/s^2.
-    - ``lower``, ``upper``: limits of the steering angle, rad.  ``None`` if the angle is unlimited.
+    - ``lower``, ``upper``: limits of the steering angle in rad, or ``None`` for an unlimited angle.
     - ``max_rate``: rate limit of the steering joint, rad/s.
     - ``max_rate_change``: acceleration limit of the steering joint, rad/s^2.
     """
@@ -81,12 +81,12 @@ class WheelGeometry:
 class BaseGeometry:
     """The wheels of a robot, and the groups of wheels that share a joint.
 
-    - ``steering_groups``: for each steering joint, the indices of its wheels.  Most joints have one
-      wheel.
+    - ``steering_groups``: for each steering joint, the indices of its wheels.  Most steering joints
+      have one wheel.
     - ``spin_groups``: for each spin joint with several wheels, the indices of its wheels.
     - ``centre``: centroid (m) of the wheels that do not swivel.
     - ``length``: root mean square distance (m) of these wheels from the centroid.  The calculators
-      use it as the lever that converts angular to linear speed.
+      use ``length`` as the lever that converts angular to linear speed.
     """
 
     wheels: tuple[WheelGeometry, ...]
@@ -202,10 +202,9 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
 class FixedWheels:
     """The constraint that fixed wheels impose on the twist.
 
-    Fixed wheels with the same heading act as one axle.  The axle lies at the mean contact point of
-    its wheels.  Each axle allows no motion across its wheels.  The equation of this constraint is
-    (nx, ny, d) . (vx, vy, wz) = 0, where n is the normal of the wheels.  The number of axles
-    determines the feasible twists:
+    Fixed wheels with the same heading act as one axle.  An axle lies at the mean contact point of
+    its wheels.  An axle allows no motion across its wheels: (nx, ny, d) . (vx, vy, wz) = 0, where n
+    = (nx, ny) is the normal of the wheels.  The number of axles determines the feasible twists:
 
     - no axle: every twist is feasible;
     - one axle: wz and the speed along the wheels are free, and both determine the speed across;
@@ -254,7 +253,7 @@ class FixedWheels:
         self._can_turn = True
         if len(self.rows) >= 2:
             (a0, a1, a2), (b0, b1, b2) = self.rows[0], self.rows[1]
-            # Computes this velocity v from the two equations n_a . v = -a2 and n_b . v = -b2.
+            # The pole is the velocity v that solves n_a . v = -a2 and n_b . v = -b2.
             det = a0 * b1 - a1 * b0
             self._pole = ((-a2 * b1 + a1 * b2) / det, (-a0 * b2 + a2 * b0) / det)
             px, py = self._pole

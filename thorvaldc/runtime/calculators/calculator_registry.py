@@ -31,8 +31,8 @@ _TYPE_NAMES = {bool: "true or false,", int: "a whole number", float: "a number",
 class CalculatorError(DiagnosticError):
     """The robot file names an invalid calculator or an invalid option.
 
-    ``option`` is the name of the invalid option.  It is ``None`` if the calculator itself is
-    invalid.
+    ``option`` is the name of the invalid option.  ``option`` is ``None`` if the calculator itself
+    is invalid.
     """
 
     option: str | None = None

@@ -27,7 +27,7 @@ from thorvaldc.runtime.se2 import Twist
 class Differential(BaseCalculator):
     """Inverse kinematics and odometry of a differential drive in closed form.
 
-    The module documentation contains the equations.
+    The documentation of the module ``differential`` contains the equations.
     """
 
     name = "differential"
@@ -38,7 +38,8 @@ class Differential(BaseCalculator):
     ) -> None:
         super().__init__(geometry, options, noise)
         self._fixed = FixedWheels(geometry.wheels)
-        # The constraint of the axle is n . v + d wz = 0.  Its coefficients are (n, d).
+        # The constraint of the axle is n . v + d wz = 0.  The coefficients of this equation are (n,
+        # d).
         nx, ny, self._d = self._fixed.rows[0]
         self._nx, self._ny = nx, ny
         # (index, sign: -1 if the wheel is mounted the other way round, row L, radius, speed limit)

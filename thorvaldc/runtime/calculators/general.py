@@ -5,9 +5,9 @@ Inverse kinematics: the steering axis of a wheel at (x, y) moves with
     u = (vx - wz y, vy + wz x),   speed v = |u|,   direction phi = atan2(u_y, u_x)
 
 Each steered wheel points along or against the direction phi and rolls at +v or -v.  The module
-``steering_branch`` chooses between both directions.  If a wheel speed v_i exceeds its limit v_max,
-the whole twist is scaled by the factor min(v_max / v_i).  A common factor keeps the centre of
-rotation.
+``steering_branch`` chooses whether a wheel rolls forwards or backwards.  If a wheel speed v_i
+exceeds its limit v_max, the whole twist is scaled by the factor min(v_max / v_i).  A common factor
+for all wheels keeps the centre of rotation.
 
 While wheels turn to new angles, the wheel speeds of the commanded twist would make the wheels work
 against each other.  The wheel speeds then realise a different twist xi*, which causes the least
@@ -62,8 +62,8 @@ Within this error the wheel speeds are not reduced, so that errors of the servo 
 class SteeringOptions:
     """Options of calculators that steer wheels.
 
-    - ``hysteresis``: time in s.  A wheel changes between rolling forwards and backwards only if the
-      change saves more time.
+    - ``hysteresis``: time (s) that a wheel must save to change between rolling forwards and
+      backwards.
     - ``arrive_together``: if ``True``, all wheels take the same time to turn to new angles.
     """
 
@@ -80,8 +80,8 @@ class GeneralOptions(SteeringOptions):
     """Options of the calculator ``general``, in addition to the steering options.
 
     - ``faulty_wheels``: largest number of faulty wheels that the odometry may leave out, 0 to 2.
-    - ``polish``: number of additional Gauss-Newton steps of the odometry.  They bring the estimate
-      closer to the maximum-likelihood estimate.
+    - ``polish``: number of additional Gauss-Newton steps of the odometry.  Each step brings the
+      estimate closer to the maximum-likelihood estimate.
     """
 
     faulty_wheels: int = 2
@@ -97,7 +97,9 @@ class GeneralOptions(SteeringOptions):
 
 
 class General(BaseCalculator):
-    """Calculator for any arrangement of wheels.  The module documentation contains the equations.
+    """Calculator for any arrangement of wheels.
+
+    The documentation of the module ``general`` contains the equations.
 
     The method ``command`` works in these steps:
 
@@ -255,8 +257,8 @@ class General(BaseCalculator):
     def _square(self, twist: Twist) -> float:
         """Returns vx^2 + vy^2 + (length wz)^2 of a twist, in m^2/s^2.
 
-        This is the mean square speed of the wheels if their centroid is at the origin of
-        ``base_link``.
+        The result is the mean square speed of the wheels if the centroid of the wheels is at the
+        origin of ``base_link``.
         """
         vx, vy, wz = twist
         return vx * vx + vy * vy + self._length2 * wz * wz
@@ -285,8 +287,8 @@ class General(BaseCalculator):
 
         - For each wheel, the steering rate (rad/s) that would reach the target angle within this
           tick.
-        - The number of ticks that the slowest rolling wheel needs.  The number is infinite if a
-          rolling wheel has to turn by more than ``_MAX_TURN_ROLLING``.
+        - The number of ticks that the slowest rolling wheel needs.  The number of ticks is infinite
+          if a rolling wheel has to turn by more than ``_MAX_TURN_ROLLING``.
         - ``True`` if no wheel has to turn by more than ``_MAX_TURN_ROLLING``.
         """
         if dt is None:
@@ -473,7 +475,7 @@ class General(BaseCalculator):
             b1 += s * slip
             b2 -= c * slip
             b3 -= t3 * slip
-        # The target is feasible, so it causes no side slip on the fixed wheels.
+        # The target is feasible, so the target causes no side slip on the fixed wheels.
         for t1, t2, t3 in self._fixed.rows:
             a11 += t1 * t1
             a12 += t1 * t2

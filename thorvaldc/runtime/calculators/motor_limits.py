@@ -16,8 +16,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 class DriveMotors:
     """Limits the commands of the drive motors and stores the last command.
 
-    The last command consists of the speed of each wheel (rad/s) and of the twist that these speeds
-    produce.
+    A command consists of the speed of each wheel (rad/s) and of the twist that the speeds produce.
     """
 
     def __init__(self, geometry: BaseGeometry) -> None:
@@ -33,8 +32,8 @@ class DriveMotors:
     def reset(self, states: JointStates | None = None, twist: Twist = ZERO_TWIST) -> None:
         """Sets the last commanded speeds to the measured speeds in ``states``.
 
-        ``twist`` is the twist that these speeds produce.  Without ``states``, the motors start from
-        rest.
+        ``twist`` is the twist that the measured wheel speeds produce.  Without ``states``, the
+        motors start from rest.
         """
         self._speeds: tuple[float, ...] = self._zeros if states is None else (*states.speeds,)
         self.twist = twist
@@ -67,11 +66,11 @@ class DriveMotors:
     ) -> tuple[Twist, tuple[float, ...]]:
         """Limits the change of the wheel speeds and the twist during the next ``dt`` s.
 
-        The limited speeds are v0 + k (v - v0).  In this formula, v0 are the last commanded speeds,
-        and v are the requested speeds.  The share k <= 1 is the largest value for which no wheel
-        exceeds its acceleration limit.  The twist changes by the same share k.  If ``dt`` is
-        ``None``, the change is not limited.  The method stores the limited twist and speeds as the
-        last command and returns them.
+        The limited wheel speeds are v0 + k (v - v0), where v0 are the last commanded speeds and v
+        are the requested speeds.  The share k <= 1 is the largest value for which no wheel exceeds
+        its acceleration limit.  The twist changes by the same share k.  If ``dt`` is ``None``, the
+        change is not limited.  The method stores the limited twist and speeds as the last command
+        and returns them.
         """
         if dt is not None:
             last_speeds = self._speeds

@@ -26,10 +26,12 @@ from thorvaldc.runtime.se2 import Twist
 
 
 class OneWheel(BaseCalculator):
-    """Calculator for tricycles.  The module documentation contains the equations.
+    """Calculator for tricycles.
+
+    The documentation of the module ``one_wheel`` contains the equations.
 
     The robot can move without scrub at any steering angle of the driven wheel.  The robot therefore
-    does not stop while the wheel turns to its target angle.  Meanwhile, the wheel rolls at the
+    does not stop while the wheel turns to its target angle.  While the wheel turns, it rolls at the
     component of the commanded velocity along its present direction.
     """
 
@@ -142,9 +144,9 @@ class OneWheel(BaseCalculator):
         angle = states.angles[i]
         twist = self._motion(angle, rolls, slips)
         # The twist is a linear function of the rolling speed, the side slip and the slip of the
-        # axle.  The errors of these three speeds are independent.  J_k is the twist per unit of
-        # speed k, and sigma_k is its standard deviation.  The covariance of the twist is then sum
-        # sigma_k^2 J_k J_k'.
+        # axle.  The errors of the three speeds are independent.  The covariance of the twist is
+        # therefore sum sigma_k^2 J_k J_k', where J_k is the twist per unit of speed k, and sigma_k
+        # is the standard deviation of speed k.
         a2 = rolls * rolls + slips * slips
         angle2, slip2 = noise.angle**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy

@@ -37,8 +37,8 @@ class RandomPairsOptions(GeneralOptions):
     - ``pairs_per_wheel``: number of pairs per wheel and tick.
     - ``special_cases``: if ``True``, the odometry handles parallel wheels and wheels at the centre
       of rotation.  If most pairs are parallel, the robot does not turn.  The speed of a wheel at
-      the centre of rotation is not used.  If ``False``, only exactly parallel lines have no
-      intersection.
+      the centre of rotation is not used.  If ``special_cases`` is ``False``, only exactly parallel
+      lines have no intersection.
     - ``parallel``: with ``special_cases``, two wheels count as parallel if their directions differ
       by less than this angle (rad).
     """
@@ -61,9 +61,10 @@ class RandomPairs(General):
     """Odometry that intersects the axle lines of random pairs of wheels and averages the points.
 
     Source: Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
-    section 3.3.1.  The joint commands are the same as those of ``general``.  The covariance is
-    constant.  This odometry is only a baseline for comparisons.  With noise, two almost parallel
-    lines intersect at any point, so the mean intersection is useless.
+    section 3.3.1.  The calculator ``random_pairs`` computes the same joint commands as the
+    calculator ``general``.  The covariance of the twist is constant.  This odometry is only a
+    baseline for comparisons.  With noise, two almost parallel lines intersect at any point, so the
+    mean intersection is useless.
     """
 
     name = "random_pairs"

@@ -16,10 +16,10 @@ class SkidSteering:
 
         wz = -sum a_i v_i / (sum a_i^2 + sum l_i^2)
 
-    Without skidding, a turn at wz' would need the wheel speeds v_i = -a_i wz'. With these wheel
-    speeds the robot turns only at g wz', where g = sum a_i^2 / (sum a_i^2 + sum l_i^2).  For four
-    wheels at (+-a, +-b), g = b^2 / (a^2 + b^2).  The compensation therefore computes the wheel
-    speeds for the yaw rate wz / g.
+    Without skidding, a turn at wz' would need the wheel speeds v_i = -a_i wz'. With the wheel
+    speeds of pure rolling, a skidding robot turns only at g wz', where g = sum a_i^2 / (sum a_i^2 +
+    sum l_i^2).  For four wheels at (+-a, +-b), g = b^2 / (a^2 + b^2).  The compensation therefore
+    computes the wheel speeds for the yaw rate wz / g.
     """
 
     def __init__(self, inverse_gain: float, middle: float, normal: tuple[float, float]) -> None:
@@ -34,7 +34,7 @@ class SkidSteering:
             return None
         wheels = [w for w in geometry.wheels if w.fixed]
         driven = [w for w in wheels if w.driven]
-        # The normal of the wheels is (t1, t2), so their rolling direction is (t2, -t1).
+        # The normal of the wheels is (t1, t2), so the rolling direction is (t2, -t1).
         t1, t2, _ = fixed.rows[0]
         across = [t1 * w.x + t2 * w.y for w in driven]
         middle = sum(across) / len(across)
@@ -49,8 +49,8 @@ class SkidSteering:
     def compensate(self, twist: Twist) -> Twist:
         """Returns the twist whose wheel speeds make the skidding robot move with ``twist``.
 
-        The added rotation is about the middle of the driven wheels.  It does not change their mean
-        speed.
+        The added rotation is about the middle of the driven wheels, so it does not change the mean
+        speed of the driven wheels.
         """
         t1, t2 = self._normal
         added_turn = (self._inverse_gain - 1.0) * twist.wz

@@ -1,18 +1,18 @@
 """Choice of the steering angle of one wheel, and its motion to that angle.
 
-The steering axis of a wheel moves in the direction phi.  The wheel can then stand at any angle c =
-phi + k pi.  For even k, the wheel rolls forwards (*forward branch*).  For odd k, the wheel rolls
+The steering axis of a wheel moves in the direction phi.  The wheel can stand at any angle c = phi +
+k pi.  For even k, the wheel rolls forwards (*forward branch*).  For odd k, the wheel rolls
 backwards.  Angles are not wrapped, because the motor cable limits the steering angle.  The angles c
 and c + 2 pi are therefore two different candidates.  Among all candidates within the steering
 limits, ``SteeringJoint`` chooses the candidate with the smallest cost in seconds:
 
     cost(c) = max(|c - angle| / rate, reversal of the wheel speed) + V(c) / rate + hysteresis
 
-The hysteresis is added only to candidates on the other branch.  V is the expected travel to the
-*next* candidate, if the next direction of motion is uniformly distributed.  Far from its limits,
-the joint turns to the nearer of two opposite directions: by at most pi/2, and by pi/4 on average.
-With a limit at a distance d < pi/2 on one side, the joint turns by at most d to that side and by at
-most pi - d to the other side.  The expected travel is then
+The hysteresis is added only to candidates on the other branch.  V is the expected travel of the
+joint to the next candidate, if the next direction of motion is uniformly distributed.  Far from its
+limits, the joint turns to the nearer of two opposite directions: by at most pi/2, and by pi/4 on
+average.  With a limit at a distance d < pi/2 on one side, the joint turns by at most d to that side
+and by at most pi - d to the other side.  The expected travel is then
 
     V = (1/pi) (integral of t from 0 to d + integral of t from 0 to pi - d)
       = (d^2 + (pi - d)^2) / (2 pi)
@@ -100,7 +100,7 @@ class SteeringJoint:
         self.reset(0.0)
 
     def reset(self, angle: float) -> None:
-        """Discards the last choice.  The joint is then at rest at ``angle``."""
+        """Discards the last choice.  After a reset, the joint is at rest at ``angle``."""
         self.angle = min(max(angle, self._lower), self._upper)
         self.target = self.angle
         self.rate = 0.0
@@ -125,7 +125,7 @@ class SteeringJoint:
     def expected_travel(self, angle: float) -> float:
         """Returns the expected travel V (rad) from ``angle`` to the next candidate.
 
-        The module documentation derives the formula.
+        The documentation of the module ``steering_branch`` derives the formula for V.
         """
         travel = PI / 4.0
         for d in (angle - self._lower, self._upper - angle):
@@ -146,8 +146,8 @@ class SteeringJoint:
         is at the centre of rotation, or no candidate is within the limits.
         """
         if not (self.holding or self._has_trail):
-            # Fast path: a candidate on the present branch within 45 deg is always the best
-            # candidate.
+            # Fast path: a candidate on the present branch within 45 deg of the present angle is
+            # always the best.
             v2 = ux * ux + uy * uy
             turn = self._base + self._sign * atan2(uy, ux) - angle
             if not -_QUICK < turn < _QUICK:
@@ -186,7 +186,8 @@ class SteeringJoint:
         first = max(lower - LIMIT_TOLERANCE, angle - TWO_PI)
         last = min(upper + LIMIT_TOLERANCE, angle + TWO_PI)
         rate = self._max_rate if self._max_rate < math.inf else 1.0
-        # Between these angles the joint can make a quarter turn to both sides, so V = pi/4.
+        # Between free_low and free_high, the joint can make a quarter turn to both sides, so V =
+        # pi/4.
         free_low, free_high = lower + PI / 2.0, upper - PI / 2.0
         best_cost, best_angle, best_direction, excess = math.inf, 0.0, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
@@ -229,8 +230,8 @@ class SteeringJoint:
     ) -> bool:
         """Checks whether a candidate is better than the best candidate so far at equal cost.
 
-        The first difference decides: the present branch is better, then the smaller absolute angle,
-        then the forward branch, then the positive angle.
+        These rules apply in this order: a candidate on the present branch is better, then a smaller
+        absolute angle, then the forward branch, then a positive angle.
         """
         candidate = (direction != self.direction, abs(angle), -direction, -angle)
         best = (best_direction != self.direction, abs(best_angle), -best_direction, -best_angle)

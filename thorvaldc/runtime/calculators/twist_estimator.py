@@ -4,15 +4,15 @@ The estimator works in these steps (``twist_fit`` derives the equations):
 
 1.  An unweighted least-squares fit predicts the velocity of each wheel's contact.
 2.  One Gauss-Newton step computes the weighted fit, with weights from the predicted velocities.
-   Its result is within a few percent of the maximum likelihood.  ``EstimatorOptions.polish`` adds
-   more steps.
+   After one step, the estimate is within a few percent of the maximum-likelihood estimate.  The
+   option ``EstimatorOptions.polish`` adds more Gauss-Newton steps.
 3.  A chi-square test compares each wheel with the other wheels.
 4.  If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
 
-Every wheel that does not swivel gives the measurement that its side slip is 0.  Every wheel with an
+For every wheel that does not swivel, a side slip of 0 counts as a measurement.  Every wheel with an
 encoder measures its rolling speed.  If the contact of a wheel lies beside or behind its steering
-axis, a turning steering joint moves the contact.  The measurements include this motion.  A gyro
-(``JointStates.yaw_rate``) adds one measurement.
+axis, a turning steering joint moves the contact.  The measurements include this motion of the
+contact.  A gyro (``JointStates.yaw_rate``) adds one measurement.
 """
 
 from __future__ import annotations
@@ -69,14 +69,13 @@ class TwistEstimate(NamedTuple):
 
     - ``twist``: estimated twist of ``base_link``.
     - ``covariance``: covariance of vx, vy and wz, in SI units.
-    - ``rank``: number of directions of the twist that the joints determine, 0 to 3.  For the other
-      directions, the estimator assumes that the robot stands still.  The standard deviation of this
-      assumption is the top speed.
-    - ``chi_squares``: for each wheel, the chi-square of its disagreement with the other wheels.  It
-      has two degrees of freedom, or one for a passive wheel.  It is 0 for a wheel without a test.
-      The tuple is empty if the calculator does not test wheels.
-    - ``dropped``: indices of the wheels of which one or all measurements are left out.  These
-      wheels slip, stall or have a wrong steering angle.
+    - ``rank``: number of directions of the twist that the joints determine, 0 to 3.  In all other
+      directions, the estimator assumes a speed of 0 with the top speed as the standard deviation.
+    - ``chi_squares``: for each wheel, the chi-square of its disagreement with the other wheels.
+      The chi-square has two degrees of freedom, or one for a passive wheel.  The chi-square of a
+      wheel without a test is 0.  The tuple is empty if the calculator does not test wheels.
+    - ``dropped``: indices of the wheels of which one or all measurements are left out.  A dropped
+      wheel slips, stalls or has a wrong steering angle.
     """
 
     twist: Twist
@@ -91,10 +90,10 @@ class EstimatorOptions:
     """Options of the estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
-    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2.  With 0, wheels are only
-      tested.
-    - ``polish``: number of additional Gauss-Newton steps.  They bring the estimate closer to the
-      maximum-likelihood estimate.
+    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2.  If ``faulty`` is 0, wheels
+      are only tested.
+    - ``polish``: number of additional Gauss-Newton steps.  Each step brings the estimate closer to
+      the maximum-likelihood estimate.
     """
 
     gate: float = 0.008
@@ -111,7 +110,9 @@ class EstimatorOptions:
 
 
 class TwistEstimator:
-    """Weighted least-squares estimator of the twist.  The module documentation lists its steps.
+    """Weighted least-squares estimator of the twist.
+
+    The documentation of the module ``twist_estimator`` lists the steps of an estimate.
 
     Only the wrong measurement of a faulty wheel is left out: a slipping wheel still measures its
     direction.  If no hypothesis explains the misfit, the estimator uses all wheels and increases
@@ -120,9 +121,9 @@ class TwistEstimator:
     - ``wheels``: constants of the wheels that do not swivel.
     - ``gates``: for each of these wheels, the chi-square D above which the wheel is suspect.
     - ``inverse``: upper half of the inverse of the unweighted normal matrix, and the rank of this
-      matrix.  ``None`` if the matrix depends on the steering angles.
+      matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
-      estimator uses it if the rank is below 3.
+      estimator uses the prior if the rank is below 3.
     """
 
     def __init__(
@@ -158,7 +159,7 @@ class TwistEstimator:
         self.length2 = geometry.length**2
         self.prior = (1.0 / top_speed**2, self.length2 / top_speed**2)
         # The permitted rate of false alarms is divided equally among the wheels.  The gates are the
-        # corresponding quantiles of chi-square with 2 and 1 degrees of freedom.
+        # quantiles of chi-square with 2 and 1 degrees of freedom for this rate.
         share = self.options.gate / max(len(wheels), 1)
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
@@ -240,7 +241,7 @@ class TwistEstimator:
 
         Each entry is the slip velocity (m/s) along the wheel's direction and to the left of the
         wheel.  A wheel that spins in mud slips backwards.  The slip along the wheel is 0 for a
-        wheel without encoder.  Both values are 0 for a caster.
+        wheel without encoder.  Both components of the slip velocity are 0 for a caster.
         """
         slips = [(0.0, 0.0)] * self._n
         vx, vy, wz = twist
@@ -275,8 +276,8 @@ class TwistEstimator:
                 direction = heading + sign * angles[i]
                 cos, sin = cosine(direction), sine(direction)
                 if trail or lateral:
-                    # The contact moves about the steering axis.  Its position depends on the
-                    # steering angle, and its velocity on the steering rate.
+                    # The contact moves about the steering axis.  The position of the contact
+                    # depends on the steering angle, and its velocity on the steering rate.
                     x += (cos - c) * trail - (sin - s) * lateral
                     y += (sin - s) * trail + (cos - c) * lateral
                     turning = sign * states.angle_rates[i]
@@ -353,8 +354,8 @@ class TwistEstimator:
 
         Returns ``None`` if the matrix depends on the steering angles.  The matrix is independent of
         the steering angle of a wheel if the wheel has an encoder and no offset from its steering
-        axis.  Such a wheel measures both components of the contact's velocity, and L'L + T'T = H'H
-        for any direction.
+        axis.  A wheel with an encoder and no offset measures both components of the contact's
+        velocity, and L'L + T'T = H'H for any direction.
         """
         if any(w.steered and (not w.flags & USE_ROLL or w.trail or w.lateral) for w in self.wheels):
             return None
@@ -424,7 +425,9 @@ class TwistEstimator:
         growth: float = 1.0,
         dropped: tuple[int, ...] = (),
     ) -> TwistEstimate:
-        """Returns the estimate at ``base_link``.  Its covariance is multiplied by ``growth``.
+        """Returns the estimate at ``base_link``.
+
+        The covariance of the estimate is multiplied by ``growth``.
 
         The fit is about the centroid (xm, ym).  The twist of ``base_link`` is xi' = A xi and its
         covariance is P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].

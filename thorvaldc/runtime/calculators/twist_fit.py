@@ -17,7 +17,7 @@ The errors of both measurements are independent and grow with the speed a = |u| 
     sigma_L^2 = (speed_ratio a)^2 + speed_floor^2
     sigma_T^2 = (angle a)^2 + slip_floor^2
 
-The speed a is *predicted* by a first estimate of the twist.  If the *measured* speed were used, a
+The speed a is predicted by a first estimate of the twist.  If the measured speed were used, a
 stalled encoder would report 0 m/s with a very small variance and dominate the fit.
 
 With the weights w = 1 / sigma^2, the information matrix W of one wheel about u and the normal
@@ -83,9 +83,9 @@ class Noise:
     - ``skid_ratio``: standard deviation of the speed of wheels that skid in turns, relative to the
       speed.
     - ``gyro``: standard deviation of the measured yaw rate, rad/s.
-    - ``correlation``: time constant of the errors, s.  With 0, the errors of two ticks are
-      independent.  Errors from ground and tyres last longer than a tick.  The time constant affects
-      the covariances of poses, but not of twists.
+    - ``correlation``: time constant of the errors, s.  If ``correlation`` is 0, the errors of two
+      ticks are independent.  Errors from ground and tyres last longer than a tick.  The time
+      constant affects the covariances of poses, but not of twists.
     """
 
     speed_ratio: float = 0.01
@@ -183,12 +183,13 @@ def fit_twist(
     - ``vx``, ``vy``, ``wz``: predicted twist about the centroid.
     - ``noise``: variances from ``Noise.squares``.
     - ``prior``: prior information (inverse variances) that the velocity and the yaw rate are 0.
-    - ``yaw_rate``: yaw rate (rad/s) that a gyro measures.  ``None`` without a gyro.
+    - ``yaw_rate``: yaw rate (rad/s) that a gyro measures, or ``None`` without a gyro.
 
-    The measured direction of a steered wheel has an error.  If L and T used the *measured*
-    direction, this error would reduce the measured speed by its cosine.  L and T therefore use the
-    *predicted* direction u / a.  The wheel then measures z_T = -a asin(n . u / a), where n is the
-    normal of the measured direction.  z_T is the length of the arc between the two directions.
+    The measured direction of a steered wheel has an error.  If the rows L and T used the measured
+    direction, this error would reduce the measured speed by its cosine.  The rows L and T therefore
+    use the predicted direction u / a.  The wheel then measures z_T = -a asin(n . u / a), where n is
+    the normal of the measured direction.  The value z_T is the length of the arc between the
+    measured and the predicted direction.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
@@ -213,8 +214,8 @@ def fit_twist(
         if steered:
             across = c * uy - s * ux
             t2 = across * across
-            # The predicted direction is used only within 30 deg of the measured direction.  A
-            # larger difference means that the wheel is faulty.
+            # The predicted direction of a steered wheel is used only within 30 deg of the measured
+            # direction.  A larger difference means that the wheel is faulty.
             if t2 < 0.25 * a2 - STILL:
                 k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
                 c, s = ux / k, uy / k

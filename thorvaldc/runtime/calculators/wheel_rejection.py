@@ -1,18 +1,19 @@
 """Rejection of faulty wheels by a search over hypotheses.
 
-A wheel that slips, stalls or has a wrong steering angle disagrees with the other wheels.  Its
-chi-square D then exceeds a threshold, the gate (see ``twist_fit.chi_squares``).  One faulty wheel
-also changes the fitted twist, so healthy wheels can exceed their gates, too.  With few wheels, a
-healthy wheel can even have the largest D. The search therefore fits the twist without each wheel in
-turn (leave-one-out).  If no single wheel explains the misfit, the search also leaves out pairs of
-wheels.  Each hypothesis "the wheels F are faulty" has a cost
+A wheel that slips, stalls or has a wrong steering angle disagrees with the other wheels.  The
+chi-square D of a faulty wheel therefore exceeds a threshold, the gate (see
+``twist_fit.chi_squares``).  One faulty wheel also changes the fitted twist, so healthy wheels can
+exceed their gates, too.  With few wheels, a healthy wheel can even have the largest D. The search
+therefore fits the twist without each wheel in turn (leave-one-out).  If no single wheel explains
+the misfit, the search also leaves out pairs of wheels.  Each hypothesis "the wheels F are faulty"
+has a cost
 
     cost = misfit of the rows in use + sum over the k-th wheel of F of k * price
 
 The cost is -2 log of the likelihood of the hypothesis up to a constant.  ``price`` is the
-chi-square that a healthy wheel exceeds with the permitted rate of false rejections.  The factor k
-makes a second fault rarer than the first fault.  Hypotheses of nearly equal cost are averaged with
-the weights exp(-cost / 2).
+chi-square that a healthy wheel exceeds with the permitted rate of false rejections.  Because of the
+factor k, a second fault counts as rarer than the first fault.  Hypotheses of nearly equal cost are
+averaged with the weights exp(-cost / 2).
 """
 
 from __future__ import annotations
@@ -50,9 +51,10 @@ class Hypothesis(NamedTuple):
     - ``measurements``: all measurements.  The fit uses no row of a rejected wheel, or one row if
       this row agrees with the other wheels.
     - ``fit``: fitted twist.
-    - ``cost``: cost of the hypothesis.  The module documentation contains the formula.
-    - ``worst_ratio``: largest quotient D / gate of the wheels that are not rejected.  If it is
-      above 1, at least one of these wheels is suspect.
+    - ``cost``: cost of the hypothesis, by the formula in the documentation of the module
+      ``wheel_rejection``.
+    - ``worst_ratio``: largest quotient D / gate of the wheels that are not rejected.  A wheel with
+      a quotient above 1 is suspect.
     """
 
     rejected: tuple[int, ...]
@@ -66,10 +68,12 @@ class HypothesisSearch:
     """Search for faulty wheels.
 
     - ``gates``: for each measurement, the chi-square D above which the wheel is suspect.
-    - ``price``: cost of a rejected wheel.  The module documentation explains the price.
+    - ``price``: cost of a rejected wheel, as explained in the documentation of the module
+      ``wheel_rejection``.
     - ``max_rejected``: largest number of faulty wheels, 0 to 2.
     - ``fit_anew``: function that fits the twist, with weights from the unweighted fit of the same
-      measurements.  The weights of the healthy wheels are then independent of the faulty wheels.
+      measurements.  With ``fit_anew``, the weights of the healthy wheels are independent of the
+      faulty wheels.
     - ``refit``: function that fits the twist, with weights from a previous fit.
     """
 
@@ -90,8 +94,8 @@ class HypothesisSearch:
     def likely_hypotheses(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
         """Returns all hypotheses with a considerable probability, the most likely hypothesis first.
 
-        ``fit`` is the fit of all measurements.  The hypothesis that all wheels are healthy is
-        included.  Returns an empty list if no hypothesis explains the misfit.
+        ``fit`` is the fit of all measurements.  The result includes the hypothesis that all wheels
+        are healthy.  Returns an empty list if no hypothesis explains the misfit.
         """
         all_healthy = self._hypothesis((), measurements, fit)
         singles = self._reject_one_more(all_healthy)
@@ -169,7 +173,7 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
     """Returns the mean and covariance over all hypotheses, and the probability of the first one.
 
     With probabilities p_i, means xi_i and covariances P_i, the mixture has the mean xi = sum p_i
-    xi_i.  Its covariance is P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
+    xi_i.  The mixture has the covariance P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
     """
     best = hypotheses[0]
     if len(hypotheses) == 1:
@@ -199,7 +203,7 @@ def _cost(hypothesis: Hypothesis) -> float:
 
 
 def _with_use(measurement: Measurement, use: int) -> Measurement:
-    """Returns a copy of the measurement of which the fit uses only the given rows.
+    """Returns a copy of the measurement in which only the given rows are used by the fit.
 
     ``use`` is ``USE_ROLL``, ``USE_SIDE`` or 0 for no row.
     """

@@ -43,13 +43,13 @@ class CalculatorBatch:
     def inverse(self, twists: Array, speeds: Array, angles: Array) -> None:
         """Computes wheel speeds (rad/s) and steering angles (rad) for ``twists``.
 
-        Each twist is independent.  The result for a twist is the command that the calculator
-        computes after a reset without joint states.  Steering joints therefore choose their angles
-        from the position 0.
+        Each twist is processed independently.  The result for a twist is the command that the
+        calculator computes after a reset without joint states.  Steering joints therefore choose
+        their angles from the position 0.
 
         Raises ``ValueError`` if an array has the wrong shape, or if the contact of a steered wheel
         lies ahead of or behind its steering axis.  Raises ``NotFiniteError`` if a twist is not
-        finite or not below 1e9.  Nothing is written then.
+        finite or not below 1e9.  If an error is raised, nothing is written.
         """
         n = self._size(twists)
         for array in (speeds, angles):
@@ -68,8 +68,8 @@ class CalculatorBatch:
         - ``speeds``: wheel speeds, rad/s.
         - ``angles``: steering angles, rad.
         - ``twists``: array for the results.
-        - ``rates``: steering rates, rad/s.  They affect only wheels whose contact lies beside,
-          ahead of or behind the steering axis.
+        - ``rates``: steering rates, rad/s.  Steering rates affect only wheels whose contact lies
+          beside, ahead of or behind the steering axis.
 
         Raises ``ValueError`` if an array has the wrong shape, and ``NotFiniteError`` if a value is
         not finite or not below 1e9.
@@ -197,9 +197,7 @@ class CalculatorBatch:
         return TwistEstimator(self.calculator.geometry, estimator.noise, options)
 
     def _put_twist(self, twist: tuple[Array, Array, Array], out: Array) -> None:
-        """Converts twists about the centroid to twists of ``base_link``, and stores them in
-        ``out``.
-        """
+        """Writes twists of ``base_link`` into ``out``, computed from twists about the centroid."""
         vx, vy, wz = twist
         xm, ym = self.calculator.geometry.centre
         np.add(vx, ym * wz, out=out[0])

@@ -47,7 +47,7 @@ class MeasurementBatch(NamedTuple):
 class WeightedBatch(NamedTuple):
     """Linearised measurements of one wheel in all states.
 
-    The fields are the fields of ``twist_fit.WeightedMeasurement``.
+    The class has the same fields as ``twist_fit.WeightedMeasurement``.
     """
 
     wheel: WheelConstants
@@ -81,7 +81,7 @@ def measure(
 
     - ``speeds``: wheel speeds, rad/s.
     - ``angles``: steering angles, rad.
-    - ``rates``: steering rates, rad/s.  ``None`` if all rates are 0.
+    - ``rates``: steering rates in rad/s, or ``None`` if all steering rates are 0.
     """
     measurements = []
     for wheel in estimator.wheels:
@@ -123,9 +123,9 @@ def unweighted_fit(
 ) -> tuple[tuple[Array, Array, Array], NDArray[np.bool_] | None]:
     """Returns the unweighted least-squares twists about the centroid, and a mask of low ranks.
 
-    The mask is ``True`` for states whose rank is below 3.  The mask is ``None`` if no rank is low.
-    It is also ``None`` if ``estimator.inverse`` is used, because all states then have the rank in
-    ``estimator.inverse``.
+    The mask is ``True`` for states whose rank is below 3.  The mask is ``None`` if all ranks are 3.
+    The mask is also ``None`` if ``estimator.inverse`` is used, because ``estimator.inverse``
+    contains the rank of all states.
     """
     b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
     if estimator.inverse is not None and yaw_rates is None:
@@ -300,8 +300,8 @@ def _inverse(
 ) -> tuple[tuple[Array, Array, Array, Array, Array, Array], Array]:
     """Inverts symmetric matrices by cofactors.
 
-    Returns the upper halves of the inverse matrices, and the determinants.  The result for a
-    singular matrix is its adjugate.
+    Returns the upper halves of the inverse matrices, and the determinants.  For a singular matrix,
+    the adjugate is returned instead of the inverse.
     """
     p11 = a22 * a33 - a23 * a23
     p12 = a13 * a23 - a12 * a33

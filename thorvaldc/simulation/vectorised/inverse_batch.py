@@ -28,10 +28,10 @@ _SCAN = 720
 class BranchTable(NamedTuple):
     """Number of half turns that a steering joint adds to its angle, for each direction of motion.
 
-    The joint is at rest at the angle 0 before it chooses its new angle.  The number of half turns
-    is a step function of the direction.
+    The table applies to a steering joint at rest at the angle 0.  The number of half turns is a
+    step function of the direction.
 
-    - ``first``: number of half turns from the direction -pi to the first step.  ``None`` if no
+    - ``first``: number of half turns from the direction -pi to the first step, or ``None`` if no
       angle is reachable.
     - ``steps``: for each step, the direction (rad) and the number of half turns beyond this
       direction.

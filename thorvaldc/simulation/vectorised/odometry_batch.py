@@ -26,13 +26,14 @@ _MAX_VALUE = 1e9
 
 
 class OdometryBatch:
-    """The odometry of equal robots.  ``calculator`` is the calculator of one of these robots.
+    """The odometry of equal robots.  ``calculator`` is the base calculator of one of the robots.
 
-    Equal robots have the same wheels, noise and options.  Their calculator uses the odometry of the
-    class ``BaseCalculator``.  Their wheels determine the whole twist at any steering angles.
+    Equal robots have the same wheels, noise and options.  The calculator of equal robots uses the
+    odometry of the class ``BaseCalculator``.  The wheels of equal robots determine the whole twist
+    at any steering angles.
 
-    Each array has one column per robot.  The column contains a copy of the robot's ``Odometry``
-    after the last update.
+    Each array has one column per robot.  A column contains a copy of the robot's ``Odometry`` after
+    the last update.
     """
 
     def __init__(self, calculator: BaseCalculator, odometries: Sequence[Odometry]) -> None:
@@ -52,7 +53,9 @@ class OdometryBatch:
     def update(self, joints: Sequence[JointStates], now: float) -> None:
         """Updates the odometry of each robot with the robot's joint states.
 
-        Robots with unusual joint states are left out.
+        Robots with unusual joint states are left out.  Joint states are unusual if positions are
+        missing, if they contain a yaw rate, if the interval is too short or too long, or if a value
+        is very large or not finite.
         """
         robots = [k for k, states in enumerate(joints) if self._is_usual(k, states)]
         if not robots:
@@ -99,7 +102,7 @@ class OdometryBatch:
         """Integrates the motion of one interval.
 
         ``end`` contains the positions of the spin joints and the steering angles at the end of the
-        interval, in rad.  The shape is (2, wheels, robots).
+        interval, in rad.  The shape of ``end`` is (2, wheels, robots).
         """
         n = len(robots)
         start, times = self._joints[:, :, robots], np.array([joints[k].time for k in robots])

@@ -47,12 +47,12 @@ class RobotGroups:
 
         A group is left out if not all of its robots are ``due``.  Returns the joint states by the
         index of the robot, for the ticks of the drivers.  The batch leaves out robots with unusual
-        joint states.  The drivers of these robots update the odometry themselves.
+        joint states.  The driver of a robot with unusual joint states updates the odometry itself.
         """
         joints_by_robot: dict[int, JointStates] = {}
         for indices, batch in self.groups:
-            # A parameter change replaces the calculator of a robot.  The robots of the group are no
-            # longer equal then.
+            # A parameter change replaces the calculator of a robot.  After a parameter change, the
+            # robots of a group may no longer be equal.
             if not set(indices) <= set(due) or any(
                 self._drivers[i].calculator is not self._calculators[i] for i in indices
             ):

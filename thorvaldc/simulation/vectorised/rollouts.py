@@ -1,7 +1,7 @@
 """Many open-loop runs of one robot in parallel threads, for planning and identification.
 
-``mujoco.rollout`` computes the true motion for given joint commands.  The runs have no driver and
-no odometry.  For runs with the driver, injected faults or noise, use a batch of scenarios.
+``mujoco.rollout`` computes the true motion for given joint commands.  The runs use no base driver
+and no odometry.  For runs with the driver, injected faults or noise, use a batch of scenarios.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Trajectories:
     - ``uprightness``: cosine of the tilt angle, shape (n, t).
     - ``speeds``: wheel speeds, shape (n, t, wheels), rad/s.
     - ``angles``: steering angles, shape (n, t, wheels), rad.
-    - ``states``: MuJoCo states at the end, shape (n, state).  A later run can start from these
-      states.
+    - ``states``: MuJoCo states at the end, shape (n, state).  A later run can start from the states
+      at the end.
     """
 
     time: Array

@@ -29,8 +29,8 @@ MAX_RATIO_ERROR = 0.002
 _ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002
 _SKID = 0.1  # relative to the speed, for fixed wheels that must scrub in turns
 _PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
-# Constant slip has the same effect as an offset and leaves no residual.  In simulations, each wheel
-# had an offset error of one degree.  About half of the slip varied and was visible in the
+# Constant slip has the same effect as an offset and leaves no residual.  In simulations with an
+# offset error of one degree at each wheel, about half of the slip varied and was visible in the
 # residuals.
 _HIDDEN_SLIP = 2.0
 _ITERATIONS = 60
@@ -45,13 +45,14 @@ class Solution:
 
     - ``offsets``: steering offsets, rad.
     - ``ratios``: logarithms of the radius ratios.
-    - ``offset_errors``, ``ratio_errors``: standard errors of both.
+    - ``offset_errors``, ``ratio_errors``: standard errors of the offsets and of the logarithms of
+      the radius ratios.
     - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
       speed.
     - ``pointing``: standard deviation of the direction residuals in a tick, rad.
     - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
-    - ``consistent``: ``True`` if the steering angles alone agree with the present offsets.  The
-      axle lines of all wheels then always meet in one point.
+    - ``consistent``: ``True`` if the steering angles alone agree with the present offsets.  With
+      consistent angles, the axle lines of all wheels always meet in one point.
     - ``iterations``: number of Gauss-Newton iterations.
     """
 
@@ -115,8 +116,8 @@ class Solver:
     """Gauss-Newton solver for the steering offsets and the radius ratios of the wheels.
 
     Each steering joint has an offset.  Each wheel with encoder has the logarithm of its radius
-    ratio (log ratio).  The log ratios sum to zero.  The solver uses their coordinates in a basis of
-    the vectors with zero sum as parameters.
+    ratio (log ratio).  The log ratios sum to zero.  The parameters of the solver are the
+    coordinates of the log ratios in a basis of the vectors with zero sum.
     """
 
     def __init__(self, robot: Robot, ticks: Ticks) -> None:
@@ -337,8 +338,8 @@ class Solver:
         """Returns the residuals of all wheels in physical units, and the conversion factors.
 
         The residual of a rolling row is relative to the speed.  The residual of a pointing row is
-        an angle in rad.  A conversion factor multiplied by such a residual gives the weighted
-        residual of the row.
+        an angle in rad.  A conversion factor multiplied by the residual in physical units gives the
+        weighted residual of the row.
         """
         speed = np.maximum(np.hypot(*self._ground(fit.twists)), MIN_SPEED)
         speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
@@ -346,7 +347,7 @@ class Solver:
         return fit.residuals[:, : speed.shape[1]] / per_share, per_share
 
     def _ground(self, twists: Array) -> tuple[Array, Array]:
-        """Returns the velocity (m/s) of each wheel's steering axis over the ground, in
+        """Returns the velocity (m/s) over the ground of each wheel's steering axis, in
         ``base_link``.
         """
         vx, vy, wz = twists[:, :1], twists[:, 1:2], twists[:, 2:] / self.lever
@@ -428,7 +429,10 @@ def _weights(residuals: Array) -> Array:
 
 
 def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) -> float:
-    """Returns the updated factor, with which the residuals have their expected size."""
+    """Returns the updated factor of the standard deviations of a group of rows.
+
+    With the updated factor, the residuals have the expected size.
+    """
     expected = float(np.sum(weights[:, None] * redundancy))
     if expected < 1e-6 * len(residuals):
         return factor
@@ -440,8 +444,8 @@ def _lasting(shares: Array, weights: Array, block: NDArray[np.intp]) -> Array:
     """Returns the size of the lasting part of the residuals in each column.
 
     The ticks are divided into blocks.  The squared size is the variance of the block means, minus
-    the variance that independent errors would cause.  The size is 0 if this difference is not
-    significant (4 sigma).
+    the variance that independent errors would cause.  The size is 0 if the variance of the block
+    means is not significantly larger (4 sigma).
     """
     count = block[-1] + 1
     total = np.bincount(block, weights, count)

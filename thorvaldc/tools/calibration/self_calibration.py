@@ -1,29 +1,32 @@
 """Self-calibration: computes steering offsets and relative wheel radii from a joint log.
 
 In each tick, N wheels give 2 N measurements.  A wheel at (x, y) has the direction (c, s), the
-radius r and the wheel speed w.  Its measured speed is r w along the wheel and 0 across the wheel.
-The rows L and T of the twist estimator relate both speeds to the twist.  The twist has three
-unknowns.  H denotes the rows of all wheels, z the measured speeds, and W the weights in a tick.  H
-and z depend on the parameters p, the offsets and the log radius ratios.  The residual for the best
-twist of the tick is
+radius r and the wheel speed w.  The measured speed of the wheel is r w along the wheel and 0 across
+the wheel.  The rows L and T of the twist estimator relate the measured speeds to the twist.  The
+twist has three unknowns.  H denotes the rows of all wheels, z the measured speeds, and W the
+weights in a tick.  H and z depend on the parameters p, the offsets and the log radius ratios.  The
+residual for the best twist of the tick is
 
     e(p) = (1 - H (H' W H)^-1 H' W) z
 
 Gauss-Newton iterations minimise the sum of e' W e over all ticks.  A common scale of all radii does
-not change the minimum e = 0.  The scale is therefore 1 unless a measured distance determines it.
+not change the minimum e = 0.  The scale of all radii is therefore 1 unless a measured distance
+determines it.
 
 The standard deviations of the rolling rows and of the pointing rows are estimated as variance
-components.  At the start, the rolling rows have smaller relative standard deviations.  The reason
-is that a steering motor can hold its wheel against the ground.  The wheel then slips sideways
-although its steering angle looks right.  Slip that lasts over many ticks counts as an unknown
-offset of each wheel.  If all steering angles agree with the offsets in the robot file, the offsets
-are not determined, because the steering motors may hold the wheels at these angles.
+components.  At the start of the iterations, the rolling rows have smaller standard deviations than
+the pointing rows, relative to the defaults.  The pointing rows are less reliable, because a
+steering motor can hold its wheel against the ground.  Such a wheel slips sideways although its
+steering angle looks right.  Slip that lasts over many ticks counts as an unknown offset of each
+wheel.  If all steering angles agree with the offsets in the robot file, the offsets are not
+determined, because the steering motors may hold the wheels at these angles.
 
 Ticks without motion are left out.  Ticks with slip get a small weight (Geman and McClure).  Errors
 in successive ticks are correlated.  The standard errors are therefore computed from blocks of 1 s
 (sandwich estimator).
 
-This module imports numpy.  Other modules import it only in the function that needs it.
+This module imports numpy.  Other modules import ``self_calibration`` only in the function that
+needs it.
 """
 
 from __future__ import annotations
@@ -81,12 +84,13 @@ class Estimate:
 class WheelCalibration:
     """The calibration of one wheel.
 
-    - ``offset``: steering offset, rad.  The offset is the position of the steering joint at which
-      its encoder reads 0.  ``None`` for a wheel without steering motor.
-    - ``ratio``: ratio of the wheel radius to the radius in the robot file.  The mean of the
-      logarithms of all ratios is 0.  ``None`` for a wheel without encoder.
-    - ``radius``: wheel radius with the measured scale, m.  ``None`` for a wheel without encoder.
-    - ``named``: name of this radius in the robot file.  Empty for the ordinary radius.
+    - ``offset``: steering offset in rad, or ``None`` for a wheel without steering motor.  The
+      steering offset is the position of the steering joint at which its encoder reads 0.
+    - ``ratio``: ratio of the wheel radius to the radius in the robot file, or ``None`` for a wheel
+      without encoder.  The mean of the logarithms of all ratios is 0.
+    - ``radius``: wheel radius with the measured scale in m, or ``None`` for a wheel without
+      encoder.
+    - ``named``: name of this radius in the robot file, or empty for the ordinary radius.
     - ``present_offset``: steering offset in the robot file, rad.
     """
 
@@ -104,16 +108,17 @@ class CalibrationResult:
 
     - ``duration``: duration of the log, s.
     - ``moving``: time in which the robot moved, s.
-    - ``scale``: factor of all radii that the measured distance determines.  ``None`` without a
+    - ``scale``: factor of all radii that the measured distance determines, or ``None`` without a
       measured distance.
     - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
       speed.
     - ``pointing``: standard deviation of the direction residuals in a tick, rad.
     - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
-    - ``offsets_kept``: ``True`` if the steering angles agree with the robot file.  Either the robot
-      file is right, or motors held the wheels at these angles.  The offsets are not changed.
-    - ``forced``: ``True`` if speed controllers kept the wheels at their commands.  The radii are
-      not changed.
+    - ``offsets_kept``: ``True`` if the steering angles agree with the robot file.  In this case the
+      robot file is right, or motors held the wheels at the angles of the robot file.  The steering
+      offsets are not changed.
+    - ``forced``: ``True`` if speed controllers kept the wheels at their commands.  With forced
+      wheel speeds, the radii are not changed.
     - ``iterations``: number of Gauss-Newton iterations.
     """
 
@@ -305,8 +310,8 @@ def _scale(
     unscaled = distance_of_ends(1.0)
     scale, growth = 1.0, 1.0
     for _ in range(20):
-        # A larger scale also increases the angle by which the robot turns.  On a path that turns,
-        # the distance may therefore not grow with the scale.
+        # A larger scale of the radii also increases the angle by which the robot turns.  On a path
+        # that turns, the distance between the ends may therefore not grow with the scale.
         growth = (
             math.log(distance_of_ends(scale * 1.001) / distance_of_ends(scale * 0.999)) / 0.002
             if unscaled > 1.0
@@ -336,7 +341,7 @@ def _scale(
 def _offset_in_use(wheel: WheelCalibration) -> float:
     """Returns the steering offset (rad) that the calibrated robot uses.
 
-    This offset is the estimated value if the log determines it, else the present value.
+    The result is the estimated offset if the log determines the offset, else the present offset.
     """
     offset = wheel.offset
     return offset.value if offset is not None and offset.determined else wheel.present_offset
