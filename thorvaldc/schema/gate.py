@@ -102,8 +102,8 @@ def _for_type(kind: type | tuple[type, ...], check: _Check) -> _Check:
 
 
 _NUMBER = (int, float)
-# Keywords of a schema that the validator ignores.  Most of these keywords are annotations.  The
-# function `_if` evaluates the keywords `then` and `else`.
+# Keywords of a schema that the validator ignores: annotations, and the keywords `then` and `else`,
+# which the function `_if` evaluates.
 _IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
 _IGNORED |= {"x-quantity", "x-words", "x-expression", "x-verbatim"}
 _CHECKS: dict[str, _Check] = {

@@ -1,8 +1,8 @@
 """Builds the CAN buses of a robot from its devices.
 
 A bus consists of nodes with node ids, and of CAN frames with signals.  The section `can` of a
-module document defines the CAN frames of a device.  Expressions in this section can use the node
-id of the device and the parameters of the motors on its channels.  The module `bus_checks`
+module document defines the CAN frames of a device.  Expressions in the section `can` can use the
+node id of the device and the parameters of the motors on its channels.  The module `bus_checks`
 checks each bus.
 """
 
@@ -57,7 +57,7 @@ def build_buses(
     foreign: source.Node | None = None,
     lock: Lock | None = None,
 ) -> tuple[Bus, ...]:
-    """Build and check the buses of a robot with their nodes, CAN frames and signals.
+    """Builds and checks the buses of a robot with their nodes, CAN frames and signals.
 
     - ``devices``: module instances with a section `can`.
     - ``specs``: buses in the order of the robot file.  A device without a bus name is on the first
@@ -93,10 +93,10 @@ def build_buses(
 
 
 def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tuple[Actuator, ...]:
-    """Return the actuators with the names of the motor controller and the channel.
+    """Returns the actuators with the names of the motor controller and the channel.
 
-    The names are in the attributes ``node`` and ``channel`` of an actuator.  An actuator without
-    a motor controller is returned unchanged.
+    The attributes ``node`` and ``channel`` of an actuator contain these names.  An actuator
+    without a motor controller is returned unchanged.
     """
     drives = {
         channel.actuator: (node.name, channel.name)
@@ -112,7 +112,7 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
 
 
 def _is_present(device: Device, report: Report) -> bool:
-    """Return whether a module instance contains a CAN device.
+    """Returns whether a module instance contains a CAN device.
 
     The key `when` in the section `can` can depend on parameters.  For example, an empty battery
     enclosure contains no CAN device.
@@ -152,7 +152,7 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
 
 
 def _timed(bus: Bus) -> Bus:
-    """Return the bus with its load and the response times of its CAN frames.
+    """Returns the bus with its load and the response times of its CAN frames.
 
     If two CAN frames have the same identifier, the response times are undefined, and the bus is
     returned unchanged.  The module ``bus_checks`` reports the duplicate identifier.
@@ -165,7 +165,7 @@ def _timed(bus: Bus) -> Bus:
 
 
 def _fast_enough(bus: Bus, report: Report) -> Bus:
-    """Increase the bitrate of a bus if the CAN frames exceed the load limit or their deadlines.
+    """Increases the bitrate of a bus if the CAN frames exceed the load limit or their deadlines.
 
     This function is called only for a bus whose bitrate is not in the robot file.
     """
@@ -192,9 +192,9 @@ def _fast_enough(bus: Bus, report: Report) -> Bus:
 def _master_frames(
     spec: BusSpec, placed: Sequence[Placed], sync_period: float
 ) -> Iterator[FrameDefinition]:
-    """Yield the CAN frames NMT, SYNC and heartbeat, which the master sends to all CANopen nodes.
+    """Yields the CAN frames NMT, SYNC and heartbeat, which the master sends to all CANopen nodes.
 
-    A bus without CANopen nodes does not have these frames.
+    On a bus without CANopen nodes, the master sends no CAN frames.
     """
     nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
     if not nodes:

@@ -50,7 +50,7 @@ LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 
 def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
-    """Check the connections between motors and motor controllers.
+    """Checks the connections between motors and motor controllers.
 
     A motor can be connected to only one channel, and the channel must have the role of the motor.
     Reports motors without a controller and controllers without a motor.
@@ -123,7 +123,7 @@ def _roles(device: Device) -> dict[str, str]:
 
 
 def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Run all checks of one bus."""
+    """Runs all checks of one bus."""
     same = _check_ids(bus, placed, report)
     _check_bitrate(bus, placed, report)
     _check_restricted(placed, report)
@@ -135,7 +135,7 @@ def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
-    """Report node ids that two devices of a bus use.
+    """Reports node ids that two devices of a bus use.
 
     Returns the name of the second device with each duplicate id.
     """
@@ -161,7 +161,7 @@ def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, 
 
 
 def check_serials(placed: Sequence[Placed], report: Report) -> None:
-    """Check that all devices of a vendor have different serial numbers, on all buses."""
+    """Checks that all devices of a vendor have different serial numbers, on all buses."""
     first: dict[tuple[int | None, int | str], Placed] = {}
     for device in placed:
         serial = device.node.serial
@@ -190,7 +190,7 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Report the devices that do not support the bitrate of their bus, in one diagnostic."""
+    """Reports the devices that do not support the bitrate of their bus, in one diagnostic."""
     limited = [device for device in placed if device.node.bitrates]
     unable = [device for device in limited if bus.bitrate not in device.node.bitrates]
     if not unable:
@@ -245,7 +245,7 @@ class _Claim(NamedTuple):
 def _check_cob_ids(
     bus: Bus, placed: Sequence[Placed], skipped: dict[str, None], report: Report
 ) -> None:
-    """Report COB-IDs that two CAN frames of a bus use.
+    """Reports COB-IDs that two CAN frames of a bus use.
 
     The frames of the master and of the CANopen standard services are included.
 
@@ -301,7 +301,7 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
 
 
 def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Check that the names of the nodes and of the CAN frames on a bus are unique.
+    """Checks that the names of the nodes and of the CAN frames on a bus are unique.
 
     The DBC file and the base driver identify nodes and CAN frames by name.
     """
@@ -353,7 +353,7 @@ def _check_load(bus: Bus, report: Report) -> None:
 
 
 def late_frames(bus: Bus) -> list[FrameDefinition]:
-    """Return the periodic CAN frames whose worst-case response time exceeds the deadline."""
+    """Returns the periodic CAN frames whose worst-case response time exceeds the deadline."""
     return [
         frame
         for frame in bus.frames
@@ -364,7 +364,7 @@ def late_frames(bus: Bus) -> list[FrameDefinition]:
 
 
 def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Check that every periodic CAN frame meets its deadline in the worst case."""
+    """Checks that every periodic CAN frame meets its deadline in the worst case."""
     owners = {frame.name: device for device in placed for frame in device.frames}
     late = late_frames(bus)
     # A load of 0 means that the load was not computed.  `_check_load` reports an overload.
@@ -393,7 +393,7 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
 
 
 def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Check the heartbeat time-outs of all nodes of a bus.
+    """Checks the heartbeat time-outs of all nodes of a bus.
 
     A time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the heartbeat
     of the master, so that the drive stops if the master stops.

@@ -35,7 +35,7 @@ NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtS
 
 
 def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
-    """Return the motor parameters that expressions in the section `can` can use, by channel.
+    """Returns the motor parameters that expressions in the section `can` can use, by channel.
 
     Speeds are in rad/s, accelerations in rad/s^2 and joint limits in rad.
     """
@@ -56,7 +56,7 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
 def frames_of(
     device: Device, node_id: int, sync_period: float, report: Report
 ) -> Iterator[FrameDefinition]:
-    """Yield the CAN frames of a device.
+    """Yields the CAN frames of a device.
 
     - ``node_id``: node id of the device.
     - ``sync_period``: control cycle in s.
@@ -76,7 +76,7 @@ def frames_of(
         kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
         sends = scope.text(node.get("direction"), "report") == "command"
         if sends and signals and not kept:
-            # No motor of this robot is connected to a channel in the frame, so it has no content.
+            # The robot has no motor on the channels of the frame, so the frame has no content.
             period = None
         deadline = node.get("deadline")
         number, mapping = _pdo(device, node, length, report)
@@ -113,7 +113,7 @@ def frames_of(
 
 
 def _by_timer(cycle: float) -> float:
-    """Round a period (s) down to whole milliseconds.
+    """Rounds a period (s) down to whole milliseconds.
 
     The event timer of a CANopen node has a resolution of 1 ms.  A period that is rounded down
     ensures that a report arrives in each control cycle.
@@ -122,7 +122,7 @@ def _by_timer(cycle: float) -> float:
 
 
 def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
-    """Return the minimum time between two CAN frames in s.
+    """Returns the minimum time between two CAN frames in s.
 
     Returns ``None`` if the document sets no `rate` for the frame.  If the rate is not positive,
     reports an error and returns ``None``.
@@ -148,7 +148,7 @@ def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[F
 def standard_frames(
     name: str, node_id: int, services: Node | None, heartbeat_period: float
 ) -> Iterator[FrameDefinition]:
-    """Yield the CAN frames of the CANopen services of a device.
+    """Yields the CAN frames of the CANopen services of a device.
 
     The COB-IDs follow the predefined connection set of CiA 301.
 
@@ -208,7 +208,7 @@ def standard_frames(
 def heartbeat(
     prefix: str, cob_id: int, producer: str, consumers: tuple[str, ...], period: float, here: Span
 ) -> FrameDefinition:
-    """Return the definition of a heartbeat frame (CiA 301).
+    """Returns the definition of a heartbeat frame (CiA 301).
 
     - ``prefix``: first part of the name of the frame.
     - ``producer``: node that sends the heartbeat.
@@ -231,7 +231,7 @@ def heartbeat(
 
 
 def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
-    """Yield a tuple (signal, name of the channel) for each signal of a CAN frame.
+    """Yields a tuple (signal, name of the channel) for each signal of a CAN frame.
 
     The name of the channel is ``None`` if the signal does not belong to a channel.
     """
@@ -276,7 +276,7 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
-    """Return a signal whose offset contains the calibrated offset of the steering encoder.
+    """Returns a signal whose offset contains the calibrated offset of the steering encoder.
 
     The CAN frame contains the angle of the encoder.  The value of the signal is the position of
     the joint: ``position = encoder + encoder_offset``.  Only this function applies the encoder
@@ -299,7 +299,7 @@ def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
 def _pdo(
     device: Device, frame: Node, length: int, report: Report
 ) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
-    """Return the number and the object mapping of a CANopen PDO.
+    """Returns the number and the object mapping of a CANopen PDO.
 
     The mapping is a tuple (index, subindex, object type) for each mapped object.  If the frame
     is not a PDO, or if the PDO has an error, returns ``(None, ())``.
@@ -383,7 +383,7 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 
 
 def _time(device: Device, node: Node, report: Report) -> float | None:
-    """Return the time (s) in a document.
+    """Returns the time (s) in a document.
 
     If the time is not positive, reports an error and returns ``None``.
     """

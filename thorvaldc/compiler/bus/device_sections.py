@@ -92,17 +92,17 @@ class BusSpec(NamedTuple):
 
 
 def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    """Return the entries of a mapping, or an empty list if the node is not a mapping."""
+    """Returns the entries of a mapping, or an empty list if the node is not a mapping."""
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 
 def items(node: source.Node | None) -> tuple[source.Node, ...]:
-    """Return the elements of a list, or an empty tuple if the node is not a list."""
+    """Returns the elements of a list, or an empty tuple if the node is not a list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
 def integer(scope: Scope, node: source.Node | None, default: int) -> int:
-    """Return the value of a node as a whole number.
+    """Returns the value of a node as a whole number.
 
     If the node is missing or its value is not a whole number, returns ``default``.
     """
@@ -118,6 +118,6 @@ def integer(scope: Scope, node: source.Node | None, default: int) -> int:
 
 
 def listed(known: Iterable[str]) -> str:
-    """Return a hint that lists the known names."""
+    """Returns a hint that lists the known names."""
     names = ", ".join(f"`{name}`" for name in known)
     return f"there are {names}" if names else "there are none"

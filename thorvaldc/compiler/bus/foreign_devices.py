@@ -23,7 +23,7 @@ PROTOCOL = "foreign"
 def foreign_devices(
     section: source.Node | None, specs: Sequence[BusSpec], report: Report
 ) -> list[Placed]:
-    """Return the foreign devices of a robot with the CAN frames that the base driver relays.
+    """Returns the foreign devices of a robot with the CAN frames that the base driver relays.
 
     - ``section``: section `foreign_devices` of the robot file.
     """

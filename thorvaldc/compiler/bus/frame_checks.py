@@ -14,7 +14,7 @@ ROUNDING = 1e-9
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
-    """Check that the module has all channels that the signals of a CAN frame refer to."""
+    """Checks that the module has all channels that the signals of a CAN frame refer to."""
     known = [name for name, _ in entries(device.channels)]
     for _, node in entries(frame.get("signals")):
         channel = node.get("channel")
@@ -33,7 +33,7 @@ def check_layout(
     signals: Sequence[tuple[Signal, str | None]],
     report: Report,
 ) -> bool:
-    """Check the layout of a CAN frame.  Return whether the layout is valid.
+    """Checks the layout of a CAN frame.  Returns whether the layout is valid.
 
     A frame has at most 8 bytes.  The signals must be inside the frame and must not overlap.
     The named values of a signal must fit into its bits, and the multiplexer must be valid.
@@ -124,7 +124,7 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
-    """Check that signals do not share bits, unless different multiplexer values select them."""
+    """Checks that signals do not share bits, unless different multiplexer values select them."""
     if _masks_are_apart(signals):
         return True
     always: dict[int, Signal] = {}
@@ -157,7 +157,7 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
 
 
 def _masks_are_apart(signals: Sequence[Signal]) -> bool:
-    """Return whether no two signals overlap.
+    """Returns whether no two signals overlap.
 
     The test with bit masks is fast, but does not find out which signals overlap.
     """
@@ -177,7 +177,7 @@ def _masks_are_apart(signals: Sequence[Signal]) -> bool:
 
 
 def raw_range(signal: Signal) -> tuple[int, int]:
-    """Return the smallest and the largest raw value of a signal."""
+    """Returns the smallest and the largest raw value of a signal."""
     if signal.signed:
         return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
     return 0, (1 << signal.length) - 1
@@ -186,7 +186,7 @@ def raw_range(signal: Signal) -> tuple[int, int]:
 def check_scales(
     device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
 ) -> None:
-    """Check that each signal of a joint can represent the whole speed or angle range of the joint.
+    """Checks that each signal of a joint can represent the whole speed or angle range of the joint.
 
     - ``signals``: tuples (signal, name of the channel).
     """

@@ -22,7 +22,7 @@ _BATTERIES = "kc_battery"
 
 
 def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
-    """Return the injected faults of a document.
+    """Returns the injected faults of a document.
 
     Reports an error if a fault names a bus or a device that the robot does not have, or if a
     device does not support a fault.
@@ -82,7 +82,7 @@ class _Reader:
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
-        """Return the bus and the device of an injected fault.
+        """Returns the bus and the device of an injected fault.
 
         The device is ``None`` for a fault of a whole bus.  If the robot does not have the bus or
         the device, returns ``(None, None)``.
@@ -119,7 +119,7 @@ class _Reader:
         return None, None
 
     def _has_keys(self, node: Node, name: str, kind: FaultKind) -> bool:
-        """Check that an injected fault has all required keys and exactly one start condition.
+        """Checks that an injected fault has all required keys and exactly one start condition.
 
         Reports missing, conflicting and unknown keys of the injected fault.
         """
@@ -147,7 +147,7 @@ class _Reader:
         return complete
 
     def _suits(self, node: Node, name: str, device: Device) -> bool:
-        """Check that a device supports the injected fault ``name``."""
+        """Checks that a device supports the injected fault ``name``."""
         frames = [f for bus in self.robot.buses for f in bus.frames if f.producer == device.name]
         kinds = {"heartbeat_stop": "heartbeat", "emcy": "emcy"}
         reason = ""

@@ -33,12 +33,12 @@ Lock = dict[tuple[str, str, str], Pin]  # (bus, id space, module) -> node id
 
 
 def lock_path(robot: Path) -> Path:
-    """Return the path of the lock file of a robot, such as `robot.lock.yaml` for `robot.yaml`."""
+    """Returns the path of the lock file of a robot, such as `robot.lock.yaml` for `robot.yaml`."""
     return robot.with_name(f"{robot.stem}.lock.yaml")
 
 
 def read_lock(document: Node, report: Report) -> Lock:
-    """Return the node ids in a lock file, and report each invalid entry of the lock file."""
+    """Returns the node ids in a lock file, and reports each invalid entry of the lock file."""
 
     def report_error(message: str, node: Node) -> None:
         report.add(
@@ -73,7 +73,7 @@ def read_lock(document: Node, report: Report) -> Lock:
 
 
 def lock_text(robot: Robot, file: str) -> str:
-    """Return the text of the lock file of a robot.
+    """Returns the text of the lock file of a robot.
 
     - ``file``: name of the robot file, for the comment at the start of the lock file.
     """
@@ -90,7 +90,7 @@ def lock_text(robot: Robot, file: str) -> str:
 
 
 def _key(name: str) -> str:
-    """Return a name as a YAML key.
+    """Returns a name as a YAML key.
 
     The names `true`, `false` and `null` are put in quotes, because YAML does not read them as
     text.  All names are lower-case, so no other name needs quotes.
@@ -99,5 +99,5 @@ def _key(name: str) -> str:
 
 
 def has_pins(robot: Robot) -> bool:
-    """Return whether the compiler chose at least one node id of the robot."""
+    """Returns whether the compiler chose at least one node id of the robot."""
     return any(node.automatic for bus in robot.buses for node in bus.nodes)

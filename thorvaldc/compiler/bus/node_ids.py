@@ -1,7 +1,7 @@
 """Assigns a node id to each device of a robot.
 
 A node id in the robot file has priority over a node id in the lock file.  A device without a
-node id in these files gets the lowest free node id of its range.
+node id in the robot file and the lock file gets the lowest free node id of its range.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def assign_ids(
     lock: Lock,
     report: Report,
 ) -> list[Placed]:
-    """Assign a node id to each device, and create the CAN frames of the device.
+    """Assigns a node id to each device, and creates the CAN frames of the device.
 
     - ``devices``: devices without node ids.
     - ``foreign``: foreign devices, which already have node ids.
@@ -129,7 +129,7 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
 
 
 def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report) -> str:
-    """Return the name of the bus of a device.
+    """Returns the name of the bus of a device.
 
     A device without a bus name is on the first bus of the robot file.  An unknown bus name is an
     error, and the function returns the first bus.
@@ -156,7 +156,7 @@ def _id(
     taken: Taken,
     report: Report,
 ) -> int | None:
-    """Return the node id of a device.
+    """Returns the node id of a device.
 
     Returns ``None`` and reports an error if the requested id is out of range or no id is free.
     """
@@ -197,7 +197,7 @@ def _pinned(
     lock: Lock,
     report: Report,
 ) -> dict[tuple[str, str, str], Pin]:
-    """Return the valid node ids of the lock file by (bus, id space, module).
+    """Returns the valid node ids of the lock file by (bus, id space, module).
 
     Reports a diagnostic for each invalid or unused node id of the lock file.
     """
@@ -322,7 +322,7 @@ def _node(
 
 
 def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
-    """Return the value of a device property.
+    """Returns the value of a device property.
 
     A quantity is converted to SI units.  A text that is not a quantity is returned unchanged.
     """

@@ -32,7 +32,7 @@ AT_SYNC, ON_EVENT = 1, 255  # values of the PDO transmission type
 def objects_of(
     device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> tuple[ObjectValue, ...]:
-    """Return the objects of a CANopen node in the order of their indices.
+    """Returns the objects of a CANopen node in the order of their indices.
 
     Returns an empty tuple if the node has no SDO service, because objects are written by SDO.
     """
@@ -56,7 +56,7 @@ def objects_of(
 
 
 def type_range(name: str) -> tuple[int, int]:
-    """Return the smallest and the largest value of an object type.
+    """Returns the smallest and the largest value of an object type.
 
     - ``name``: name of the type, a key of ``OBJECT_TYPES``.
     """
@@ -71,7 +71,7 @@ def _shown(index: int, subindex: int) -> str:
 
 
 def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
-    """Yield the objects in the section `objects` of a module document, with source spans."""
+    """Yields the objects in the section `objects` of a module document, with source spans."""
     wired = {wire.channel for wire in device.wires}
     channels = [name for name, _ in entries(device.channels)]
     for name, node in entries(device.can.get("objects")):
@@ -169,7 +169,7 @@ def _derived(
 
 
 def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[ObjectValue]:
-    """Yield the objects with the communication and mapping parameters of a PDO."""
+    """Yields the objects with the communication and mapping parameters of a PDO."""
     received = frame.producer == MASTER
     base = (RPDO if received else TPDO) + (frame.pdo or 1) - 1
     name = f"{'rpdo' if received else 'tpdo'}{frame.pdo}"
@@ -189,7 +189,7 @@ def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[Obj
 
 
 def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
-    """Yield the objects that are mapped into PDOs.
+    """Yields the objects that are mapped into PDOs.
 
     The name of an object is the name of the signal that has the same bits in the PDO.
     """
@@ -207,7 +207,7 @@ def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
 
 
 def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
-    """Return a time (s) in ms, as the object dictionary stores it.
+    """Returns a time (s) in ms, as the object dictionary stores it.
 
     Reports an error if the time is not a whole number of milliseconds from 1 to 65535.
     """
@@ -224,7 +224,7 @@ def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
 
 
 def serial_number(text: str | None) -> int | None:
-    """Return a serial number as an integer of 32 bits, as in object 0x1018:4.
+    """Returns a serial number as an integer of 32 bits, as in object 0x1018:4.
 
     Returns ``None`` if the text is not an integer of 32 bits.
     """

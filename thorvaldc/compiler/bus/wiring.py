@@ -37,7 +37,7 @@ class Wiring(NamedTuple):
     report: Report
 
     def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
-        """Return the buses of a robot.
+        """Returns the buses of a robot.
 
         - ``robot``: root of the tree of module instances.
         - ``period``: control cycle of the base driver in s.

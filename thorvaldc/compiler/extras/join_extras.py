@@ -88,7 +88,7 @@ class ExtrasJoiner:
         for joint in (*mounts, *joint_to.values()):
             children.setdefault(joint.parent, []).append(joint)
         # Visit the joints depth first, from the links of the robot, in the order of the file.
-        # In this order, each link comes after its parent link.
+        # The depth-first order ensures that each link comes after its parent link.
         stack = [
             joint
             for parent in reversed(children)
@@ -113,8 +113,8 @@ class ExtrasJoiner:
     def new_file_links(self, links: Sequence[Link]) -> dict[str, Link]:
         """Returns the new links of a xacro file by name.
 
-        A xacro file can refer to a link of the robot by an empty URDF link of the same name.  The
-        result does not contain such empty URDF links.
+        A xacro file can refer to a link of the robot by an empty URDF link of the same name.
+        Empty URDF links that refer to a link of the robot are not new links.
         """
         new: dict[str, Link] = {}
         for link in links:

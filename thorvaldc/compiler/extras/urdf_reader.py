@@ -73,8 +73,8 @@ def read_urdf(
     """Converts the child elements of ``<robot>`` to links and joints of the model.
 
     - ``module``: name that identifies the extra in the model.
-    - ``load_mesh``: function that loads the mesh file of an element.  The arguments of this
-      function are the file name, the element and the scale.
+    - ``load_mesh``: function that loads the mesh file of an element.  The arguments of
+      ``load_mesh`` are the file name, the element and the scale.
     - ``report``: report that receives the errors.
     - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
     """

@@ -138,9 +138,9 @@ class DisplayPaths:
     - ``display``: name of this folder in source spans.
     - ``installed``: folder of each installed ROS package, by the name of the package.
 
-    The name of a file in an installed package has the form ``package://...``.  The names of
-    other files are relative.  Messages and outputs therefore do not depend on the folder of a
-    checkout.
+    The name of a file in an installed package has the form ``package://...``.  The name of any
+    other file is ``display`` with the path of the file relative to ``folder``.  Messages and
+    outputs therefore do not depend on the folder of a checkout.
     """
 
     folder: Path

@@ -4,8 +4,8 @@ A xacro file contains Python expressions and can read any file.  For security, t
 this module in a separate process.  The process has an empty environment, limits on time and
 memory, and no right to write files.  The compiler sends one JSON request to the standard input
 of the process.  The process writes one line of JSON per xacro file to its standard output.
-The package ``thorvaldc`` is not on the module path of the process.  Therefore this module is a
-single file and imports only xacro and the standard library.
+This module is a single file and imports only xacro and the standard library, because the package
+``thorvaldc`` is not on the module path of the process.
 
 xacro does not keep line numbers.  The class ``_Builder`` therefore stores the position of each
 XML element as DOM user data.  A clone of an element keeps the position of the original element.
@@ -411,7 +411,7 @@ class Expansion:
                 setattr(x, name, value)
             x.Table._resolve_ = self.with_definition(resolve)
             x.safe_eval = _with_syntax_errors(evaluate)
-            # Expressions in a xacro file can call these functions, as in `xacro.warning(...)`.
+            # Expressions in a xacro file can call functions of xacro, as in `xacro.warning(...)`.
             functions = x._global_symbols["xacro"]
             for name in ("warning", "error", "message"):
                 function = self.warn if name != "message" else _ignore
@@ -565,8 +565,8 @@ def _set_cpu_limit() -> None:
 def main() -> None:
     """Reads one JSON request from stdin, and writes one line of JSON per xacro file to stdout."""
     answers = os.fdopen(os.dup(1), "wb")
-    # The output of a xacro file must not mix with the answers.  Therefore stdout and stderr are
-    # redirected to the null device.
+    # Stdout and stderr are redirected to the null device, because the output of a xacro file must
+    # not mix with the answers.
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
     os.dup2(null, 2)

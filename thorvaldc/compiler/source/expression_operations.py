@@ -300,8 +300,8 @@ def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
 
 
 def _raise_to_power(base: Number, exponent: Number) -> Number:
-    # Powers of Python integers have unlimited size and could take unlimited time.
-    # Therefore a power with a large base or exponent is computed as a float.
+    # A power with a large base or exponent is computed as a float, because large powers of Python
+    # integers could take unlimited time.
     if isinstance(base, int) and (
         not isinstance(exponent, int) or abs(exponent) > 64 or abs(base) > 2**31
     ):
@@ -351,7 +351,7 @@ def call(name: str, arguments: list[Evaluate], offset: int) -> Evaluate:
 
 
 # Name of each function -> (Python function, number of arguments).
-# The number of arguments is 0 if the function takes one or more arguments.
+# The number 0 marks a function that takes one or more arguments.
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
     "min": (lambda *values: min(values), 0),
     "max": (lambda *values: max(values), 0),

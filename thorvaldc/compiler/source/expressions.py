@@ -52,8 +52,8 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
     - ``scope``: value of each known name.  A value is a number in SI, a truth value, a text, a list
       or a mapping.  An expression reads an entry of a mapping as an attribute: ``a.key``.
 
-    Evaluation looks up a name only when the expression needs the value of the name.  Therefore
-    ``scope`` may compute its values on access.  A ``KeyError`` of ``scope`` means an unknown name.
+    Evaluation looks up a name only when the expression needs the value of the name.  A scope may
+    therefore compute a value on access.  A ``KeyError`` of ``scope`` means an unknown name.
     Raises ``ExpressionError`` if the expression has an error.  All other exceptions of ``scope``
     reach the caller.
     """
@@ -63,9 +63,9 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
     """Evaluates the ``${...}`` expressions in a text.
 
-    If the whole text is one expression, returns the value of the expression.  Otherwise returns
-    the text with each expression replaced by its value.  The ``offset`` of an
-    ``ExpressionError`` counts from the start of ``text``.
+    If the whole text is one expression, returns the value of the expression.  If the text has
+    other parts, returns the text with each expression replaced by its value.  The ``offset`` of
+    an ``ExpressionError`` counts from the start of ``text``.
     """
     parts = split_text(text)
     if not any(is_expression for _, _, is_expression in parts):
@@ -108,7 +108,7 @@ def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
     return tuple(parts)
 
 
-# Matches an expression up to its closing brace.  A text in quotes can contain a brace.
+# This pattern matches an expression and its closing brace.  A text in quotes can contain a brace.
 _INSIDE = re.compile(r"((?:[^}'\"]|'[^']*'|\"[^\"]*\"|['\"](?=[^'\"]*\}))*)\}")
 
 

@@ -178,8 +178,8 @@ class _YamlError(Exception):
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """A YAML loader with limits on the nesting depth and the number of values.
 
-    The composer of libyaml is recursive C code, and a deeply nested document overflows its
-    stack.  Therefore the loader checks the depth while the composer runs.
+    The composer of libyaml is recursive C code, and a deeply nested document would overflow the
+    stack.  To prevent a stack overflow, the loader checks the depth while the composer runs.
     The loader sets the tag of a node only if the document contains an explicit tag.
     """
 

@@ -2,7 +2,7 @@
 
 The conversion factor of a unit to SI is an exact fraction times a power of pi.
 The radian is a separate dimension in these tables, although the radian has no dimension in SI.
-With this dimension the compiler can distinguish ``rad/s`` from ``Hz``.
+The dimension of the radian allows the compiler to distinguish ``rad/s`` from ``Hz``.
 """
 
 from __future__ import annotations

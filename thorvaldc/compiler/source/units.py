@@ -158,7 +158,7 @@ def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
 def _value(mantissa: int, exponent: int, unit: Unit, shown: str) -> float:
     """Returns the SI value of the quantity mantissa * 10**exponent in ``unit``.
 
-    The result is rounded only once, except for units that contain pi.
+    The SI value is rounded only once, except for units that contain pi.
     """
     numerator = mantissa * unit.numerator
     denominator = unit.denominator

@@ -3,7 +3,7 @@
 libyaml reports two positions of a syntax error.  The problem mark is the position at which the
 parser detected the error.  The context mark is the start of the enclosing list, mapping or text
 in quotes.  If a closing bracket or quote is missing, the problem mark can be many lines after
-the mistake.  In this case the diagnostic marks the opening bracket or quote.
+the mistake.  The diagnostic for a missing bracket or quote marks the opening bracket or quote.
 """
 
 from __future__ import annotations

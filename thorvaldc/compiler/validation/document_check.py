@@ -31,8 +31,8 @@ def check(node: Node, kind: Kind, report: Report) -> bool:
     an error in ``report``, the check adds no further diagnostic for the value.
     """
     schema = inlined(kind)
-    # If the YAML reader rejects a scalar, it returns the most likely value.  A diagnostic about
-    # this value could be misleading.
+    # The YAML reader returns the most likely value of an invalid scalar.  A further diagnostic
+    # about the most likely value could be misleading.
     reported = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     valid = True
     plain = node.plain()

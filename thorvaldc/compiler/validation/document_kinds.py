@@ -14,7 +14,7 @@ def is_scenario(document: Node | None) -> bool:
 def is_fleet(document: Node | None) -> bool:
     """Returns whether the document has the key ``robots``.
 
-    Fleet documents and scenario documents have this key.
+    Fleet documents and scenario documents have the key ``robots``.
     """
     return document is not None and document.get("robots") is not None
 
