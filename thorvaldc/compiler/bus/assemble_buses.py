@@ -194,7 +194,7 @@ def _master_frames(
 ) -> Iterator[FrameDefinition]:
     """Yields the CAN frames NMT, SYNC and heartbeat, which the master sends to all CANopen nodes.
 
-    On a bus without CANopen nodes, the master sends no CAN frames.
+    On a bus without CANopen nodes, the master sends no NMT, SYNC and heartbeat frames.
     """
     nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
     if not nodes:
