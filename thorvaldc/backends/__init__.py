@@ -1,4 +1,7 @@
-"""Backends: from the model to the files of a target.  Each is one file and one row of a table."""
+"""Backends write the files of a target, such as URDF, from the model of a robot.
+
+Each backend is one module and one row of the table ``TARGETS``.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,13 @@ from thorvaldc.model.plugins import PluginFailure, PluginTable
 
 
 class Backend(abc.ABC):
-    """Writes the files of one target.
+    """A backend writes the files of one target.
 
-    Pure: a backend reads no disk, clock, random numbers or environment, and the same model
-    gives the same bytes.  ``name`` and ``summary`` (one line) describe the target.
+    A backend does not read files, the clock, random numbers or the environment. The same model
+    therefore always gives the same bytes.
+
+    - ``name``: name of the target.
+    - ``summary``: description of the target on one line.
     """
 
     name: ClassVar[str]
@@ -26,7 +32,10 @@ class Backend(abc.ABC):
         """Return the files of one robot by their POSIX path relative to the build folder."""
 
     def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
-        """Return the files of a fleet; by default those of each robot in a folder of its name."""
+        """Return the files of a fleet by their POSIX path relative to the build folder.
+
+        By default, each robot of the fleet has its files in a folder with the name of the robot.
+        """
         return {
             f"{placement.name}/{path}": data
             for placement in fleet.placements
@@ -39,16 +48,18 @@ class Backend(abc.ABC):
 
 
 class Target(NamedTuple):
-    """A built-in target: its class as ``"module:class"``; whether ``build`` writes it by default.
+    """A built-in target.
 
-    The name and the summary of the target are those of its class.
+    - ``backend``: class of the backend as ``"module:class"``. The class has the name and the
+      summary of the target.
+    - ``default``: true if ``build`` writes the target by default.
     """
 
     backend: str
     default: bool = True
 
 
-# The only list of built-in targets.  The order is that of ``build``'s report.
+# All built-in targets, in the order in which ``build`` reports the targets.
 TARGETS: dict[str, Target] = {
     "urdf": Target("thorvaldc.backends.urdf:Urdf"),
     "mjcf": Target("thorvaldc.backends.mjcf:Mjcf"),
@@ -62,19 +73,22 @@ PLUGINS: PluginTable[Backend] = PluginTable(
 
 
 class TargetError(KeyError):
-    """There is no such target, or its backend cannot be used; the message gives the reason."""
+    """The target does not exist, or its backend cannot be used. The message gives the reason."""
 
     def __str__(self) -> str:
-        return str(self.args[0])  # ``KeyError`` would show it in quotes
+        return str(self.args[0])  # ``KeyError`` would show the message in quotes
 
 
 def names() -> list[str]:
-    """Return all targets, built-in and plugged-in, in alphabetical order."""
+    """Return the names of all built-in targets and plug-ins in alphabetical order."""
     return PLUGINS.names()
 
 
 def load(name: str) -> Backend:
-    """Return the backend of a target.  Raises ``TargetError``, a ``KeyError``."""
+    """Return the backend of a target.
+
+    Raises ``TargetError`` if the target does not exist or if its backend cannot be used.
+    """
     backend_class = PLUGINS.load(name)
     if isinstance(backend_class, PluginFailure):
         if backend_class.unknown:

@@ -1,4 +1,4 @@
-"""Names of colours as materials, and the mesh files of both XML formats."""
+"""Names of colours and the mesh files, for both the URDF and the MJCF backend."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ Color = tuple[float, float, float, float]
 class Palette:
     """Names of the colours of robots, such as ``color_7f7f7f``.
 
-    A name has the RGB value in hexadecimal digits, with the opacity for a colour that is not
-    opaque.  So a name does not change when a robot gets other colours.
+    A name contains the RGB value in hexadecimal digits. The name of a transparent colour also
+    contains the opacity. The name of a colour does not depend on the other colours of the robot.
     """
 
     def __init__(self, *robots: Robot) -> None:
@@ -40,5 +40,8 @@ class Palette:
 
 
 def mesh_files(robot: Robot) -> dict[str, bytes]:
-    """Return the mesh files by path; both XML formats refer to ``../meshes/<name>``."""
+    """Return the mesh files by their path.
+
+    URDF and MJCF files refer to a mesh file as ``../meshes/<name>``.
+    """
     return {f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes}

@@ -1,10 +1,15 @@
-"""MJCF: the robot for MuJoCo, and a scene in which it stands at rest.
+"""MJCF files: a robot for MuJoCo, and a scene in which the robot stands at rest.
 
-``robot.xml`` has the robot alone and can be included or attached; ``scene.xml``
-adds the ground, light and the key frame ``home``.  The settings of contacts and
-servos are chosen for wheeled robots of 100 to 400 kg and time steps of 1 to 5 ms, so that they
-slide, roll and stand on slopes as real ones do: elliptic cones, a first
-``solimp`` value near zero, and drives that hold their position at zero speed.
+The file ``robot.xml`` contains only the robot and can be included in other models. The file
+``scene.xml`` adds the ground, the light and the key frame ``home``.
+
+The settings of contacts and servos are chosen for wheeled robots of 100 to 400 kg and time steps of
+1 to 5 ms. With these settings, a simulated robot slides, rolls and stands on slopes like a real
+robot:
+
+- The friction cones are elliptic.
+- The first value of ``solimp`` is near zero.
+- The drives hold their position at zero speed.
 """
 
 from __future__ import annotations
@@ -25,7 +30,10 @@ from thorvaldc.model.statics.standing_pose import Statics
 
 
 class Mjcf(StaticsBackend):
-    """Writes ``robot.xml`` and ``scene.xml``; of a fleet also one scene with all robots."""
+    """Backend that writes ``robot.xml`` and ``scene.xml``.
+
+    For a fleet, the backend also writes one scene with all robots.
+    """
 
     name = "mjcf"
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"

@@ -28,30 +28,31 @@ from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics
 from thorvaldc.model.statics.wheel_contact import WheelContact
 
-# Ratio of the torsional friction coefficient (m) to mu times width.  A contact patch as wide as the
-# tyre resists turning on the spot with the torque mu N width / 4; a tyre that rolls deforms and
-# resists less.  MuJoCo has one coefficient for both, and spin and slip share one
-# friction cone.  With 1/4, wheels drift outwards by up to 2.1 % of
-# the turn (two driven wheels and casters); with 1/16 by 0.4 %.
+# Ratio of the torsional friction coefficient (m) to mu times width. A contact patch as wide as the
+# tyre resists turning on the spot with the torque mu N width / 4. A rolling tyre deforms and
+# resists turning less. MuJoCo has only one coefficient for a standing and a rolling tyre, and spin
+# and slip share one friction cone. A robot with two driven wheels and casters drifts outwards by up
+# to 2.1 % of the turn with the ratio 1/4, and by 0.4 % with the ratio 1/16.
 TORSION = 1 / 16
-ROLLING_FRICTION = 0.0005  # the third coefficient of MuJoCo; condim 4 does not use it
+ROLLING_FRICTION = 0.0005  # third friction coefficient of MuJoCo, not used with condim 4
 DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
 DRIVE_DAMPING = 1.0  # damping ratio: critical
 FLANGE = 0.004  # m, thickness of the flange of a rail tread
 STEERING_STIFFNESS = 4000.0  # N m/rad
-WORLD = "world"  # the name of MuJoCo's own root body
+WORLD = "world"  # name of the root body in MuJoCo
 
-# Robots collide with the world and with each other but not with themselves (their parts
-# overlap where they are joined).  MuJoCo lets two geoms collide if contype1 & conaffinity2 or
-# contype2 & conaffinity1 is not 0.  Robot i has contype i and the complement of i
-# as conaffinity: i & ~i is 0, but of two different numbers one always has a bit
-# that the other lacks.  Bit 0 of contype or conaffinity is set, so each robot collides with other
-# objects, which have the default 1 for both.
+# Robots collide with the world and with other robots. The parts of one robot do not collide with
+# each other, because the parts overlap at the joints. In MuJoCo, two geoms collide if contype1 &
+# conaffinity2 or contype2 & conaffinity1 is not 0. Robot i has the contype i and the conaffinity
+# ~i (the complement of i). Two parts of robot i do not collide, because i & ~i is 0. Parts of two
+# robots i and j collide, because i & ~j or j & ~i is not 0 for different numbers i and j. Objects
+# of the world have the contype 1 and the conaffinity 1, the default values. Each robot collides
+# with the objects of the world, because bit 0 is set in either its contype or its conaffinity.
 _ALL_BITS = 0x7FFFFFFF
 
 
 def _free(name: str, taken: Iterable[str]) -> str:
-    """Return the name, with underscores appended until it is not in ``taken``."""
+    """Append underscores to the name until the name is not in ``taken``, and return the name."""
     names = set(taken)
     while name in names:
         name += "_"
@@ -59,7 +60,10 @@ def _free(name: str, taken: Iterable[str]) -> str:
 
 
 def body_names(robot: Robot) -> dict[str, str]:
-    """Return the body names by link names: with the name space, and never ``world``."""
+    """Return the MJCF body name of each link by the name of the link.
+
+    A body name begins with the name space of the robot. No body has the reserved name ``world``.
+    """
     prefix = robot.prefix
     names = {link.name: prefix + link.name for link in robot.links}
     if names.get(WORLD) == WORLD:
@@ -68,7 +72,7 @@ def body_names(robot: Robot) -> dict[str, str]:
 
 
 class RobotWriter:
-    """Writes one robot into the sections of a model."""
+    """Writes one robot into the sections of an MJCF model."""
 
     def __init__(
         self, sections: ModelSections, robot: Robot, tree: JointTree, number: int, statics: Statics
@@ -183,7 +187,10 @@ class RobotWriter:
         _place(geom, pose)
 
     def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
-        """Add the ellipsoid that rolls like the wheel; it replaces the link's collision shapes."""
+        """Add the ellipsoid that rolls like the wheel.
+
+        The ellipsoid replaces the collision shapes of the wheel's link.
+        """
         axis = contact.axis
         x, y, z = axis
         shift = contact.offset
@@ -198,7 +205,9 @@ class RobotWriter:
             self._add_ring(body, wheel, tread, contact)
 
     def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
-        """Add a ring beside the tyre, with its flanges, which guide the wheel along a rail."""
+        """Add the ring beside the tyre that rolls on a rail. The flanges of the ring guide the
+        wheel.
+        """
         radius = wheel.radius_named(tread.name)
         name = f"{self.prefix}{wheel.link}_{tread.name}"
         mu, half = wheel.friction, tread.width / 2
@@ -226,8 +235,8 @@ class RobotWriter:
             self.sections.sensors.add("gyro", name=f"{name}_gyro", site=name)
             self.sections.sensors.add("accelerometer", name=f"{name}_accelerometer", site=name)
         elif sensor.type == "camera":
-            # The view direction of an optical frame is z with y down, of MuJoCo's cameras -z with
-            # y up.
+            # An optical frame looks along z, and its y axis points down. A camera of MuJoCo looks
+            # along -z, and its y axis points up.
             camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
             values = dict(sensor.properties)
             width, height = values.get("image_width"), values.get("image_height")
@@ -260,9 +269,10 @@ class RobotWriter:
         wheel = self.wheel_of_joint.get(actuator.joint)
         if wheel is not None and driven:
             inertia += self.robot.inertial.mass * wheel.radius**2 / driven
-        # A second-order servo on the inertia I: kp = I w^2 and kv = 2 D I w, with the natural
-        # frequency w and the damping ratio D.  MuJoCo integrates the speed set point to an angle
-        # that the servo holds, so the robot stands still on a slope.  The angle has no limit.
+        # A second-order servo on the inertia I has the gains kp = I w^2 and kv = 2 D I w, with the
+        # natural frequency w and the damping ratio D. MuJoCo integrates the speed set point to an
+        # angle. The servo holds the angle, so the robot stands still on a slope. The integrated
+        # angle has no limit.
         damping = 2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY
         self._note_damping(damping, joint_inertia)
         self.sections.actuators.add(
@@ -292,7 +302,7 @@ def _place(element: Element, pose: Pose) -> None:
 
 
 def _z_to(axis: Vec3) -> Quat:
-    """Return the smallest rotation from z to the unit vector ``axis``."""
+    """Return the smallest rotation from the z axis to the unit vector ``axis``."""
     c = dot((0.0, 0.0, 1.0), axis)
     if c < -1.0 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The parts of a MuJoCo scene around its robots: ground, sky, light, key frame ``home``."""
+"""The parts of a MuJoCo scene around its robots: ground, sky, light and key frame ``home``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thorvaldc.model.statics.standing_pose import Statics
 
 
 def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
-    """Return the centre of the robots and the radius of a sphere with all their wheels, in m."""
+    """Return the centre of the robots and the radius of a sphere around all their wheels, in m."""
     points = []
     for robot, pose in zip(robots, poses, strict=True):
         points.append(pose.apply(robot.inertial.com))
@@ -30,7 +30,8 @@ def add_surroundings(
 ) -> None:
     """Add the ground, the sky, the light and the camera settings of a scene."""
     middle, reach = _reach(robots, poses)
-    # The free camera starts 1.5 extents from the centre; shadows have a range of one extent.
+    # The distance of the free camera from the centre is 1.5 times ``extent`` at the start. Shadows
+    # have a range of one ``extent``.
     scene.add("statistic", center=middle, extent=clean(2.0 * reach))
     visual = scene.add("visual")
     visual.add(
@@ -79,8 +80,8 @@ def add_surroundings(
         diffuse=(0.6, 0.59, 0.56),
         specular=(0.2, 0.2, 0.2),
     )
-    # The ground is level, because the robots' pose at rest is for level ground.  A plane, not a
-    # box: wheels roll best on it.
+    # The ground is level, because the standing pose of the robots is computed for level ground.
+    # The ground is a plane and not a box, because wheels roll best on a plane.
     below = lowest(world.ground) if world is not None else 0.0
     body.add(
         "geom",
@@ -99,7 +100,10 @@ def add_home(
     statics: Sequence[Statics],
     poses: Sequence[Pose],
 ) -> None:
-    """Add the key frame in which every robot stands still, with its servos at their targets."""
+    """Add the key frame ``home``, in which every robot stands still.
+
+    The set points of all servos are equal to the joint positions of the standing pose.
+    """
     qpos: list[float] = []
     ctrl: list[float] = []
     act: list[float] = []

@@ -1,4 +1,4 @@
-"""The sections of an MJCF model that all its robots share: options, defaults, assets."""
+"""The sections of an MJCF model that all its robots share: options, defaults and assets."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from thorvaldc.model import Mesh, Robot, Vec3
 from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF
 
 TIMESTEP = 0.005  # s
-# MuJoCo's implicit integrators apply the damping of the motor joints after the contact forces.  A
-# robot that accelerates is then ahead of its wheels by 5 ms.  The explicit integrator has no such
-# error.  For a joint of inertia I with damping d, a step of h multiplies the joint speed by 1 - d
-# h / I: it is stable for d h / I < 2.  So it is used if d h / I of every servo is at most this
-# value.  Robots with wheels that must slide get the implicit one: such wheels have no load except
-# friction and chatter above 1.
+# Largest d h / I of a servo for which the model uses MuJoCo's explicit integrator. The implicit
+# integrators apply the damping of the motor joints after the contact forces. An accelerating robot
+# is then ahead of its wheels by 5 ms. The explicit integrator does not have this error. For a joint
+# with the inertia I and the damping d, an explicit step of h s multiplies the joint speed by
+# 1 - d h / I. The explicit integrator is therefore stable for d h / I < 2. Robots with wheels that
+# must slide get an implicit integrator. Sliding wheels have no load except friction, and with the
+# explicit integrator they chatter if d h / I is above 1.
 EXPLICIT_DAMPING = 1.5
-SAME_AXLE = 1e-3  # m and rad; wheels closer than this are on one axle
+SAME_AXLE = 1e-3  # m and rad, largest distance and angle between two wheels on the same axle
 
 
 class ModelSections:
-    """Collects the sections of a model with one or several robots."""
+    """Collects the sections of an MJCF model with one or several robots."""
 
     def __init__(self, name: str, robots: list[Robot], mesh_folders: list[str]) -> None:
         self.model = name
@@ -37,11 +38,11 @@ class ModelSections:
             self.asset.add("material", name=material, rgba=color)
         self.meshes: dict[tuple[str, Vec3], str] = {}
         self.taken: dict[str, str] = {}
-        # The largest d h / I of all servos (see EXPLICIT_DAMPING).
+        # The largest value of d h / I of all servos, see EXPLICIT_DAMPING.
         self.largest_damping = 0.0
 
     def root(self) -> Element:
-        """Return the whole model, after all robots were written."""
+        """Return the root element of the MJCF model. All robots must be written before the call."""
         root = Element("mujoco", model=self.model)
         root.add(
             "compiler",
@@ -50,8 +51,8 @@ class ModelSections:
             inertiafromgeom="false",
             balanceinertia=False,
         )
-        # MuJoCo's default is dense for fewer than 60 degrees of freedom, but the wheels' rows are
-        # mostly zeros.
+        # MuJoCo uses a dense Jacobian by default for fewer than 60 degrees of freedom. A sparse
+        # Jacobian is better here, because the rows of the wheels are mostly zeros.
         explicit = self.largest_damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
         root.add(
             "option",
@@ -81,11 +82,15 @@ class ModelSections:
         return root
 
     def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
-        """Return the name of the asset for a mesh at a scale; equal files share one asset."""
+        """Return the name of the MJCF asset for a mesh with a scale.
+
+        Equal mesh files with the same scale share one asset.
+        """
         key = (mesh.sha256, scale)
         name = self.meshes.get(key)
         if name is None:
-            # Two files may differ only in their extension, and one file may have several scales.
+            # Two mesh files may have names that differ only in the extension. One mesh file may
+            # also be used with several scales. The name of the asset is therefore made unique.
             name = stem = prefix + mesh.name.rsplit(".", 1)[0]
             for count in range(2, len(self.meshes) + 2):
                 if name not in self.taken:
@@ -98,15 +103,18 @@ class ModelSections:
                 name=name,
                 file=f"{self.folders[number]}/{mesh.name}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
-                # All masses are explicit.  MuJoCo's default, a volume, fails for open and flat
-                # meshes.
+                # The inertia of a mesh is not used, because all masses are explicit. MuJoCo's
+                # default ``inertia`` fails for open and flat meshes.
                 inertia="shell",
             )
         return name
 
 
 def _slides(robot: Robot) -> bool:
-    """True if wheels that cannot steer are on several axles: in a turn they must slide."""
+    """True if some wheels must slide when the robot turns.
+
+    Wheels must slide in a turn if the wheels without steering or swivel joint are on several axles.
+    """
     fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
     for wheel in fixed[1:]:
         c, s = math.cos(fixed[0].heading), math.sin(fixed[0].heading)

@@ -1,4 +1,4 @@
-"""Height fields of rough ground, in MuJoCo's binary format."""
+"""Height fields of rough ground, in the binary format of MuJoCo."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ _CELL = 0.1
 
 
 def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
-    """Return the normalised heights of rough ground: 0..1 of twice the amplitude, rows along y.
+    """Return the heights of rough ground as a grid, one row for each y coordinate.
 
-    The ground is level at half height around the starts of robots.  It descends to 0 at its edge,
-    where the surrounding plane begins.
+    The heights are between 0 and 1, in units of twice the amplitude. The ground is level at half
+    height around the start pose of each robot. The ground descends to 0 at its edge, where the
+    plane around the ground begins.
     """
     xs, ys = (_grid(edge, ground.wavelength / CELLS_PER_WAVE) for edge in ground.size)
     rows = _waves(xs, ys, ground.wavelength, ground.seed)
@@ -34,16 +35,18 @@ def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
             inside = min(x - xs[0], xs[-1] - x, y - ys[0], ys[-1] - y)
             edge = _step(inside / ground.wavelength)
             row[i] = edge * (0.5 + 0.5 * share * row[i])
-    # MuJoCo scales the heights of a file to 0..1, so both extremes must occur.
+    # MuJoCo scales the heights of a file to 0..1, so the grid must contain both 0 and 1.
     rows[0][0], rows[0][-1] = 0.0, 1.0
     return rows
 
 
 def relief(zone: Zone) -> tuple[list[list[float]], float]:
-    """Return the normalised heights of a zone (0..1, rows along y), and the largest height in m.
+    """Return the heights of a zone as a grid, one row for each y coordinate, and the largest height
+    in m.
 
-    The sides rise from the edge.  Bumps have their full height from half a wavelength inside the
-    edge.
+    The heights of the grid are divided by the largest height, so the heights are between 0 and 1.
+    The sides of the zone rise from its edge. At half a wavelength from the edge, the bumps reach
+    their full height.
     """
     cell = min(_CELL, min(zone.size) / 10)
     if zone.amplitude:
@@ -64,10 +67,11 @@ def relief(zone: Zone) -> tuple[list[list[float]], float]:
 def _waves(
     xs: Sequence[float], ys: Sequence[float], wavelength: float, seed: int
 ) -> list[list[float]]:
-    """Return heights in -1..1: a normalised sum of plane waves with random directions and phases.
+    """Return random heights between -1 and 1 as a grid.
 
-    Their lengths are ``wavelength`` to four times that; the height of a wave is proportional to its
-    length.
+    The heights are a normalised sum of plane waves with random directions and phases. The
+    wavelengths of the plane waves are between ``wavelength`` and four times ``wavelength``. The
+    amplitude of a plane wave is proportional to its wavelength.
     """
     random_numbers = random.Random(seed)
     rows = _level(xs, ys)
@@ -98,15 +102,15 @@ def _grid(edge: float, cell: float) -> list[float]:
 
 
 def _step(share: float) -> float:
-    """Return the smooth step 3 s^2 - 2 s^3 of a share, limited to 0..1."""
+    """Return the smooth step 3 s^2 - 2 s^3, where s is ``share`` limited to the range 0 to 1."""
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def height_file(rows: list[list[float]]) -> bytes:
-    """Return MuJoCo's height-field file, little endian.
+    """Return the bytes of a height-field file of MuJoCo, in little-endian order.
 
-    It has the numbers of rows and columns (int32), then the heights (float32).
+    The file contains the numbers of rows and columns as int32, followed by the heights as float32.
     """
     import array
     import struct

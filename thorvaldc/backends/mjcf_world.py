@@ -1,8 +1,8 @@
 """The world of a scenario in MJCF: slope, bumps, zones and fixed bodies.
 
-The frame of the scene is that of the ground.  On a slope, the gravity vector is inclined instead
-of the ground.  So the standing pose, the poses of the scenario and all distances are in the plane
-on which the robots drive.
+The frame of the scene is the frame of the ground. On a slope, the gravity vector is inclined
+instead of the ground. The standing pose, the poses of the scenario and all distances are therefore
+measured in the plane on which the robots drive.
 """
 
 from __future__ import annotations
@@ -30,14 +30,18 @@ _COLORS = {
 
 
 def lowest(ground: Ground) -> float:
-    """Return the height (m) of the plane around and below rough ground; 0 for level ground."""
+    """Return the height in m of the plane around and below the ground.
+
+    The height is 0 for level ground.
+    """
     return -ground.amplitude
 
 
 def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str, bytes]:
-    """Add the world to a scene that has a plane, and return the files that it needs by path.
+    """Add the world to a scene, and return the files of the world by their path.
 
-    ``starts`` are the start poses of the robots; rough ground is level around them.
+    The scene must already contain the ground plane. ``starts`` lists the start poses of the robots.
+    Rough ground is level around the start poses.
     """
     ground = world.ground
     if ground.angle:
@@ -83,16 +87,18 @@ def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str,
 
 
 def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str, bytes]:
-    """Add plates for level zones and height fields for others; return the files by path.
+    """Add a plate for each level zone and a height field for each other zone.
 
-    The friction of zones is not in the MJCF: the simulation changes that of the wheels.
+    Returns the height-field files by their path. The MJCF files do not contain the friction of
+    zones. During a run, the simulation changes the friction of the wheels instead.
     """
     files = {}
     for number, zone in enumerate(zones, 1):
         x, y = zone.size
         geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=_zone_color(zone))
         if zone.level:
-            # Only visible, without contact: the ground plane is there.
+            # The plate is only visible and has no contacts, because the ground plane carries the
+            # robots.
             geom.set(
                 name=f"zone/{number}", type="box", size=(x / 2, y / 2, _FILM + number * _LAYER)
             )

@@ -1,6 +1,6 @@
 """Parameter files of the robot's ROS 2 nodes: base driver, multiplexer, teleop, description.
 
-docs/ros2.md describes each parameter.
+The page docs/ros2.md describes each parameter.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import Actuator, Joint, Wheel
 
-# Diagonal of the covariance of the measured twist: the default of the original base driver.
+# Diagonal of the covariance matrix of the measured twist, with the default values of the original
+# base driver.
 TWIST_COVARIANCE = (0.001, 0.001, 0.001, 0.001, 0.001, 0.03)
 TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
 
@@ -39,7 +40,10 @@ class Ros2(Backend):
 
 
 def base_driver(robot: Robot) -> Parameters:
-    """Return the parameters of the base driver; lists have an entry for each wheel."""
+    """Return the parameters of the base driver.
+
+    A parameter that is a list has an entry for each wheel.
+    """
     driver, prefix = robot.driver, _prefix(robot)
     parameters: Parameters = {
         "robot_name": robot.name,
@@ -137,7 +141,10 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
 
 
 def twist_mux(robot: Robot) -> Parameters:
-    """Return the parameters of twist_mux: the sources and locks; empty lists are omitted."""
+    """Return the parameters of twist_mux: the twist sources and the locks of the robot.
+
+    Empty lists of sources or locks are omitted.
+    """
     lists = {"topics": robot.twist_sources, "locks": robot.twist_locks}
     parameters: Parameters = {"use_stamped": False}
     for key, inputs in lists.items():
@@ -152,8 +159,8 @@ def twist_mux(robot: Robot) -> Parameters:
 def teleop(robot: Robot) -> Parameters:
     """Return the parameters of teleop_twist_joy.
 
-    The scales come from the robot's limits; sideways motion only if every wheel can steer or
-    swivel.
+    The scales of the joystick axes come from the velocity limits of the robot. The robot moves
+    sideways only if every wheel can steer or swivel.
     """
     linear, angular = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
     turns = [w.steered or w.swivel_joint is not None for w in robot.wheels]
@@ -181,7 +188,8 @@ def teleop(robot: Robot) -> Parameters:
 def robot_state_publisher(robot: Robot) -> Parameters:
     """Return the parameters of robot_state_publisher.
 
-    The names in the description include the name space, so the prefix is empty.
+    The parameter ``frame_prefix`` is empty, because the names in the URDF already begin with the
+    name space of the robot.
     """
     return {
         "robot_description": urdf_text(robot),

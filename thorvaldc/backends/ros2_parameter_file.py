@@ -1,9 +1,9 @@
-"""Writer of ROS 2 parameter files with one meaning for every reader.
+"""Writer of ROS 2 parameter files that every YAML reader reads in the same way.
 
-rcl's parser is stricter than YAML in some points (no aliases, no nested or mixed
-lists, no empty values) and guesses types in others (``y`` is true, ``017`` is 15, a bare
-``1e3`` is a number).  This writer avoids all of these: text is always
-in double quotes, floats always have a dot, lists have one type and are not empty.
+The parser of rcl does not allow some parts of YAML: aliases, nested or mixed lists and empty
+values. The parser of rcl guesses the type of some values: ``y`` is true, ``017`` is 15, and ``1e3``
+is a number. The writer avoids both problems. Text is always in double quotes. A float always has a
+dot. A list is not empty, and all its elements have the same type.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ HEADER = "# Made by thorvaldc from the robot's file; changes here are lost.\n"
 
 _NODE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*/?[A-Za-z_][A-Za-z0-9_]*")
 _PLAIN_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-# Words that some YAML readers do not read as text.
+# Words that some YAML readers read as a truth value, a number or null instead of text.
 _WORDS = frozenset(
     ["y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf", "infinity"]
 )
-# JSON does not escape these; in YAML they end a line or are not allowed.
+# Characters that end a line or are not allowed in YAML. JSON does not escape these characters.
 _UNSAFE = re.compile("[\x7f-\xa0\u2028\u2029\ufeff\ufffe\uffff]")
 _INT64 = 1 << 63
 
 
 class ParameterError(ValueError):
-    """A value that a ROS 2 parameter file cannot contain; the message names it."""
+    """A value that a ROS 2 parameter file cannot contain. The message names the parameter."""
 
 
 def parameter_file(nodes: Mapping[str, Mapping[str, Value]]) -> str:
-    """Return the text of a parameter file.
+    """Return the text of a ROS 2 parameter file.
 
-    ``nodes`` maps the name of a node, with its name space as in ``/r1/base_driver``, to
-    its parameters; a nested mapping groups names (``a.b``).  Raises
-    ``ParameterError`` for values that rcl rejects or misreads.
+    ``nodes`` maps the full name of each node, such as ``/r1/base_driver``, to the parameters of the
+    node. A nested mapping ``{"a": {"b": 1}}`` gives the parameter ``a.b``. Raises
+    ``ParameterError`` for a value that rcl rejects or misreads.
     """
     lines = [HEADER]
     for node, parameters in nodes.items():
@@ -94,10 +94,13 @@ def _scalar(value: object, path: str) -> str:
 
 
 def real(value: float, path: str = "value") -> str:
-    """Return the shortest text that reads back equal, with a dot; denormal numbers become 0."""
+    """Return the shortest text with a dot that reads back as the same float.
+
+    Denormal numbers become 0.0. Raises ``ParameterError`` for infinite numbers and NaN.
+    """
     if not math.isfinite(value):
         raise ParameterError(f"`{path}` is not finite: {value}")
-    if abs(value) < sys.float_info.min:  # strtod reports these as out of range
+    if abs(value) < sys.float_info.min:  # strtod reports denormal numbers as out of range
         return "0.0"
     text = repr(value)
     mantissa, e, exponent = text.partition("e")
@@ -105,6 +108,6 @@ def real(value: float, path: str = "value") -> str:
 
 
 def quoted(text: str) -> str:
-    """Return the text in double quotes with JSON's escapes, which are valid in YAML."""
+    """Return the text in double quotes with JSON's escape sequences, which YAML also allows."""
     escaped = json.dumps(text, ensure_ascii=False)
     return _UNSAFE.sub(lambda match: f"\\u{ord(match[0]):04x}", escaped)

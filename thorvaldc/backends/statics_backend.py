@@ -11,20 +11,21 @@ from thorvaldc.model.statics.standing_pose import Statics, solve_statics
 
 
 class StaticsBackend(Backend):
-    """A backend that needs the statics: standing pose, wheel contacts, inertia on each joint.
+    """A backend that needs the statics of a robot.
 
-    The compiler solves the statics once for each robot and passes them to all such backends.
-    ``emit`` and ``emit_fleet`` are for callers that have only the model.
+    The statics are the standing pose, the wheel contacts and the inertia on each joint. The
+    compiler solves the statics of a robot once and passes the result to all backends of this class.
+    A caller that has only the model uses ``emit`` or ``emit_fleet``.
     """
 
     @abc.abstractmethod
     def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
-        """Return the files of one robot, as ``emit``."""
+        """Return the files of one robot by their POSIX path relative to the build folder."""
 
     def emit_fleet_with_statics(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
-        """Return the files of a fleet, as ``emit_fleet``.
+        """Return the files of a fleet by their POSIX path relative to the build folder.
 
-        ``statics`` has those of each placement, in order.
+        ``statics`` lists the statics of each robot, in the order of the fleet.
         """
         return {
             f"{placement.name}/{path}": data

@@ -1,4 +1,7 @@
-"""URDF: the description of a robot for ROS, which MuJoCo's importer also reads without loss."""
+"""URDF files: the description of a robot for ROS.
+
+MuJoCo's importer also reads the URDF files without loss.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_byt
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
 from thorvaldc.model.spatial import clean
 
-# URDF requires limits of revolute and prismatic joints; this value means "no limit".
+# URDF requires limits for revolute and prismatic joints. The value 1e9 means "no limit".
 UNLIMITED = 1e9
 
 
@@ -26,10 +29,10 @@ class Urdf(Backend):
 
 @functools.lru_cache(maxsize=8)
 def urdf_text(robot: Robot) -> str:
-    """Return the document alone, which ROS passes in a parameter.
+    """Return the text of the URDF file. ROS receives the text in a parameter.
 
-    Two targets need it, so it is cached for the robots of a fleet.  To hash a robot of nine wheels
-    takes 0.7 ms, to write its document 3 ms.
+    Two targets need the text, so the text of each robot is cached. For a robot with nine wheels,
+    hashing the model takes 0.7 ms, and writing the text takes 3 ms.
     """
     return to_bytes(_robot(robot)).decode()
 
@@ -37,8 +40,8 @@ def urdf_text(robot: Robot) -> str:
 def _robot(robot: Robot) -> Element:
     prefix = robot.prefix
     root = Element("robot", name=robot.name)
-    # Without these, MuJoCo merges base_link into the world and discards the mass of all links that
-    # are fixed to it, discards visuals, and computes masses from shapes.
+    # By default, MuJoCo merges base_link into the world, discards the masses of all links that are
+    # fixed to base_link, discards visuals, and computes masses from shapes.
     root.add("mujoco").add(
         "compiler",
         meshdir="../meshes",
@@ -62,14 +65,14 @@ def _robot(robot: Robot) -> Element:
     return root
 
 
-# Attributes and texts of the elements of extras that are names of links and joints.  The tags of
-# the texts are in lower case and without underscores.
+# XML attributes and XML elements of extras that contain the name of a link or a joint. The tags in
+# ``_NAMING_TEXTS`` are written in lower case and without underscores.
 _NAMING_ATTRIBUTES = (("gazebo", "reference"), ("joint", "name"), ("link", "name"))
 _NAMING_TEXTS = ("framename", "frameid", "gzframeid", "bodyname", "linkname", "jointname")
 
 
 def _prefixing(robot: Robot, prefix: str) -> Rename:
-    """Return a function that adds the prefix to link and joint names in elements of extras."""
+    """Return a function that adds the prefix to link and joint names in XML elements of extras."""
     names = {link.name for link in robot.links} | {joint.name for joint in robot.joints}
 
     def rename(tag: str, attribute: str, value: str) -> str:
@@ -159,7 +162,7 @@ def _add_joint(root: Element, joint: Joint, prefix: str) -> None:
 
 
 def _add_gazebo(root: Element, robot: Robot, prefix: str) -> None:
-    """Add springs and tyre friction as Gazebo elements: URDF itself has none for them."""
+    """Add springs and tyre friction as Gazebo elements, because URDF has no elements for them."""
     for joint in robot.joints:
         if joint.stiffness != 0.0:
             element = root.add("gazebo", reference=prefix + joint.name)

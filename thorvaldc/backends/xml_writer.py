@@ -1,8 +1,8 @@
 """A small XML tree with one deterministic text form.
 
-Attributes and children keep their order, numbers are the shortest text that reads back equal,
-and all text is escaped.  The module is smaller and faster than ``xml.etree``, so a build does not
-import that.
+Attributes and children keep their order. A number is written as the shortest text that reads back
+as the same number. All text is escaped. A build uses this module instead of ``xml.etree``, because
+this module is smaller and faster.
 """
 
 from __future__ import annotations
@@ -26,11 +26,14 @@ _SPECIAL = re.compile('[&<>"\n\t\r]')
 
 
 class XmlValueError(ValueError):
-    """A number that the XML formats cannot contain: infinite or not a number."""
+    """A number that an XML file cannot contain: infinity or NaN."""
 
 
 def number(value: Number) -> str:
-    """Return the shortest text that reads back as the same number: ``0``, ``0.1``, ``1e-09``."""
+    """Return the shortest text that reads back as the same number, such as ``0.1`` or ``1e-09``.
+
+    Raises ``XmlValueError`` for infinite numbers and NaN.
+    """
     if value == 0:
         return "0"
     text = repr(value)
@@ -42,12 +45,12 @@ def number(value: Number) -> str:
 
 
 def numbers(values: Iterable[Number]) -> str:
-    """Return numbers separated by single spaces."""
+    """Return the numbers as text, separated by single spaces."""
     return " ".join([number(value) for value in values])
 
 
 def escape(text: str) -> str:
-    """Return the text with XML escapes, for an attribute or between tags."""
+    """Return the text with XML escapes, for use in an attribute or between tags."""
     if _SPECIAL.search(text) is None:
         return text
     return _SPECIAL.sub(lambda match: _ESCAPES[match[0]], text)
@@ -66,7 +69,7 @@ def _format(value: Value) -> str:
 class Element:
     """An XML element with attributes and either children or text.
 
-    ``attributes`` is the text of all attributes, as in the file.
+    ``attributes`` contains all attributes as they are written in the file.
     """
 
     __slots__ = ("attributes", "children", "tag", "text")
@@ -80,9 +83,10 @@ class Element:
             self.set(**attributes)
 
     def set(self, **attributes: Value | None) -> None:
-        """Add attributes; those with the value ``None`` are omitted.
+        """Add attributes to the element. An attribute with the value ``None`` is omitted.
 
-        A trailing underscore of a name is removed, for keywords of Python (``class_``).
+        A trailing underscore is removed from the name of an attribute. The underscore allows
+        attribute names that are keywords of Python, such as ``class_``.
         """
         self.attributes += "".join(
             [
@@ -93,7 +97,7 @@ class Element:
         )
 
     def add(self, tag: str, /, **attributes: Value | None) -> Element:
-        """Append a child and return it."""
+        """Append a new child element and return the child."""
         child = Element(tag, **attributes)
         self.children.append(child)
         return child
@@ -107,11 +111,12 @@ Rename = Callable[[str, str, str], str]
 
 
 def parse(text: str, rename: Rename | None = None) -> Element:
-    """Return the element of an XML text; prefixes of name spaces are kept.
+    """Return the root element of an XML text. Tags keep the prefixes of XML name spaces.
 
-    ``rename`` gets the tag, the attribute (empty for the element's text) and the value, and
-    returns the value to use.  Comments and text beside child elements are omitted.
-    Raises ``ValueError`` if the text is not well-formed.
+    ``rename`` is called with the tag, the attribute name and the value of each attribute, and
+    returns the new value. For the text of an element, ``rename`` is called with an empty attribute
+    name. Comments are omitted. Text beside child elements is also omitted. Raises ``ValueError`` if
+    the text is not well-formed XML.
     """
     from xml.parsers import expat
 
@@ -152,7 +157,8 @@ def parse(text: str, rename: Rename | None = None) -> Element:
 def to_bytes(root: Element) -> bytes:
     """Return the document as UTF-8, indented by two spaces, with an XML declaration."""
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
-    # An explicit stack: a long chain of links is nested deeper than Python's limit of recursion.
+    # A stack replaces recursion, because a long chain of links is nested deeper than Python's
+    # recursion limit.
     todo: list[tuple[Element, str] | str] = [(root, "")]
     while todo:
         item = todo.pop()

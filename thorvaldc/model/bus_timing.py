@@ -285,10 +285,9 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
 
 
 def _group(frame: FrameDefinition) -> str:
-    """Return the group of a frame on demand.
+    """Return the group of a frame on demand, or an empty text for a frame without a group.
 
-    The bus sends one frame of each group in a control cycle. The name is empty for a frame without
-    a group.
+    The frames of one group together are sent at most once in a control cycle.
     """
     if frame.period is not None or frame.kind == "relay":
         return ""

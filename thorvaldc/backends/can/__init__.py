@@ -1,7 +1,7 @@
 """The `can` target: files for programs that use, set up or check the robot's buses.
 
-docs/canmap.md describes the files.  The backend computes nothing: ids,
-COB-IDs, scalings, objects and response times are those of the model.
+The page docs/canmap.md describes the files. The backend takes all ids, COB-IDs, scalings, objects
+and response times from the model.
 """
 
 from __future__ import annotations

@@ -38,7 +38,10 @@ fi
 
 
 def script(robot: Robot) -> str:
-    """Return the script for a POSIX shell; the default interfaces are can0, can1, ..."""
+    """Return the POSIX shell script that sets up the CAN interfaces.
+
+    The default names of the CAN interfaces are can0, can1, and so on.
+    """
     names = [bus.name for bus in robot.buses]
     usage = "".join(f" [interface of {name}]" for name in names)
     text = HEAD.format(

@@ -20,7 +20,7 @@ LEFT = (1, 2)  # columns of text
 
 
 def budget_json(robot: Robot) -> str:
-    """Return load and response times as JSON text."""
+    """Return the load of each bus and the response time of each frame as JSON text."""
     return json_text(
         {
             "format": FORMAT,
@@ -62,7 +62,10 @@ def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
 
 
 def budget_table(robot: Robot) -> str:
-    """Return load and response times as Markdown, with aligned columns."""
+    """Return the load of each bus and the response time of each frame as Markdown tables.
+
+    The columns of the tables are aligned.
+    """
     lines = [
         f"# Load of the buses of {robot.name}",
         "",

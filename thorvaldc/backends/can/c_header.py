@@ -1,4 +1,4 @@
-"""A C header with ids and scales of the buses, for firmware and tools."""
+"""A C header for firmware and tools, with the ids and scales of the buses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEGEND = """\
 
 
 def header_text(robot: Robot) -> str:
-    """Return the header; it has only macros, for C and C++."""
+    """Return the text of the C header. The header contains only macros, for C and C++."""
     lines = [f"/* The buses of {robot.name}. Made by thorvaldc; changes are lost.\n *\n{LEGEND} */"]
     lines += [f"#ifndef {GUARD}", f"#define {GUARD}"]
     taken: dict[str, int] = {}
@@ -32,16 +32,20 @@ def header_text(robot: Robot) -> str:
 
 
 def _unique(name: str, taken: dict[str, int]) -> str:
-    """Return the name, with a number if it is taken.
+    """Return the macro name, with a number appended if ``taken`` already contains the name.
 
-    The signal `b_c` of frame `a` and the signal `c` of frame `a_b` give the same name.
+    Two macro names can be equal: the signal `b_c` of the frame `a` and the signal `c` of the frame
+    `a_b` give the same macro name.
     """
     number = taken[name] = taken.get(name, 0) + 1
     return name if number == 1 else _unique(f"{name}_{number}", taken)
 
 
 def _macros(bus: Bus) -> Iterator[tuple[str, str, str]]:
-    """Yield (name without the bus, value, comment); a comment line has an empty name."""
+    """Yield each macro as (name without the bus, value, comment).
+
+    An empty name marks a line that contains only a comment.
+    """
     yield "", "", f"bus {_plain(bus.name)}"
     yield "bitrate", f"{bus.bitrate}ul", "bit/s"
     yield "cycle", f"{round(bus.sync_period * 1e6)}ul", "us"
@@ -81,5 +85,5 @@ def _number(value: float) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return the text without the marks of C comments and backslashes."""
+    """Return the text without backslashes and without the start and end marks of C comments."""
     return " ".join(text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").split())

@@ -1,4 +1,7 @@
-"""`can/canmap.json`, the normative description of the buses.  docs/canmap.md describes it."""
+"""The file `can/canmap.json`, the normative description of the buses.
+
+The page docs/canmap.md describes the format of the file.
+"""
 
 from __future__ import annotations
 
@@ -142,7 +145,11 @@ def _signal(signal: Signal) -> dict[str, Any]:
 
 
 def json_text(document: dict[str, Any]) -> str:
-    """Return JSON with flat lists and objects on one line each, for readable differences."""
+    """Return the document as JSON text.
+
+    A list or an object without nested lists and objects is written on one line. The layout makes
+    the differences between two versions of the text easy to read.
+    """
     return _layout(document, 0) + "\n"
 
 
@@ -154,7 +161,7 @@ def _layout(value: Any, depth: int) -> str:
     if type(value) is list and _containers(value):
         pad = "\n" + "  " * depth
         return "[" + ",".join([f"{pad}  {_layout(v, depth + 1)}" for v in value]) + pad + "]"
-    # A call of the encoder is slow, and most values are numbers.
+    # Most values are numbers, and ``repr`` is faster than a call of the JSON encoder.
     if value is None:
         return "null"
     if type(value) is int or (type(value) is float and math.isfinite(value)):
@@ -163,7 +170,7 @@ def _layout(value: Any, depth: int) -> str:
 
 
 def _is_flat(container: Any) -> bool:
-    """True for a list or object without lists and objects in it."""
+    """True for a list or an object that contains no lists and no objects."""
     return not _containers(container.values() if type(container) is dict else container)
 
 

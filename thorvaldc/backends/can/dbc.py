@@ -1,4 +1,4 @@
-"""A bus as a DBC file, for tools that read this format."""
+"""A DBC file of a CAN bus, for tools that read the DBC format."""
 
 from __future__ import annotations
 
@@ -41,21 +41,24 @@ def _in_dbc(character: str) -> bool:
 
 
 def dbc_text(bus: Bus) -> str:
-    """Return the bus as a DBC file, written by cantools."""
+    """Return the text of the DBC file of a bus. The package cantools writes the text."""
     db = _cantools_database()
     can = db.can
 
     class Message(can.Message):  # type: ignore[misc,name-defined]
-        """A message that is only written.
+        """A cantools message that is written to a DBC file and never decoded.
 
-        It skips the steps that only reading needs; they take two thirds of the time.
+        The class skips the steps of cantools that only decoding needs. The skipped steps take two
+        thirds of the time.
         """
 
         def __deepcopy__(self, memo: dict[int, Any]) -> Message:
             return self  # cantools copies messages to change names; here nothing else uses them
 
         def refresh(self, strict: bool | None = None) -> None:
-            """Skip the codecs and the check of the layout, which the compiler has done."""
+            """Skip the codecs and the check of the layout. The compiler has already checked the
+            layout.
+            """
 
     nodes = [can.Node("master", "Master of the bus: the base driver.")] + [
         can.Node(
@@ -72,7 +75,7 @@ def dbc_text(bus: Bus) -> str:
             _dbc_signals(db, frame),
             comment=_plain(frame.description) or None,
             senders=[frame.producer],
-            # The attribute counts whole milliseconds; the CAN map has the exact period.
+            # The DBC attribute has whole milliseconds. The CAN map has the exact period.
             cycle_time=max(1, min(round(frame.period * 1000), 0xFFFF)) if frame.period else None,
             strict=True,
             sort_signals=None,
@@ -125,7 +128,11 @@ def _dbc_signals(db: Any, frame: FrameDefinition) -> list[Any]:
 
 
 def _limits(signal: Signal) -> tuple[float | None, float | None]:
-    """Return both limits or none: DBC writes 0 for a missing one beside an existing one."""
+    """Return both limits of a signal, or ``None`` for both if the signal has no limits.
+
+    The DBC format has no way to omit only one limit: a missing limit would be written as 0. A
+    missing limit is therefore computed from the length of the signal.
+    """
     if signal.minimum is None and signal.maximum is None:
         return None, None
     first, last = (
@@ -152,9 +159,10 @@ def _plain(text: str) -> str:
 def _cantools_database() -> Any:
     """Return the package ``cantools.database`` without the other imports of ``cantools``.
 
-    The top package also imports its bus tester, and with it python-can, asyncio
-    and ssl: two thirds of the time, and a bus library in a compiler.  So the top package is
-    registered without running it.  It runs at the first access to one of its names.
+    The package ``cantools`` also imports its bus tester. The bus tester imports python-can, asyncio
+    and ssl, which take two thirds of the import time, and a compiler does not need a bus library.
+    This function therefore registers ``cantools`` in ``sys.modules`` without executing the package.
+    The first access to another name of ``cantools`` executes the package.
     """
     spec = importlib.util.find_spec("cantools") if "cantools" not in sys.modules else None
     if spec is not None and spec.loader is not None:

@@ -1,7 +1,7 @@
 """The device configuration file (DCF, CiA 306) of a node: its objects and their required values.
 
-The project has its own writer because other writers add the current date, and builds must be the
-same bytes every time.
+The project has its own DCF writer because other writers add the current date. Two builds of the
+same robot must have the same bytes.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ VARIABLE, ARRAY, RECORD = 0x7, 0x8, 0x9
 
 
 def described(bus: Bus) -> list[Node]:
-    """Return the nodes whose object dictionary is known."""
+    """Return the nodes of a bus whose object dictionary is known."""
     return [node for node in bus.nodes if node.objects]
 
 
 def dcf_text(bus: Bus, node: Node) -> str:
-    """Return the DCF of a node.  Numbers are decimal, identifiers hexadecimal."""
+    """Return the text of the DCF of a node.
+
+    Numbers are written as decimal numbers. Identifiers are written as hexadecimal numbers.
+    """
     in_pdo = {
         (index, subindex): frame.producer != node.name
         for frame in bus.frames
@@ -136,8 +139,8 @@ def _variable(entry: ObjectValue, in_pdo: dict[tuple[int, int], bool]) -> list[t
     ]
     if entry.value is not None:
         number = _hexadecimal(entry.value) if entry.type == "unsigned32" else str(entry.value)
-        # Read-only values identify the node: they are defaults.  The others are written to the
-        # node.
+        # A read-only value identifies the node, so the DCF has the value as a default. All other
+        # values are written to the node.
         rows.append(("DefaultValue" if entry.access == "ro" else "ParameterValue", number))
     return rows
 

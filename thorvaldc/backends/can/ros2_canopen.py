@@ -1,6 +1,7 @@
-"""`bus.yml` for ros2_canopen: the nodes with their DCFs, with heartbeats.
+"""The file `bus.yml` for ros2_canopen, with the nodes, their DCFs and heartbeats.
 
-Heartbeats are off by default in ros2_canopen.  Without them, drives continue when the master dies.
+The file turns on heartbeats, because heartbeats are off by default in ros2_canopen. Without
+heartbeats, the drives continue to run when the CANopen master stops working.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterator
 from thorvaldc.backends.can.dcf import described
 from thorvaldc.model.bus import Bus, Node
 
-# Quantity of ros2_canopen by the unit of a signal.
+# Name of the physical quantity in ros2_canopen, by the unit of a signal.
 SCALES = {"rad": "pos", "rad/s": "vel"}
 MODES = {1: "position_mode", 8: "position_mode", 3: "velocity_mode", 9: "velocity_mode"}
 NO_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
@@ -18,7 +19,10 @@ MODE_OF_OPERATION, AXIS = 0x6060, 0x800
 
 
 def bus_yml(bus: Bus) -> str:
-    """Return the text for a bus; all other settings of a node are in its DCF."""
+    """Return the text of `bus.yml` for a bus.
+
+    The DCF of a node contains all settings that are not in `bus.yml`.
+    """
     lines = [
         "# Made by thorvaldc; changes are lost. Never tried on physical hardware.",
         "options:",
@@ -78,7 +82,10 @@ def _node(bus: Bus, node: Node) -> Iterator[str]:
 
 
 def _axes(bus: Bus, node: Node) -> Iterator[str]:
-    """Yield modes and scales of a CiA 402 drive, for each axis if it has several."""
+    """Yield the lines with the modes and scales of a CiA 402 drive.
+
+    A drive with several axes has a group of lines for each axis.
+    """
     axes = [list(_axis(bus, node, number)) for number in range(len(node.channels))]
     if len(axes) == 1:
         yield from axes[0]
@@ -118,12 +125,18 @@ def _axis(bus: Bus, node: Node, number: int) -> Iterator[str]:
 
 
 def _key(name: str) -> str:
-    """Return a key that YAML 1.1, the version of ros2_canopen, does not read as a truth value."""
+    """Return the name as a YAML key, in quotes if YAML 1.1 would read the name as true or false.
+
+    The program ros2_canopen reads YAML 1.1.
+    """
     return f'"{name}"' if name in NO_TEXT else name
 
 
 def _heartbeat(bus: Bus, producer: str) -> float | None:
-    """Return the heartbeat period in s of the master or a node."""
+    """Return the heartbeat period of the master or a node in s.
+
+    Returns ``None`` if the producer sends no heartbeat.
+    """
     return next(
         (f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == producer), None
     )
