@@ -1,1 +1,1 @@
-"""The command line ``thorvaldc``."""
+"""The command line program ``thorvaldc``."""

@@ -1,4 +1,7 @@
-"""The command table: name, function, one line of help, in the order of ``thorvaldc --help``."""
+"""The command table: name, function and help text of each command.
+
+The commands have the order of ``thorvaldc --help``.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,8 @@ CAN = (
         "Show frames, bus load and node states; sends nothing.",
     ),
 )
-# Options of `scenario`, `batch` and `replay`, which were parts of `sim`.
+# Options of the commands `scenario`, `batch` and `replay`. The command `sim` still accepts these
+# options, because `scenario`, `batch` and `replay` were parts of `sim` in the past.
 OLD_SIM_OPTIONS = (
     *("--scenario", "--junit", "--replay", "--set", "--variations"),
     *("--draws", "--seed", "--jobs", "--output"),
@@ -85,7 +89,7 @@ app = typer.Typer(
     help="A compiler for modular robots: robot.yaml in; URDF, MJCF, ROS 2 parameters and a CAN"
     " map out.",
     no_args_is_help=True,
-    # Plain help: the import of rich takes longer than the rest of --help.
+    # The help is plain text, because the import of rich takes longer than the rest of --help.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -1,4 +1,4 @@
-"""Access to one bus of a robot for the commands ``can scan``, ``plan``, ``flash``, ``verify``."""
+"""Access to a CAN bus of a robot for the commands ``can scan``, ``plan``, ``flash``, ``verify``."""
 
 from __future__ import annotations
 
@@ -38,9 +38,11 @@ UNTESTED = (
 
 @dataclass
 class BusAccess:
-    """A robot, one of its buses, and the only CANopen master on this bus.
+    """Access of a command to one CAN bus of a robot.
 
-    ``virtual_operator`` carries out manual steps on simulated devices.
+    - ``master``: the CANopen master for the bus. No other CANopen master may be on the bus.
+    - ``virtual_operator``: carries out the manual steps on simulated devices. ``None`` means that a
+      person carries out the manual steps.
     """
 
     robot: Robot
@@ -54,7 +56,10 @@ class BusAccess:
         return Scanner(self.master, self.configuration, self.show_progress)
 
     def make_plan(self) -> Plan:
-        """Raises ``DiagnosticError`` if another master is on the bus."""
+        """Scans the bus and returns the plan for commissioning the bus.
+
+        Raises ``DiagnosticError`` if another CANopen master is on the bus.
+        """
         scan = self.scanner().active(texts=False)
         self.bar.clear()
         if scan.masters:
@@ -82,7 +87,10 @@ class BusAccess:
 def with_bus(
     file: str, spec: str, store: str, library: Sequence[str], work: Callable[[BusAccess], int]
 ) -> int:
-    """Loads the robot, opens the bus and calls ``work``; prints its ``DiagnosticError``."""
+    """Loads the robot, opens the bus and returns the exit status of ``work``.
+
+    If ``work`` raises a ``DiagnosticError``, the diagnostic is printed.
+    """
     loaded = load_robot(file, library)
     if loaded is None:
         return INPUT
@@ -124,7 +132,7 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
             f"{name!r} is neither virtual nor virtual:delivered", param_hint="'--bus'"
         )
     check_full_installation("`--bus virtual`")
-    # The runtime alone has no simulation.
+    # The import is here, because the runtime package has no simulation.
     from thorvaldc.cli.virtual_robot import read_store
     from thorvaldc.simulation.bus.device_memory import write_memory
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

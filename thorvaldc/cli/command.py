@@ -1,4 +1,7 @@
-"""Commands that are loaded when they are called, with parameters that are plain text."""
+"""Commands of the command line that are loaded only when they are called.
+
+All parameters of the commands are plain text, lists of text or flags.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +22,12 @@ PACKAGE = "thorvaldc.cli.commands"
 
 
 class CommandEntry(NamedTuple):
-    """A row of the command table.
+    """A row of the command table for one command.
 
-    ``target`` is ``module:function`` in the package ``thorvaldc.cli.commands``.  ``help`` is one
-    line for the list of commands and for the command's own help.  ``hidden_options`` are accepted
-    but not shown in the help.
+    - ``target``: function of the command as ``module:function`` in the package
+      ``thorvaldc.cli.commands``.
+    - ``help``: help text on one line, for the list of commands and for the help of the command.
+    - ``hidden_options``: options that the command accepts but its help does not show.
     """
 
     name: str
@@ -34,7 +38,7 @@ class CommandEntry(NamedTuple):
 
 
 class GroupEntry(NamedTuple):
-    """A row of the command table for a group of commands such as ``thorvaldc can``."""
+    """A row of the command table for a group of commands, such as ``thorvaldc can``."""
 
     name: str
     commands: tuple[CommandEntry, ...]
@@ -43,7 +47,7 @@ class GroupEntry(NamedTuple):
 
 
 class _PlainText:
-    """Returns text, lists of text and flags without conversion."""
+    """A parameter type of typer that returns text, lists of text and flags without conversion."""
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
         if value is None or isinstance(value, str | bool):
@@ -60,9 +64,10 @@ def _without_conversion(parameters: list[Any]) -> list[Any]:
 class LightCommand(TyperCommand):
     """A command whose parameters are text, lists of text and flags.
 
-    Typer converts parameters with pydantic.  The import of pydantic takes longer than the
-    compilation of a robot, and text needs no conversion (``--help``: 172 ms, with pydantic
-    333 ms).  A typer version that does not use ``_runtime_param`` ignores it.
+    Typer converts parameters with pydantic. The import of pydantic takes longer than the
+    compilation of a robot: ``--help`` takes 172 ms without pydantic and 333 ms with pydantic. Text
+    needs no conversion, so a light command sets ``_runtime_param`` to avoid pydantic. A typer
+    version without ``_runtime_param`` ignores the value.
     """
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -70,7 +75,7 @@ class LightCommand(TyperCommand):
 
 
 class LazyGroup(TyperGroup):
-    """A group that imports the module of a command only when this command is called.
+    """A group of commands that imports the module of a command only when the command is called.
 
     The help of the group needs only the table ``entries``.
     """
@@ -80,7 +85,7 @@ class LazyGroup(TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self._entries = {entry.name: entry for entry in self.entries}
-        # TyperGroup suggests names from here for a command that does not exist.
+        # TyperGroup suggests a name from ``commands`` if a user calls an unknown command.
         self.commands: Any = dict.fromkeys(self._entries)
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -110,12 +115,12 @@ class LazyGroup(TyperGroup):
 
 
 def lazy_group(table: tuple[CommandEntry | GroupEntry, ...]) -> type[LazyGroup]:
-    """Returns the class of a group with these commands."""
+    """Returns a group class for the commands of a table."""
     return type("CommandGroup", (LazyGroup,), {"entries": table})
 
 
 def load_command(entry: CommandEntry) -> Any:
-    """Imports the command's module and builds the command from the function's signature."""
+    """Imports the module of a command and builds the command from the signature of its function."""
     module, function = entry.target.split(":")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     declare = app.command(entry.name, cls=LightCommand, help=entry.help, hidden=entry.hidden)
@@ -127,7 +132,10 @@ def load_command(entry: CommandEntry) -> Any:
 
 
 def guarded(function: Callable[P, int]) -> Callable[P, None]:
-    """Ends the process with the function's result, or with the exit status of its exception."""
+    """Returns a function that ends the process with the exit status of ``function``.
+
+    An exception of ``function`` is converted to an exit status by ``protect``.
+    """
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> None:

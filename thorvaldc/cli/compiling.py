@@ -1,4 +1,4 @@
-"""Compiles a file for a command and prints its diagnostics."""
+"""Compilation of a file for a command, with its diagnostics on stderr."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ def compile_and_show(
 ) -> Compilation:
     """Compiles a file and prints its diagnostics on stderr.
 
-    ``robot`` replaces the robot of a scenario; ``changes`` replace values of a scenario.
+    - ``robot``: path of a robot file that replaces the robot of a scenario.
+    - ``changes``: values that replace values of a scenario.
     """
     compilation = compile_file(file, library=library_folders(library), robot=robot, changes=changes)
     show_report(compilation.report, compilation.sources)

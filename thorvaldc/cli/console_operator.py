@@ -8,7 +8,7 @@ from thorvaldc.commissioning.plan import AttachStep
 
 
 class ConsoleOperator:
-    """Prints each manual step and waits for the Enter key."""
+    """Prints each manual step and waits until the person presses the Enter key."""
 
     def attach(self, step: AttachStep, words: str) -> bool:
         return self._confirm(f"{words} Press Enter when it is done, or type `skip`. ")
@@ -22,7 +22,7 @@ class ConsoleOperator:
 
 
 def agrees(question: str) -> bool:
-    """Asks a yes-or-no question; no answer is a no."""
+    """Asks a yes-or-no question and returns true for yes. An empty answer means no."""
     return _read_answer(f"{question} [y/N] ").strip().lower() in ("y", "yes")
 
 

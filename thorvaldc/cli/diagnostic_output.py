@@ -1,4 +1,4 @@
-"""Prints diagnostics and results: coloured on a terminal, plain elsewhere, or machine-readable."""
+"""Output of diagnostics and results, as coloured or plain text or in a machine-readable format."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORMATS = ("text", "json", "github", "sarif")
 
 
 def check_format(name: str) -> None:
-    """Raises ``typer.BadParameter`` for an unknown format."""
+    """Raises ``typer.BadParameter`` if the output format is unknown."""
     if name not in FORMATS:
         raise typer.BadParameter(
             f"{name!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
@@ -31,10 +31,11 @@ def check_format(name: str) -> None:
 
 
 class DiagnosticOutput:
-    """Collects the reports of a command's files and prints them in the requested format.
+    """Collects the reports of a command and prints them in the requested format.
 
-    As text, each report goes to ``stream`` immediately, and result lines go to stdout.  In the
-    machine formats, all diagnostics go to stdout as one document at the end.
+    In the format ``text``, each report is printed on ``stream`` immediately, and result lines are
+    printed on stdout. In the formats ``json``, ``github`` and ``sarif``, all diagnostics are
+    printed on stdout as one document at the end.
     """
 
     def __init__(self, format: str, stream: TextIO) -> None:
@@ -52,18 +53,18 @@ class DiagnosticOutput:
             text = render_text(
                 report, sources, color=has_color(self.stream), width=width_of(self.stream)
             )
-            # render_text ends with a blank line for the count, which `finish` does not print
-            # for diagnostics from outside.
+            # The text of render_text ends with a blank line before the count of errors. The method
+            # ``finish`` prints no count for errors outside of thorvaldc.
             outside = all(diagnostic.code.outside for diagnostic in report)
             print(text.rstrip("\n") if outside else text, file=self.stream)
 
     def result(self, line: str) -> None:
-        """Prints a result line; machine formats leave it out."""
+        """Prints a result line on stdout if the output format is ``text``."""
         if self.format == "text":
             print(line)
 
     def finish(self, strict: bool = False, builds: list[dict[str, Any]] | None = None) -> int:
-        """Prints the counts or the machine-readable document; returns the exit status."""
+        """Prints the error counts or the machine-readable document, and returns the exit status."""
         errors, warnings = len(self._all.errors), len(self._all.warnings)
         outside = [diagnostic for diagnostic in self._all.errors if diagnostic.code.outside]
         if self.format == "text" and len(outside) < len(self._all):
@@ -82,44 +83,51 @@ class DiagnosticOutput:
 
 
 def show_report(report: Report, sources: Mapping[str, Path]) -> int:
-    """Prints a report on stderr; returns the exit status."""
+    """Prints the diagnostics of a report on stderr and returns the exit status."""
     output = DiagnosticOutput("text", sys.stderr)
     output.add(report, sources)
     return output.finish()
 
 
 def report_of(error: DiagnosticError) -> Report:
-    """Returns a report with the diagnostic of the exception."""
+    """Returns a report that contains the diagnostic of the exception."""
     report = Report()
     report.put(error.diagnostic)
     return report
 
 
 def has_color(stream: TextIO) -> bool:
-    """Whether the terminal shows colours and the user permits them (no-color.org)."""
+    """Returns whether the output may be coloured.
+
+    The output is coloured on a terminal. The environment variables ``NO_COLOR`` and ``TERM=dumb``
+    turn colours off (no-color.org), and ``FORCE_COLOR`` turns colours on.
+    """
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return False
     return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()
 
 
 def width_of(stream: TextIO) -> int:
-    """Columns of the terminal; 100 for other streams."""
+    """Returns the number of columns of the terminal, or 100 if the stream is no terminal."""
     return shutil.get_terminal_size((100, 24)).columns if stream.isatty() else 100
 
 
 def message(text: str) -> None:
-    """Prints a line for the user on stderr; results go to stdout."""
+    """Prints a line for the user on stderr, because stdout is for results."""
     print(text, file=sys.stderr)
 
 
 def print_json(value: Any, *, one_line: bool = False) -> None:
-    """Prints a result as JSON."""
+    """Prints a result as JSON on stdout."""
     indent = None if one_line else 1
     print(json.dumps(finite(value), indent=indent, ensure_ascii=False), flush=one_line)
 
 
 def print_table(rows: Iterable[tuple[str, str]]) -> None:
-    """Prints names and texts; wraps the texts to the terminal, aligned in the second column."""
+    """Prints a table with two columns: names and texts.
+
+    Long texts are wrapped to the width of the terminal.
+    """
     rows = list(rows)
     indent = max((len(name) for name, _ in rows), default=0) + 2
     width = max(width_of(sys.stdout), indent + 30)
@@ -131,5 +139,5 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
 
 
 def count(number: int, noun: str) -> str:
-    """Returns ``1 error``, ``2 errors``."""
+    """Returns a number with a noun in singular or plural, such as ``1 error`` or ``2 errors``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,4 +1,4 @@
-"""Runs of a robot or fleet that drives a twist or a manoeuvre, for the command ``sim``."""
+"""Simulated runs for the command ``sim``: a robot or fleet drives a twist or a manoeuvre."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thorvaldc.simulation.run_result import result_table
 from thorvaldc.simulation.simulation_run import Simulation
 
 TWIST_DURATION = 5.0
-"""s of a twist without ``--duration``."""
+"""Duration in s of a run with a twist and without the option ``--duration``."""
 
 
 def run_drive(
@@ -39,9 +39,12 @@ def run_drive(
     log: str,
     json: bool,
 ) -> int:
-    """Drives ``twist`` (empty: the manoeuvre of the robot) and prints the result.
+    """Drives a robot or fleet in simulation, prints the result and returns the exit status.
 
-    ``duration`` is in s; 0: the default.  ``record`` and ``log`` may be empty.
+    - ``twist``: text of the commanded twist. If empty, the robot drives its demonstration
+      manoeuvre.
+    - ``duration``: duration in s. The value 0 selects the default duration.
+    - ``record``, ``log``: paths of the record and the joint log. An empty path writes no file.
     """
     gc.enable()
     report = Report()

@@ -1,4 +1,4 @@
-"""Exit statuses, and the conversion of expected exceptions to one line and a status."""
+"""Exit statuses of the program, and the conversion of expected exceptions to an exit status."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-# 1: errors in the input.  2: usage.  3: a failure outside of thorvaldc, such as a disk, a display
-# or a bus.  70: an error in thorvaldc.
+# Exit status 1 means errors in the input, and 2 means wrong usage. Exit status 3 means a failure
+# outside of thorvaldc, such as a disk, a display or a bus. Exit status 70 means an error in
+# thorvaldc.
 DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
@@ -20,16 +21,16 @@ TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
 
 
 class OutsideError(Exception):
-    """A disk, a display, a bus or an installation failed; the message is one line."""
+    """A failure of a disk, a display, a bus or an installation, with a message on one line."""
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived while the process has files or devices to close."""
+    """The process received SIGTERM while files or devices must be closed."""
 
 
 @contextmanager
 def closing_when_terminated() -> Iterator[None]:
-    """Handles SIGTERM like Ctrl-C within the block, so that open files are closed."""
+    """Raises ``Terminated`` on SIGTERM within the block, so that open files are closed."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise Terminated
@@ -45,7 +46,10 @@ def closing_when_terminated() -> Iterator[None]:
 
 
 def protect(work: Callable[[], int]) -> int:
-    """Calls ``work``; converts each expected exception to one line on stderr and a status."""
+    """Calls ``work`` and returns the exit status.
+
+    An expected exception of ``work`` is converted to one line on stderr and an exit status.
+    """
     interrupts = _watch_interrupts()
     try:
         status = work()
@@ -57,7 +61,8 @@ def protect(work: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # The reader of our output is gone: print nothing, here and at the end of the interpreter.
+        # The program that reads the output has ended. Redirecting stdout to the null device avoids
+        # a second error when Python flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BROKEN_PIPE
     except OutsideError as error:
@@ -65,14 +70,15 @@ def protect(work: Callable[[], int]) -> int:
     except OSError as error:
         return _fail(f"error: {_one_line(error)}", OUTSIDE)
     except Exception:
-        # A package that is interrupted during its import may raise another exception instead.
+        # If Ctrl-C interrupts the import of a package, the package may raise another exception
+        # instead of KeyboardInterrupt.
         if interrupts.occurred:
             return _interrupted()
         raise
 
 
 class _Interrupts:
-    """A handler of SIGINT that does what Python does and remembers the signal."""
+    """A handler of SIGINT that raises ``KeyboardInterrupt`` and remembers that the signal occurred."""
 
     def __init__(self) -> None:
         self.occurred = False
@@ -93,10 +99,12 @@ def _watch_interrupts() -> _Interrupts:
 
 
 def _interrupted() -> int:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C finds the process ending
-    # CPython remembers a KeyboardInterrupt that passed through code made from text, such as
-    # dataclasses, and ends the process by the signal instead of our status.  Any other code made
-    # from text clears this.
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # the process already ends, so ignore a second Ctrl-C
+    # CPython remembers a KeyboardInterrupt that passed through code compiled from text, such as the
+    # methods of dataclasses. CPython then ends the process with the signal instead of the exit
+    # status. Executing other code from text clears the remembered KeyboardInterrupt.
     exec("pass")
     return _fail("interrupted", INTERRUPTED)
 
@@ -108,7 +116,7 @@ def _fail(line: str, status: int) -> int:
 
 
 def show_traceback() -> None:
-    """Prints the traceback if the environment variable requests it."""
+    """Prints the traceback if the environment variable ``THORVALDC_TRACEBACK`` is set."""
     if os.environ.get(TRACEBACK_VARIABLE):
         traceback.print_exc()
 

@@ -1,4 +1,4 @@
-"""The warning before a command drives hardware."""
+"""The warning that a command prints before the command drives hardware."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from thorvaldc.cli.diagnostic_output import message
 from thorvaldc.runtime.run_session import UNTESTED
 
 SIMULATED = ("virtual", "sim", "udp")
-"""Kinds of CAN interfaces behind which there is no hardware."""
+"""Kinds of CAN interfaces that are not connected to hardware."""
 
 
 def is_hardware(interface: str) -> bool:
-    """Whether ``socketcan:can0`` and the like lead to hardware."""
+    """Returns whether a CAN interface such as ``socketcan:can0`` is connected to hardware."""
     return interface.partition(":")[0] not in SIMULATED
 
 
 def warn_once() -> None:
-    """Prints the warning, once for each user."""
+    """Prints the warning about untested hardware, but only once for each user."""
     folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     mark = folder / "thorvaldc" / "untried-told"
     if mark.exists():

@@ -1,7 +1,7 @@
-"""Which part of thorvaldc is installed: all of it, or the runtime alone (`thorvaldc-runtime`).
+"""Detection of the installed package: all of thorvaldc, or only the runtime (`thorvaldc-runtime`).
 
-The computer of a robot needs neither the compiler nor the simulation.  The runtime wheel has the
-packages ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics``, ``cli``,
+The computer of a robot needs neither the compiler nor the simulation. The runtime wheel contains
+the packages ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics``, ``cli``,
 ``tools.monitor`` and ``tools.teleoperation``.
 """
 
@@ -14,12 +14,12 @@ from thorvaldc.cli.exits import OutsideError
 
 
 def is_runtime_only() -> bool:
-    """Whether the compiler and the simulation are missing."""
+    """Returns whether only the runtime is installed, without the compiler and the simulation."""
     return find_spec("thorvaldc.compiler") is None
 
 
 def require_full_installation(feature: str) -> NoReturn:
-    """Raises ``OutsideError`` for a feature that the runtime alone does not have."""
+    """Raises ``OutsideError`` for a feature that needs the compiler or the simulation."""
     raise OutsideError(
         f"{feature} is not available: this installation is the runtime alone;"
         " `pip install thorvaldc` installs the rest"
@@ -27,6 +27,6 @@ def require_full_installation(feature: str) -> NoReturn:
 
 
 def check_full_installation(feature: str) -> None:
-    """Raises ``OutsideError`` where the compiler and the simulation are not installed."""
+    """Raises ``OutsideError`` if only the runtime is installed."""
     if is_runtime_only():
         require_full_installation(feature)

@@ -1,4 +1,4 @@
-"""The entry point of the ``thorvaldc`` command."""
+"""The entry point of the ``thorvaldc`` program."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from thorvaldc.cli.exits import DONE, INTERNAL, TRACEBACK_VARIABLE, protect, sho
 
 
 def run() -> None:
-    """Runs the command of ``sys.argv`` and ends the process with its status."""
-    # A short command allocates a few megabytes and keeps most of them: garbage collection would
-    # take a sixth of its time.  Commands that run for long enable it again.
+    """Runs the command in ``sys.argv`` and ends the process with the exit status of the command."""
+    # A short command allocates a few megabytes and keeps most of the memory. Garbage collection
+    # would take a sixth of the time of a short command. Long commands enable garbage collection
+    # again.
     gc.disable()
     for stream in (sys.stdout, sys.stderr):
-        # A name in another alphabet must not fail on a terminal that cannot show it.
+        # Printing a character that the terminal cannot show must not raise an error.
         if stream is not None and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -32,9 +33,9 @@ def run() -> None:
 
 
 def run_command() -> int:
-    """Runs the command of ``sys.argv`` in this process and returns its exit status.
+    """Runs the command in ``sys.argv`` in this process and returns its exit status.
 
-    Raises exceptions that are errors of thorvaldc itself.
+    An exception that leaves this function is an error in thorvaldc itself.
     """
     return protect(_call_app)
 
@@ -48,7 +49,7 @@ def _call_app() -> int:
 
 
 def _flush_quietly() -> None:
-    """Drops buffered output if the reader is gone or the disk is full."""
+    """Flushes stdout, and drops the buffered output if stdout is closed or the disk is full."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()

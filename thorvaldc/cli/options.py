@@ -1,4 +1,4 @@
-"""Options that several commands share, and the parsers of their text."""
+"""Command-line options that several commands share, and the parsers of their text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from thorvaldc.model.require_bus import require_bus
 T = TypeVar("T")
 
 LONGEST = 86400.0
-"""s.  A longer duration is a typing error."""
+"""Longest duration in s that a user can request. A longer duration is probably a typing error."""
 
 RobotFile = Annotated[
     str, typer.Argument(metavar="FILE", help="A robot.yaml, or the model.json of a build.")
@@ -150,9 +150,10 @@ _SECONDS = {
 
 
 def parse_time(text: str) -> float:
-    """Returns the seconds of ``5``, ``5 s``, ``300 ms``, ``2 min``.  Raises ``ValueError``.
+    """Returns the seconds of a text such as ``5``, ``5 s``, ``300 ms`` or ``2 min``.
 
-    The compiler has a parser for all units; the runtime is installed without the compiler.
+    Raises ``ValueError`` if the text is no time. The compiler has another parser for all units, but
+    the runtime can be installed without the compiler.
     """
     match = _TIME.fullmatch(text.strip())
     if match is None or match[2] not in _SECONDS:
@@ -162,7 +163,10 @@ def parse_time(text: str) -> float:
 
 
 def parse_duration(text: str, option: str, least: float = 0.0) -> float:
-    """Returns a duration in s, at most one day.  Raises ``typer.BadParameter``."""
+    """Returns a duration in s.
+
+    Raises ``typer.BadParameter`` if the duration is not between ``least`` s and one day.
+    """
     seconds = parsed(text, parse_time, option)
     if not (seconds > 0.0 and least <= seconds <= LONGEST):
         raise typer.BadParameter(
@@ -172,9 +176,10 @@ def parse_duration(text: str, option: str, least: float = 0.0) -> float:
 
 
 def parse_record_time(text: str) -> float:
-    """Returns a time in s from the start of a record; infinite for empty text.
+    """Returns a time in s from the start of a record.
 
-    Raises ``ValueError``.
+    An empty text gives an infinite time. Raises ``ValueError`` if the text is no time or the time
+    is negative.
     """
     if not text:
         return math.inf
@@ -185,7 +190,10 @@ def parse_record_time(text: str) -> float:
 
 
 def parse_seed(text: str) -> int | None:
-    """Returns the seed of ``--seed``; ``None`` for empty text.  Raises ``typer.BadParameter``."""
+    """Returns the seed from the option ``--seed``, or ``None`` for empty text.
+
+    Raises ``typer.BadParameter`` if the text is no whole number.
+    """
     if not text:
         return None
     try:
@@ -195,7 +203,11 @@ def parse_seed(text: str) -> int | None:
 
 
 def parse_count(text: str, option: str, least: int) -> int | None:
-    """Returns a whole number; ``None`` for empty text.  Raises ``typer.BadParameter``."""
+    """Returns a whole number from an option, or ``None`` for empty text.
+
+    Raises ``typer.BadParameter`` if the text is no whole number or the number is less than
+    ``least``.
+    """
     if not text:
         return None
     if not (text.isascii() and text.isdigit() and int(text) >= least):
@@ -206,7 +218,10 @@ def parse_count(text: str, option: str, least: int) -> int | None:
 
 
 def parsed(text: str, parse: Callable[[str], T], option: str) -> T:
-    """Returns ``parse(text)``; raises ``typer.BadParameter`` for its ``ValueError``."""
+    """Returns the result of ``parse(text)``.
+
+    A ``ValueError`` from ``parse`` becomes a ``typer.BadParameter`` that names the option.
+    """
     try:
         return parse(text)
     except ValueError as error:
@@ -214,14 +229,14 @@ def parsed(text: str, parse: Callable[[str], T], option: str) -> T:
 
 
 def refuse_options(options: Mapping[str, object], reason: str) -> None:
-    """Raises ``typer.BadParameter`` for the first option that is set."""
+    """Raises ``typer.BadParameter`` if any of the options is set."""
     for option, value in options.items():
         if value:
             raise typer.BadParameter(reason, param_hint=f"'{option}'")
 
 
 def check_physics(physics: str) -> None:
-    """Raises ``typer.BadParameter``."""
+    """Raises ``typer.BadParameter`` if ``physics`` is neither ``ideal`` nor ``mujoco``."""
     if physics not in ("ideal", "mujoco"):
         raise typer.BadParameter(
             f"{physics!r} is neither ideal nor mujoco", param_hint="'--physics'"
@@ -229,7 +244,10 @@ def check_physics(physics: str) -> None:
 
 
 def library_folders(names: Sequence[str], option: str = "'--library'") -> list[Path]:
-    """Raises ``typer.BadParameter`` for a folder that does not exist."""
+    """Returns the paths of the library folders.
+
+    Raises ``typer.BadParameter`` for a folder that does not exist.
+    """
     for name in names:
         if not Path(name).is_dir():
             raise typer.BadParameter(f"there is no folder {name!r}", param_hint=option)
@@ -237,10 +255,12 @@ def library_folders(names: Sequence[str], option: str = "'--library'") -> list[P
 
 
 def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
-    """Returns the bus that ``--bus`` selects and its interface: ``left=socketcan:can0``.
+    """Returns the bus and the CAN interface that the option ``--bus`` selects.
 
-    A robot with one bus needs no name.  Raises ``DiagnosticError`` for a robot without a bus,
-    ``typer.BadParameter`` if the selection is ambiguous.
+    For a robot with several buses, ``--bus`` must name the bus and its interface, as in
+    ``left=socketcan:can0``. For a robot with one bus, ``--bus`` needs only the interface. Raises
+    ``DiagnosticError`` for a robot without a bus. Raises ``typer.BadParameter`` if the bus is not
+    named or does not exist.
     """
     require_bus(robot)
     buses = {bus.name: bus for bus in robot.buses}

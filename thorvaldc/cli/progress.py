@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING
 
 from thorvaldc.cli.diagnostic_output import width_of
 
-if TYPE_CHECKING:  # the runtime alone has no simulation
+if TYPE_CHECKING:  # the runtime package has no simulation
     from thorvaldc.simulation.control_loop import ControlLoop
 
 BAR_WIDTH = 30  # characters
 
 
 class Progress:
-    """A progress bar on a terminal; prints nothing elsewhere.  ``label`` stands before the bar."""
+    """A progress bar on stderr. The bar is shown only on a terminal.
+
+    - ``total``: value at which the progress bar is full.
+    - ``label``: text before the progress bar.
+    """
 
     def __init__(self, total: float, unit: str = "s", label: str = "") -> None:
         self.total = total
@@ -25,22 +29,22 @@ class Progress:
         self._shown_percent = -1
 
     def show(self, value: float) -> None:
-        """Shows ``value`` of the total."""
+        """Shows the progress ``value`` as a part of the total."""
         percent = int(100 * min(value / self.total, 1.0)) if self.active else self._shown_percent
         if percent != self._shown_percent:
             self._shown_percent = percent
             bar = f"[{'#' * (percent * BAR_WIDTH // 100):<{BAR_WIDTH}}]"
             number = f"{value:.1f}" if self.unit == "s" else f"{value:.0f}"
             line = f"{self.label}{bar} {percent:3d} %  {number} of {self.total:g} {self.unit}"
-            # A line that wraps into the next one could not be erased.
+            # The text is cut at the width of the terminal, because a wrapped line cannot be erased.
             print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
 
     def watch(self, loop: ControlLoop) -> None:
-        """Shows the simulated time of a run."""
+        """Shows the simulated time of a run as the progress."""
         self.show(loop.driver.state.time)
 
     def clear(self) -> None:
-        """Erases the bar."""
+        """Erases the progress bar."""
         if self._shown_percent >= 0:
             self._shown_percent = -1
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -32,7 +32,11 @@ def replay_run(
     record: str,
     json: bool,
 ) -> int:
-    """Prints and draws the recorded run ``source``; ``record`` converts it to another format."""
+    """Prints the result of a recorded run, draws its pictures and returns the exit status.
+
+    - ``source``: path of the record.
+    - ``record``: path for a copy of the record in another format. An empty path writes no copy.
+    """
     robots = _robots_of(model)
     runs, status = _read_record(source, robots, for_plot=bool(pictures.plot))
     if runs is None:
@@ -61,10 +65,10 @@ def replay_run(
 def arrangement(
     model: Robot | Fleet, source: str, time: float
 ) -> Callable[[MujocoScene], None] | None:
-    """Returns a function that moves the robots of a scene to their poses at ``time`` (s).
+    """Returns a function that moves the robots of a scene to their recorded poses at ``time`` (s).
 
-    A time after the end of the record means the end.  Returns ``None`` after errors of the record
-    were printed.
+    A time after the end of the record selects the end of the record. Returns ``None`` if the record
+    has errors. The errors are printed.
     """
     robots = _robots_of(model)
     runs, _ = _read_record(source, robots, for_plot=False)
@@ -88,7 +92,7 @@ def _robots_of(model: Robot | Fleet) -> Robots:
 def _read_record(
     source: str, robots: Robots, *, for_plot: bool
 ) -> tuple[dict[str, RecordedRun] | None, int]:
-    """Returns the runs by robot and the exit status of the record's diagnostics."""
+    """Returns the recorded runs by robot name, and the exit status of the record's diagnostics."""
     report = Report()
     with write_errors(source):
         runs = read_replay_record(Path(source), robots, report, for_plot=for_plot)
@@ -107,7 +111,7 @@ def _convert_record(record: str, robots: Robots, runs: Mapping[str, RecordedRun]
 def _by_time(
     runs: Mapping[str, RecordedRun],
 ) -> Iterator[tuple[str, Sample, JointCommands | None]]:
-    """Yields the samples of all robots in the order of time."""
+    """Yields the samples of all robots, sorted by time."""
     ticks = (
         [(name, *tick) for tick in zip(run.samples, run.commands, strict=True)]
         for name, run in runs.items()

@@ -1,4 +1,4 @@
-"""Loads the robot of a command from a robot.yaml, or from the model.json of a build."""
+"""Loading of a command's robot from a robot.yaml or from the model.json of a build."""
 
 from __future__ import annotations
 
@@ -18,22 +18,27 @@ from thorvaldc.model.model_json import load_model
 
 
 class LoadedRobot(NamedTuple):
-    """A robot, its source files by name, and ``locate``, which adds spans to a report."""
+    """A robot and its source files.
+
+    - ``sources``: maps the name of each source file to its path.
+    - ``locate``: returns a report with source spans added to the diagnostics.
+    """
 
     robot: Robot
     sources: Mapping[str, Path]
     locate: Callable[[Report], Report]
 
     def show(self, report: Report) -> int:
-        """Prints a report about this robot; returns the exit status."""
+        """Prints the diagnostics of a report about the robot, and returns the exit status."""
         return show_report(self.locate(report), self.sources)
 
 
 def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
-    """Returns the robot; ``None`` after its errors were printed.
+    """Returns the robot of a robot.yaml or model.json.
 
-    Raises ``typer.BadParameter`` for another kind of file, ``OutsideError`` for a robot.yaml
-    where the compiler is not installed.
+    Returns ``None`` if the file has errors. The errors are printed. Raises ``typer.BadParameter``
+    if the file contains no robot. Raises ``OutsideError`` for a robot.yaml if the compiler is not
+    installed.
     """
     if file.endswith(".json"):
         return _load_model_file(Path(file))
@@ -42,7 +47,7 @@ def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
             f"{file} needs the compiler, and this installation is the runtime alone: give the"
             " model.json of a build, or `pip install thorvaldc`"
         )
-    # The runtime alone has no compiler.
+    # The import is here, because the runtime package has no compiler.
     from thorvaldc.cli.compiling import compile_and_show
 
     compilation = compile_and_show(file, library)

@@ -1,4 +1,4 @@
-"""The plot and the video of a run: checked before the run, drawn after it."""
+"""The plot and the video of a run, checked before the run and drawn after the run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from thorvaldc.tools.replay import Replay
 
 @contextmanager
 def picture_errors() -> Iterator[None]:
-    """Converts a missing package or display for pictures to ``OutsideError``."""
+    """Converts the error for a missing package or display to ``OutsideError``."""
     try:
         yield
     except PictureError as error:
@@ -33,10 +33,10 @@ def picture_errors() -> Iterator[None]:
 
 
 def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
-    """Checks before a long run that a file of one of these kinds can be written.
+    """Checks before a long run that the output file of an option can be written.
 
-    Raises ``typer.BadParameter`` for another suffix, ``OutsideError`` for a folder that does not
-    exist or cannot be written.
+    Raises ``typer.BadParameter`` if the file has none of the suffixes. Raises ``OutsideError`` if
+    the folder of the file does not exist or cannot be written.
     """
     target = Path(path)
     if target.suffix.lower().lstrip(".") not in suffixes:
@@ -52,10 +52,11 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
 
 
 class RunPictures:
-    """The plot and the video of a run; an empty path requests none.
+    """The plot and the video of a run. An empty path requests no picture.
 
-    The constructor selects the OpenGL backend, which must happen before MuJoCo is imported.  Pass
-    ``watch`` to the run and call ``write`` after it.
+    The constructor must be called before the import of MuJoCo, because the constructor selects the
+    OpenGL backend. The method ``watch`` must be called in each tick of the run. The method
+    ``write`` draws the pictures after the run.
     """
 
     def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:
@@ -71,14 +72,17 @@ class RunPictures:
             self._video_recorder = _prepare_video(video, ideal)
 
     def watch(self, loop: ControlLoop) -> None:
-        """Keeps the present sample and scene."""
+        """Stores the present sample for the plot and the present scene for the video."""
         if self.plot:
             self._samples.setdefault(loop.name, []).append(loop.sample())
         if self._video_recorder is not None and loop.scene is not None:
             self._video_recorder.on_tick(loop.scene)
 
     def take_record(self, samples: Mapping[str, Sequence[Sample]], replay: Replay | None) -> None:
-        """Takes recorded samples instead of a run; ``replay`` moves the robots for the video."""
+        """Stores the samples of a recorded run for the plot and the video.
+
+        ``replay`` moves the robots of the scene for the video.
+        """
         self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
         if self._video_recorder is not None and replay is not None:
             for _ in replay.times(self._video_recorder.rate):
@@ -90,7 +94,7 @@ class RunPictures:
         robots: Sequence[tuple[str, Robot]],
         files: Mapping[str, bytes] | None,
     ) -> None:
-        """Draws the pictures.  ``files`` is the MJCF of the model."""
+        """Draws the plot and the video. ``files`` contains the MJCF files of the model."""
         with picture_errors():
             if self.plot:
                 plot(dict(robots), self._samples, self.plot, model.name)

@@ -1,4 +1,4 @@
-"""The files that a run writes while it runs: records and joint logs, opened before the run."""
+"""The records and joint logs that a run writes. All files are opened before the run."""
 
 from __future__ import annotations
 
@@ -24,10 +24,14 @@ _UNSUPPORTED_SUFFIXES = (".bag", ".db3", ".json", ".parquet", ".txt")
 def open_recorders(
     record: str, robots: Robots, groups: Sequence[str], every: float, stack: ExitStack
 ) -> Sequence[Recorder]:
-    """Opens the recorder for ``--record``; returns none for an empty path.
+    """Opens the recorder for the option ``--record``.
 
-    ``*.mcap`` is one file for all robots, ``*.csv`` the file of one robot, any other path a folder
-    of CSV files.  ``every`` (s) is the recording period.  ``stack`` closes the recorder.
+    Returns an empty sequence for an empty path. A path that ends in ``.mcap`` is one file for all
+    robots. A path that ends in ``.csv`` is a file for one robot. Any other path is a folder with a
+    CSV file for each robot.
+
+    - ``every``: recording period in s.
+    - ``stack``: closes the recorder at the end of the run.
     """
     if not record:
         return ()
@@ -63,14 +67,18 @@ def _check_path(path: Path, record: str, robot_count: int) -> None:
 
 
 def record_summary(record: str, robots: Robots) -> str:
-    """Returns the names of the files of a record."""
+    """Returns the names of the files of a record as one line."""
     if Path(record).suffix.lower() in (".mcap", ".csv"):
         return record
     return f"{record}: {', '.join(f'{name}.csv' for name, _ in robots)}"
 
 
 def open_joint_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
-    """Opens the joint logs: one robot writes the file ``log``, several write into a folder."""
+    """Opens the joint logs and returns a function that writes the joint states in each tick.
+
+    For one robot, ``log`` is the path of a file. For several robots, ``log`` is the path of a
+    folder.
+    """
     folder = Path(log)
     has_fleet = len(robots) > 1
     writers, paths = {}, {}
@@ -94,7 +102,7 @@ def open_joint_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
 
 
 def call_all(watches: Sequence[TickCallback]) -> TickCallback:
-    """Returns a watch that calls each of ``watches``."""
+    """Returns a function that calls each function in ``watches``."""
 
     def watch(loop: ControlLoop) -> None:
         for call in watches:
@@ -105,7 +113,7 @@ def call_all(watches: Sequence[TickCallback]) -> TickCallback:
 
 @contextmanager
 def write_errors(path: str) -> Iterator[None]:
-    """Converts a file that cannot be written and a missing package to ``OutsideError``."""
+    """Converts the error for an unwritable file or a missing package to ``OutsideError``."""
     try:
         yield
     except MissingPackageError as error:

@@ -28,7 +28,7 @@ from thorvaldc.tools.batch_results import SUFFIXES, ResultFile, results_table, r
 from thorvaldc.tools.scenario_batch import Batch, Run, plan_variations, processors
 
 SHOWN_FAILURES = 10
-"""Number of failed runs whose diagnostics a batch prints."""
+"""Largest number of failed runs whose diagnostics are printed after a batch."""
 
 
 def run_scenario(
@@ -42,7 +42,10 @@ def run_scenario(
     log: str,
     json: bool,
 ) -> int:
-    """Runs a scenario and prints its result; ``record``, ``junit`` and ``log`` may be empty."""
+    """Runs a scenario, prints its result and returns the exit status.
+
+    The paths ``record``, ``junit`` and ``log`` name output files. An empty path writes no file.
+    """
     if junit:
         check_output(junit, ("xml",), "--junit")
     gc.enable()
@@ -79,9 +82,11 @@ def run_scenario(
 def plan_runs(
     scenario: str, settings: Sequence[str], draws: str, seed: str, *, from_document: bool
 ) -> Variations | None:
-    """Returns the variations of ``--set``; ``from_document``: those of the scenario as well.
+    """Returns the variations of a scenario from the options ``--set``.
 
-    Returns ``None`` after errors were printed.  Raises ``typer.BadParameter``.
+    If ``from_document`` is true, the variations in the scenario file are included. Returns ``None``
+    if the scenario has errors. The errors are printed. Raises ``typer.BadParameter`` if an option
+    is wrong or nothing varies.
     """
     for text in settings:
         path, equals, _ = text.partition("=")
@@ -109,7 +114,7 @@ def plan_runs(
 
 
 def single_run(variations: Variations) -> tuple[Change, ...] | None:
-    """Returns the changes of the only run; ``None`` for several runs."""
+    """Returns the changes of the run if there is only one run, and ``None`` for several runs."""
     return next(variations.runs()) if variations.size == 1 else None
 
 
@@ -123,9 +128,10 @@ def run_batch(
     output: str,
     json: bool,
 ) -> int:
-    """Runs all variations and prints the results; ``output`` is a CSV or JSON file, or empty.
+    """Runs all variations of a scenario, prints the results and returns the exit status.
 
-    After Ctrl-C, the results of the finished runs are printed and written.
+    ``output`` is the path of a CSV or JSON file for the results. An empty path writes no file.
+    After Ctrl-C, the results of the completed runs are printed and written.
     """
     gc.enable()
     process_count = parse_count(jobs, "--jobs", 1) or processors()
@@ -148,7 +154,10 @@ def run_batch(
 
 
 def _collect_runs(batch: Batch, process_count: int, output: Path | None, json: bool) -> list[Run]:
-    """Returns the runs in order; prints and writes the finished ones also after an exception."""
+    """Runs all variations and returns the results in the order of the run numbers.
+
+    The results of the completed runs are printed and written even if an exception occurs.
+    """
     runs: list[Run] = []
     bar = Progress(len(batch), "runs")
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""The status of a run on stderr."""
+"""The display of a run's status on stderr."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from thorvaldc.runtime.run_session import RunSession
 from thorvaldc.runtime.runner import BaseRunner
 
 STATUS_PERIOD = 0.2
-"""s between two updates of the status line."""
+"""Time in s between two updates of the status line."""
 
 
 class StatusView:
-    """Prints changes of state, and on a terminal a status line that is overwritten."""
+    """Prints state changes of the driver and, on a terminal, a status line."""
 
     def __init__(self, session: RunSession) -> None:
         self._session = session
@@ -37,7 +37,9 @@ class StatusView:
         self._erase_line()
 
     def watch(self, runner: BaseRunner, state: DriverState) -> None:
-        """Prints new changes of state and updates the status line; called after each cycle."""
+        """Prints new state changes and updates the status line. Must be called after each control
+        cycle.
+        """
         session = self._session
         if runner.changes:
             self._erase_line()

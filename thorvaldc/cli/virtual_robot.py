@@ -1,6 +1,6 @@
 """Simulated robots on virtual buses and in MuJoCo, in the process of a command.
 
-This module needs the compiler and the simulation, which the runtime alone does not have.
+This module needs the compiler and the simulation, which are not in the runtime package.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 def start_virtual_robot(
     robot: Robot, file: str, physics: str, faults: str, seed: int | None, report: Report
 ) -> SimulatedRobot:
-    """Simulates the robot with a device for each node of its buses and switches it on.
+    """Returns a simulated robot with a device for each node of its buses, switched on.
 
-    ``faults`` is a file with faults to inject, or empty.  Raises ``DiagnosticError``.
+    ``faults`` is the path of a file with faults to inject. An empty path injects no faults. Raises
+    ``DiagnosticError`` if the faults cannot be read or the robot cannot be simulated.
     """
     script = read_faults(faults, robot, report) if faults else None
     if seed is None:
@@ -41,19 +42,28 @@ def start_virtual_robot(
 
 
 def make_mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
-    """Loads the robot in MuJoCo, from its robot.yaml or from the build of its model.json."""
-    # The meshes of a build are files beside model.json.
+    """Loads the robot in MuJoCo and returns its base.
+
+    ``file`` is the robot.yaml of the robot or the model.json of a build.
+    """
+    # The mesh files of a build are in the folder of model.json.
     files = Path(file).parent if file.endswith(".json") else emit(robot, ["mjcf"], report)
     return MujocoBase(robot, MujocoScene(files))
 
 
 def read_store(store: str) -> Memory:
-    """Returns the memory of the devices from ``--store``.  Raises ``typer.BadParameter``."""
+    """Returns the non-volatile memory of the devices from the file of the option ``--store``.
+
+    Raises ``typer.BadParameter`` if the file cannot be read.
+    """
     return parsed(store, lambda path: read_memory(Path(path)), "--store") if store else {}
 
 
 def describe_injected_fault(fault: BusFault, begins: bool) -> str:
-    """Returns ``power cut of fl_controller``, with `` ends`` at its end."""
+    """Returns a description such as ``power cut of fl_controller``.
+
+    The description ends with ``ends`` if the injected fault ends.
+    """
     kind = fault.kind.replace("_", " ")
     node = f" of {fault.node}" if fault.node is not None else ""
     return f"{kind}{node}{'' if begins else ' ends'}"

@@ -1,1 +1,4 @@
-"""One file per command: its options and its call.  ``cli/app.py`` lists the commands."""
+"""The commands of thorvaldc, with one module for each command.
+
+The module ``cli/app.py`` contains the list of all commands.
+"""

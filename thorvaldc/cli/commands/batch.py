@@ -1,4 +1,4 @@
-"""``thorvaldc batch``: many variations of a scenario."""
+"""The command ``thorvaldc batch``: runs many variations of a scenario."""
 
 from __future__ import annotations
 

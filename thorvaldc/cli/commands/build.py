@@ -1,4 +1,4 @@
-"""``thorvaldc build``: compiles files and writes the targets."""
+"""The command ``thorvaldc build``: compiles files and writes the targets."""
 
 from __future__ import annotations
 
@@ -83,9 +83,10 @@ def build(
 
 
 def _parse_targets(text: str | None) -> list[str]:
-    """Returns the names of ``urdf,mjcf``; the default targets for ``None``.
+    """Returns the target names from a text such as ``urdf,mjcf``.
 
-    Raises ``typer.BadParameter`` for an unknown target and for a backend that cannot be loaded.
+    Returns the default targets if the text is ``None``. Raises ``typer.BadParameter`` for an
+    unknown target and for a backend that cannot be loaded.
     """
     if text is None:
         return list(backends.DEFAULT_TARGETS)
@@ -101,7 +102,10 @@ def _parse_targets(text: str | None) -> list[str]:
 
 
 def _emit(compilation: Compilation, targets: list[str]) -> dict[str, bytes]:
-    """Returns the contents by path; adds the diagnostics of the backends to the report."""
+    """Returns the contents of the output files by path.
+
+    The diagnostics of the backends are added to the report of the compilation.
+    """
     if compilation.model is None:
         return {}
     report = Report()

@@ -1,4 +1,4 @@
-"""``thorvaldc bus``: a simulated bus in its own process, for other programs."""
+"""The command ``thorvaldc bus``: simulates the CAN buses of a robot for other programs."""
 
 from __future__ import annotations
 
@@ -99,7 +99,10 @@ def bus(
 
 
 def _channels(robot: Robot, channel: str) -> dict[str, str]:
-    """Returns the channel of each bus; the bus's name is appended if there are several buses."""
+    """Returns the channel name of each bus, by the name of the bus.
+
+    If the robot has several buses, the channel name ends with the name of the bus.
+    """
     name = channel or robot.name
     if len(robot.buses) == 1:
         return {robot.buses[0].name: name}
@@ -109,7 +112,10 @@ def _channels(robot: Robot, channel: str) -> dict[str, str]:
 def _serve(
     simulated: SimulatedRobot, channels: Mapping[str, str], store: str, lockstep: bool, json: bool
 ) -> None:
-    """Runs the bus until SIGINT or SIGTERM; then writes the memory of the devices."""
+    """Runs the simulated buses until the process receives SIGINT or SIGTERM.
+
+    At the end, the non-volatile memory of the devices is written to the file ``store``.
+    """
     server = BusServer(
         simulated.timeline,
         {name: simulated.wires[bus] for bus, name in channels.items()},

@@ -1,4 +1,4 @@
-"""``thorvaldc calibrate``: wheel radii and steering offsets from a joint log."""
+"""The command ``thorvaldc calibrate``: computes wheel radii and steering offsets from a joint log."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def calibrate(
         DriverParameters.from_robot(model, parameters or None)
     except DiagnosticError as error:
         return show_report(compilation.located(report_of(error)), compilation.sources)
-    # numpy is loaded only for a calibration.
+    # The import is here, so that numpy is loaded only for a calibration.
     from thorvaldc.tools.calibration.calibration_file import overlay_text, write_calibration
     from thorvaldc.tools.calibration.calibration_text import as_json, table
     from thorvaldc.tools.calibration.self_calibration import calibrate as estimate
@@ -84,7 +84,7 @@ def calibrate(
 
 
 def _parse_distance(text: str) -> float:
-    """Returns metres.  Raises ``typer.BadParameter``."""
+    """Returns a distance in m. Raises ``typer.BadParameter`` if the text is no distance."""
     try:
         metres = parse_quantity(text, "length")
     except UnitError as error:

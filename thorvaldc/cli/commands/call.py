@@ -1,4 +1,4 @@
-"""``thorvaldc call``: the services of a running driver."""
+"""The command ``thorvaldc call``: calls a service of a running base driver."""
 
 from __future__ import annotations
 
@@ -56,7 +56,11 @@ def _parse_argument(text: str) -> tuple[str, Any]:
 
 
 def _print_result(result: Any, indent: str = "") -> None:
-    """Prints nested mappings as indented lines, flat ones on one line."""
+    """Prints the result of a service call.
+
+    A nested mapping is printed as indented lines. A mapping without nested mappings is printed on
+    one line.
+    """
     if not isinstance(result, dict):
         if result is not None:
             print(f"{indent}{_text(result)}")
@@ -74,7 +78,7 @@ def _print_result(result: Any, indent: str = "") -> None:
 
 def _text(value: Any) -> str:
     if isinstance(value, float):
-        return f"{value + 0.0:.4g}"  # the sum turns -0.0 into 0.0
+        return f"{value + 0.0:.4g}"  # adding 0.0 turns -0.0 into 0.0
     if isinstance(value, list):
         return ", ".join(_text(entry) for entry in value) or "-"
     return str(value) if value not in ("", None, {}) else "-"

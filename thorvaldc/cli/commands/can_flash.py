@@ -1,4 +1,4 @@
-"""``thorvaldc can flash``: writes addresses and values to the nodes of a bus."""
+"""The command ``thorvaldc can flash``: writes addresses and values to the nodes of a bus."""
 
 from __future__ import annotations
 
@@ -78,7 +78,11 @@ def _dry_run(access: BusAccess, json: bool) -> int:
 
 
 def _default_journal(file: str, access: BusAccess) -> str:
-    """Beside the robot file, one for each bus; never in a build, which the next build replaces."""
+    """Returns the default path of the flash journal of a bus.
+
+    For a robot.yaml, the journal is in the same folder. For the model.json of a build, the journal
+    is in the current folder, because the next build would replace a journal in the build folder.
+    """
     path = Path(file)
     bus = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""
     if path.suffix == ".json":

@@ -1,4 +1,4 @@
-"""``thorvaldc can plan``: the steps that would set up the bus."""
+"""The command ``thorvaldc can plan``: shows the steps that would set up the bus."""
 
 from __future__ import annotations
 

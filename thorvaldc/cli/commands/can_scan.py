@@ -1,4 +1,4 @@
-"""``thorvaldc can scan``: the nodes on a bus, compared with the robot."""
+"""The command ``thorvaldc can scan``: finds the nodes on a bus and compares them with the robot."""
 
 from __future__ import annotations
 

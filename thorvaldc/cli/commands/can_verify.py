@@ -1,4 +1,4 @@
-"""``thorvaldc can verify``: identities, values, periods and load of a bus."""
+"""The command ``thorvaldc can verify``: checks identities, values, periods and load of a bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``thorvaldc check``: every error in robot and fleet files."""
+"""The command ``thorvaldc check``: reports every error in robot and fleet files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check(
 
 
 def _summary(model: Robot | Fleet) -> str:
-    """Returns ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
+    """Returns a summary of a robot, such as ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
     if isinstance(model, Fleet):
         return count(len(model.placements), "robot")
     driven = sum(wheel.driven for wheel in model.wheels)

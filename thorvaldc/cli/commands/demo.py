@@ -1,4 +1,7 @@
-"""``thorvaldc demo`` (hidden): builds robots, drives each from its files, prints a table."""
+"""The hidden command ``thorvaldc demo``: builds robots and drives each robot in simulation.
+
+The command prints a table with the results of the robots.
+"""
 
 from __future__ import annotations
 

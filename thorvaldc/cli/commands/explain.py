@@ -1,4 +1,4 @@
-"""``thorvaldc explain``: the page of a diagnostic code."""
+"""The command ``thorvaldc explain``: shows the documentation page of a diagnostic code."""
 
 from __future__ import annotations
 

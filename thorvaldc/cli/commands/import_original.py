@@ -1,4 +1,6 @@
-"""``thorvaldc import``: a configuration file of the original system as a robot.yaml."""
+"""The command ``thorvaldc import``: converts a configuration of the original system to a
+robot.yaml.
+"""
 
 from __future__ import annotations
 

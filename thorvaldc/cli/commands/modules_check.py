@@ -1,4 +1,4 @@
-"""``thorvaldc modules check``: every error in the modules of library folders."""
+"""The command ``thorvaldc modules check``: reports every error in the modules of folders."""
 
 from __future__ import annotations
 

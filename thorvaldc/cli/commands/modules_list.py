@@ -1,4 +1,4 @@
-"""``thorvaldc modules list``: the module types of the library."""
+"""The command ``thorvaldc modules list``: lists the module types of the library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``thorvaldc modules show``: one module type."""
+"""The command ``thorvaldc modules show``: shows one module type of the library."""
 
 from __future__ import annotations
 

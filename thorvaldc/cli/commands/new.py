@@ -1,4 +1,4 @@
-"""``thorvaldc new``: a folder with a robot.yaml to start from."""
+"""The command ``thorvaldc new``: makes a folder with a robot.yaml to start from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``thorvaldc render``: a picture of a robot or fleet."""
+"""The command ``thorvaldc render``: draws a picture of a robot or fleet."""
 
 from __future__ import annotations
 

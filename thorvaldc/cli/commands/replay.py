@@ -1,4 +1,7 @@
-"""``thorvaldc replay``: a recorded run as table, plot or video, or as another record."""
+"""The command ``thorvaldc replay``: shows a recorded run as a table, a plot or a video.
+
+The command can also convert the record to another file format.
+"""
 
 from __future__ import annotations
 

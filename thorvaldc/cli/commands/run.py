@@ -1,4 +1,4 @@
-"""``thorvaldc run``: the base driver on a robot's buses."""
+"""The command ``thorvaldc run``: runs the base driver on the CAN buses of a robot."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def run(
             parameters=parameters or None,
             twist=commanded_twist,
             duration=seconds,
-            # A run without a twist is for others to drive.
+            # Without a twist and a duration, other programs drive the robot through the channel.
             channel=name or ("" if twist or duration else loaded.robot.name),
             threaded=not virtual,
             paced=virtual and not fast,

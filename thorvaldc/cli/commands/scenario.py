@@ -1,4 +1,4 @@
-"""``thorvaldc scenario``: runs a scenario and checks its expectations."""
+"""The command ``thorvaldc scenario``: runs a scenario and checks its expectations."""
 
 from __future__ import annotations
 

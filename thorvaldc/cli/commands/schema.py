@@ -1,4 +1,4 @@
-"""``thorvaldc schema``: the JSON Schemas of the documents."""
+"""The command ``thorvaldc schema``: prints the JSON Schema of a kind of document."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""``thorvaldc sim``: drives a robot or fleet in simulation.
+"""The command ``thorvaldc sim``: drives a robot or fleet in simulation.
 
-``sim`` also accepts the options that belong to the commands ``scenario``, ``batch`` and
-``replay``, which were parts of ``sim``; its help does not show them.
+The command also accepts the options of the commands ``scenario``, ``batch`` and ``replay``, which
+were parts of ``sim`` in the past. The help of ``sim`` does not show these options.
 """
 
 from __future__ import annotations

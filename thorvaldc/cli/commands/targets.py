@@ -1,4 +1,4 @@
-"""``thorvaldc targets``: the targets of a build."""
+"""The command ``thorvaldc targets``: lists the targets of a build."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``thorvaldc teleop``: a person drives a robot."""
+"""The command ``thorvaldc teleop``: drives a robot with the keyboard or a joystick."""
 
 from __future__ import annotations
 
@@ -109,7 +109,10 @@ def _connect(name: str) -> Vehicle:
 
 
 def _start_driver(file: str, on: str, name: str, library: list[str]) -> Vehicle | None:
-    """Starts a driver in this process; ``None`` after errors of the file were printed."""
+    """Starts a base driver in this process.
+
+    Returns ``None`` if the file has errors. The errors are printed.
+    """
     loaded = load_robot(file, library)
     if loaded is None:
         return None
@@ -155,7 +158,10 @@ def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
 
 
 def _joystick_search(joystick: str, mapping: str) -> Search:
-    """Returns the search for the joystick, after it was found once."""
+    """Returns the function that searches for the joystick.
+
+    Raises ``OutsideError`` if no joystick is plugged in at the start or if evdev is missing.
+    """
     try:
         search = evdev_search("" if joystick == "auto" else joystick, mapping)
     except ImportError:

@@ -1,4 +1,4 @@
-"""``thorvaldc view``: a robot in MuJoCo's viewer, or as a web page."""
+"""The command ``thorvaldc view``: shows a robot in MuJoCo's viewer or as a web page."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def view(
     if model is None:
         return INPUT
     if html or output or not has_display():
-        # numpy is loaded only for the page.
+        # The import is here, so that numpy is loaded only for the web page.
         from thorvaldc.simulation.pictures.view_page import view_page
 
         path = output or f"{model.name}.html"
@@ -57,7 +57,7 @@ def view(
 
 
 def has_display() -> bool:
-    """Whether this process can probably open a window."""
+    """Returns whether this process can probably open a window."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

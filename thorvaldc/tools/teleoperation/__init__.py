@@ -1,1 +1,1 @@
-"""A person drives a robot with a keyboard or a joystick."""
+"""Teleoperation: a person drives a robot with a keyboard or a joystick."""

@@ -1,4 +1,4 @@
-"""A driver on a CAN bus, for an operator to drive."""
+"""A robot on a CAN bus that an operator drives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from thorvaldc.runtime.runner import BaseRunner
 
 
 class BusVehicle:
-    """A runner with its control services; ``cycle`` runs one control cycle."""
+    """The base driver of a robot on a CAN bus, with its control services.
+
+    The method ``cycle`` runs one control cycle.
+    """
 
     def __init__(self, runner: BaseRunner, control: RunnerControl) -> None:
         self.runner = runner

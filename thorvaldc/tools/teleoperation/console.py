@@ -1,4 +1,4 @@
-"""Drives a vehicle from standard input and output, with a keyboard and a joystick."""
+"""Teleoperation of a vehicle from a terminal, with a keyboard and a joystick."""
 
 from __future__ import annotations
 
@@ -23,10 +23,14 @@ def drive_from_console(
     search: Search | None,
     end_requested: Callable[[], bool],
 ) -> None:
-    """Drives as the twist source ``source`` until the operator or ``end_requested`` ends it.
+    """Drives the vehicle until the operator quits or ``end_requested`` returns true.
 
-    ``share`` is the initial share of the top speed.  ``search`` finds the joystick; ``None``: the
-    keyboard alone.  Raises ``ConnectionError`` if the driver ends.
+    - ``source``: name of the twist source of the operator.
+    - ``share``: initial share of the top speed, 0 to 1.
+    - ``search``: function that finds the joystick. ``None`` means that the operator drives only
+      with the keyboard.
+
+    Raises ``ConnectionError`` if the base driver ends.
     """
     description = vehicle.description
     limits = Limits.of(description)
@@ -34,8 +38,8 @@ def drive_from_console(
     print(f"{description['robot']}, as {source}")
     help_texts = [KEYBOARD_HELP] * (keys is not None) + [JOYSTICK_HELP] * (search is not None)
     print(*help_texts, "", sep="\n", flush=True)
-    # A pause of the garbage collector is a pause of the robot: the collector does not look at the
-    # objects that exist now.
+    # A pause for garbage collection would delay the control cycle. Freezing the existing objects
+    # shortens the pauses.
     gc.collect()
     gc.freeze()
     with Terminal(keys, sys.stdout) as terminal:

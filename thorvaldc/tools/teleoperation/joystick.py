@@ -1,6 +1,6 @@
-"""Converts a joystick or gamepad to twists, with a dead-man button.
+"""Converts the input of a joystick or gamepad to twists, with a dead-man button.
 
-Devices are those of python-evdev (Linux).
+The joystick is read with the package python-evdev (Linux).
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, Limits, Operator
 DEAD_ZONE = 0.1
 """Share of half an axis around its centre that counts as zero."""
 GIVE_WAY = 0.1
-"""s for which the joystick commands zero after the button is released; then nothing."""
+"""Time in s for which the joystick commands zero after the dead-man button is released.
+
+After this time, the joystick commands no twist, so another twist source can drive.
+"""
 SEARCH_PERIOD = 1.0
-"""s between two searches for an unplugged joystick."""
+"""Time in s between two searches for an unplugged joystick."""
 MOST_EVENTS = 500
-"""Events that are read per cycle; the others wait for the next cycle."""
+"""Largest number of events that are read in a cycle. The next cycle reads the remaining events."""
 
 HELP = """\
 Joystick: hold the left shoulder button (or the trigger) and move the left stick; the
@@ -38,7 +41,7 @@ BTN_TL, BTN_TR, BTN_SELECT, BTN_START = 0x136, 0x137, 0x13A, 0x13B
 
 
 class Range(Protocol):
-    """Range and present value of an axis."""
+    """Range and present value of a joystick axis."""
 
     value: int
     min: int
@@ -46,7 +49,7 @@ class Range(Protocol):
 
 
 class Event(Protocol):
-    """What is used of ``evdev.InputEvent``."""
+    """The used attributes of ``evdev.InputEvent``."""
 
     type: int
     code: int
@@ -54,25 +57,34 @@ class Event(Protocol):
 
 
 class Device(Protocol):
-    """What is used of ``evdev.InputDevice``."""
+    """The used attributes and methods of ``evdev.InputDevice``."""
 
     name: str
 
     def capabilities(self) -> Mapping[int, Sequence[Any]]:
-        """Returns the codes by event type; axes with their ranges."""
+        """Returns the codes of all axes and buttons, by the type of their events.
+
+        An axis is listed as a pair of its code and its range.
+        """
 
     def read_one(self) -> Event | None:
-        """Returns the next event, if any.  Raises ``OSError`` if the device is unplugged."""
+        """Returns the next event, or ``None`` if no event is waiting.
+
+        Raises ``OSError`` if the device is unplugged.
+        """
 
     def close(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Codes of axes and buttons; -1: none.
+    """The Linux event codes of the axes and buttons that are used. The code -1 means not used.
 
-    ``enable`` is the dead-man button, ``turbo`` a dead-man button for full speed.  ``stop``,
-    ``release`` and ``reset`` request the safety stop, its release and a reset of faults.
+    - ``enable``: dead-man button. The robot drives only while the button is pressed.
+    - ``turbo``: dead-man button for the top speed.
+    - ``stop``: button that requests the safety stop.
+    - ``release``: button that requests the release of the safety stop.
+    - ``reset``: button that requests a reset of faults.
     """
 
     forward: int = ABS_Y
@@ -86,11 +98,12 @@ class Layout:
 
     @staticmethod
     def of(device: Device) -> Layout | None:
-        """Returns the layout for the device; ``None`` if it is no joystick.
+        """Returns the layout for a device, or ``None`` if the device is no joystick.
 
-        Gamepads: the left stick moves, the right stick turns, shoulder buttons as in ROS's
-        teleop_twist_joy.  Sticks with a trigger: the trigger enables; the twist axis turns, or the
-        sideways axis if there is no twist axis.
+        The left stick of a gamepad moves the robot, and the right stick turns the robot. The
+        shoulder buttons of a gamepad have the same functions as in ROS's teleop_twist_joy. The
+        trigger of a joystick is the dead-man button. The twist axis of a joystick turns the robot.
+        Without a twist axis, the sideways axis turns the robot.
         """
         axes, buttons = _axes(device), _buttons(device)
         if not {ABS_X, ABS_Y} <= axes.keys():
@@ -107,9 +120,10 @@ class Layout:
         return replace(stick, turn=ABS_X, sideways=-1)
 
     def changed(self, text: str, codes: Mapping[str, int]) -> Layout:
-        """Returns the layout with entries replaced, as in ``enable=BTN_TOP2,turn=ABS_Z``.
+        """Returns the layout with other codes, as in ``enable=BTN_TOP2,turn=ABS_Z``.
 
-        ``codes`` are Linux's codes by name.  Raises ``ParameterError``.
+        ``codes`` maps the names of Linux event codes to numbers. Raises ``ParameterError`` if a
+        name in ``text`` is unknown.
         """
         names = [field.name for field in fields(Layout)]
         entries: dict[str, int] = {}
@@ -127,14 +141,15 @@ class Layout:
 
 
 Search = Callable[[], tuple[Device, Layout] | None]
-"""Returns the device and its layout; ``None`` if none is plugged in."""
+"""A search returns the device and its layout, or ``None`` if no joystick is plugged in."""
 
 
 class Joystick:
     """An operator with a joystick.
 
-    ``search`` is repeated while no device is plugged in.  Unplugging the device stops the robot;
-    a device that is plugged in again drives only after its dead-man button is pressed again.
+    The function ``search`` is called again and again while no joystick is plugged in. The robot
+    stops when the joystick is unplugged. After the joystick is plugged in again, the robot drives
+    only after the dead-man button is pressed again.
     """
 
     def __init__(
@@ -210,7 +225,7 @@ class Joystick:
             if event.value and not was_pressed:
                 self._request(event.code, requests)
         elif event.type == EV_SYN and event.code == SYN_DROPPED:
-            # Events were lost, perhaps the release of the dead-man button.
+            # Some events were lost. The release of the dead-man button may be a lost event.
             self._release_all()
 
     def _request(self, button: int, requests: list[Request]) -> None:
@@ -223,7 +238,10 @@ class Joystick:
             requests.append(Request("reset_faults", {}))
 
     def _release_all(self) -> None:
-        """Centres the axes and releases the buttons; a held button counts when pressed again."""
+        """Sets all axes to zero and all buttons to released.
+
+        A button that is still held counts only after the button is pressed again.
+        """
         self._axes.clear()
         self._pressed.clear()
 
@@ -233,7 +251,9 @@ class Joystick:
 
 
 class OperatorPair:
-    """Two operators: the second drives while the first commands nothing."""
+    """Two operators of one robot. The second operator drives while the first operator commands no
+    twist.
+    """
 
     def __init__(self, first: Operator, second: Operator) -> None:
         self.finished = False
@@ -268,9 +288,10 @@ class OperatorPair:
 
 
 def evdev_search(path: str, mapping: str) -> Search:
-    """Returns a search for the device at ``path``, or for the first joystick if it is empty.
+    """Returns a function that searches for the joystick at ``path``.
 
-    Raises ``ParameterError`` for an invalid mapping, ``ImportError`` without evdev.
+    For an empty path, the function returns the first joystick. Raises ``ParameterError`` if the
+    mapping is invalid. Raises ``ImportError`` if evdev is not installed.
     """
     import evdev
 
@@ -303,7 +324,10 @@ def _buttons(device: Device) -> list[int]:
 
 
 def _scaled(value: float, least: float, most: float) -> float:
-    """Scales an axis to -1..1: zero in the dead zone, continuous at its edge."""
+    """Returns the value of an axis, scaled to the range -1 to 1.
+
+    The scaled value is zero in the dead zone and continuous at the edge of the dead zone.
+    """
     if most <= least:
         return 0.0
     share = min(max(2.0 * (value - least) / (most - least) - 1.0, -1.0), 1.0)

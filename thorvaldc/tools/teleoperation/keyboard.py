@@ -1,8 +1,8 @@
 """Converts keys to twists.
 
-A terminal reports presses and repeats of a key, but no release.  A press therefore drives for
-``FIRST_HOLD`` and each repeat for ``REPEAT_HOLD``; then the keyboard commands zero for
-``GIVE_WAY``, and no command after that::
+A terminal reports when a key is pressed and repeated, but not when the key is released. The press
+of a key therefore drives for ``FIRST_HOLD``, and each repeat drives for ``REPEAT_HOLD``. After the
+last repeat, the keyboard commands zero for ``GIVE_WAY`` and then commands no twist::
 
     key events  press            repeat repeat repeat
     time        |----- 0.25 to 0.66 s --|-|-|
@@ -18,15 +18,24 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
 
 FIRST_HOLD = 0.7
-"""s for which a press drives: keyboards begin to repeat after 0.25 to 0.66 s."""
-REPEAT_HOLD = 0.3
-"""s for which a repeat drives: repeats are 0.03 to 0.05 s apart, and ssh may delay them."""
-GIVE_WAY = 0.1
-"""s for which the keyboard commands zero after a key; then it commands nothing."""
-STEP = 1.1
-"""Factor of the speed for ``+`` and ``-``."""
+"""Time in s for which the press of a key drives.
 
-# Shares of the top speeds: forward, to the left, turning left.
+Keyboards begin to repeat a key after 0.25 to 0.66 s.
+"""
+REPEAT_HOLD = 0.3
+"""Time in s for which the repeat of a key drives.
+
+The repeats of a key are 0.03 to 0.05 s apart, and ssh may delay the repeats.
+"""
+GIVE_WAY = 0.1
+"""Time in s for which the keyboard commands zero after the robot was driven.
+
+After this time, the keyboard commands no twist, so another twist source can drive.
+"""
+STEP = 1.1
+"""Factor by which the keys ``+`` and ``-`` change the speed."""
+
+# Shares of the top speeds for each key: forward, to the left, and turning left.
 MOTIONS: dict[str, tuple[float, float, float]] = {
     "i": (1, 0, 0),
     ",": (-1, 0, 0),
@@ -71,9 +80,9 @@ _SERVICES: dict[str, Request] = {
 class Keyboard:
     """An operator at a keyboard.
 
-    ``read`` returns the names of the keys since its last call.  It raises ``EOFError`` when the
-    terminal is closed; the operator has finished then.  ``sets`` are the names of the robot's
-    parameter sets.
+    - ``read``: function that returns the names of the keys since the last call. The function raises
+      ``EOFError`` if the terminal is closed, which ends the teleoperation.
+    - ``sets``: names of the parameter sets of the robot.
     """
 
     def __init__(
@@ -110,7 +119,10 @@ class Keyboard:
         return requests
 
     def twist(self, now: float) -> Twist | None:
-        """Returns the commanded twist; after ``space``, zero until the next key that drives."""
+        """Returns the commanded twist.
+
+        After the space key, the commanded twist is zero until a key that drives is pressed.
+        """
         if self.finished:
             return ZERO_TWIST if self._driving else None
         if self._stopped:
@@ -152,7 +164,7 @@ class Keyboard:
             self.message = "this robot cannot move sideways"
             self._driving = False
             return
-        # The same key within its hold time is a repeat; another key is a new press.
+        # The same key within its hold time counts as a repeat. A different key counts as a press.
         repeats = self._driving and key == self._key and now <= self._until
         self._until = now + (REPEAT_HOLD if repeats else FIRST_HOLD)
         self._motion, self._key = Twist(*motion), key

@@ -1,4 +1,4 @@
-"""The interface of operators: persons who command twists with a keyboard or a joystick."""
+"""The interface of an operator: a person who commands twists with a keyboard or a joystick."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ SMALLEST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The robot's top speeds in m/s and rad/s; ``sideways``: it can move to the side."""
+    """The top speeds of a robot.
+
+    - ``linear``: top speed in m/s.
+    - ``angular``: top angular speed in rad/s.
+    - ``sideways``: true if the robot can move sideways.
+    """
 
     linear: float
     angular: float
@@ -24,7 +29,7 @@ class Limits:
 
     @staticmethod
     def of(description: Mapping[str, Any]) -> Limits:
-        """Returns the limits in the answer of the service ``description``."""
+        """Returns the limits of a robot from the result of the service ``description``."""
         return Limits(
             description["max_linear_velocity"],
             description["max_angular_velocity"],
@@ -32,7 +37,10 @@ class Limits:
         )
 
     def twist(self, x: float, y: float, yaw: float, share: float) -> Twist:
-        """Returns the twist for ``x``, ``y``, ``yaw`` in -1..1 and a share of the top speeds."""
+        """Returns the twist for the inputs ``x``, ``y`` and ``yaw``, each between -1 and 1.
+
+        ``share`` is the selected share of the top speeds.
+        """
         lateral = self.linear if self.sideways else 0.0
         return Twist(x * share * self.linear, y * share * lateral, yaw * share * self.angular)
 
@@ -45,26 +53,32 @@ class Request(NamedTuple):
 
 
 class Operator(Protocol):
-    """A person at a keyboard or with a joystick."""
+    """A person who drives a robot with a keyboard or a joystick."""
 
     finished: bool
-    """Whether the operator ends the teleoperation."""
+    """True if the operator has ended the teleoperation."""
 
     @property
     def share(self) -> float:
-        """Share of the top speed, 0..1."""
+        """Selected share of the top speed, 0 to 1."""
 
     @share.setter
     def share(self, share: float) -> None: ...
 
     @property
     def message(self) -> str:
-        """A line for the operator; empty: none."""
+        """A line of text for the operator, empty if there is no message."""
 
     def poll(self, now: float) -> list[Request]:
-        """Reads the device until ``now`` (s, monotonic) without waiting; returns the requests."""
+        """Reads all waiting input of the device and returns the requested service calls.
+
+        ``now`` is the monotonic time in s. The method never waits for input.
+        """
 
     def twist(self, now: float) -> Twist | None:
-        """Returns the commanded twist; ``None``: no command, another twist source may drive."""
+        """Returns the commanded twist.
+
+        Returns ``None`` if the operator commands no twist, so another twist source may drive.
+        """
 
     def close(self) -> None: ...

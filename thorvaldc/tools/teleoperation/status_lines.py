@@ -1,4 +1,4 @@
-"""The status lines for the operator."""
+"""The status lines that the operator sees."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from thorvaldc.runtime.se2 import Twist
 def status_lines(
     state: Mapping[str, Any], commanded: Twist | None, share: float, message: str
 ) -> list[str]:
-    """Returns two lines: commanded twist and twist in force; pose and state of the driver.
+    """Returns two status lines.
 
-    ``state`` is the answer of the service ``state``; ``commanded`` is the operator's twist.
+    The first line shows the commanded twist and the twist that the driver applies. The second line
+    shows the pose of the robot and the state of the driver. ``state`` is the result of the service
+    ``state``. ``commanded`` is the twist that the operator commands.
     """
     command = _twist_text(commanded) if commanded is not None else f"{'nothing':^24}"
     source = state.get("source") or "nobody"
@@ -35,6 +37,6 @@ def status_lines(
 
 
 def _twist_text(twist: Twist) -> str:
-    # The sum turns -0.0 into 0.0.
+    # Adding 0.0 turns -0.0 into 0.0.
     x, y, yaw = (round(value, 2) + 0.0 for value in twist)
     return f"{x:+.2f} {y:+.2f} m/s {yaw:+.2f} rad/s"

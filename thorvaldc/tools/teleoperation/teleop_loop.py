@@ -1,4 +1,4 @@
-"""The loop of teleoperation: operator to vehicle, and status to the screen."""
+"""The loop of teleoperation: sends the operator's commands to the vehicle and shows its status."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from thorvaldc.tools.teleoperation.status_lines import status_lines
 from thorvaldc.tools.teleoperation.vehicle import Vehicle
 
 DRAW_PERIOD = 0.1
-"""s between two updates of the status lines."""
+"""Time in s between two updates of the status lines."""
 STOP_TIME = 2.0
-"""s at most that the loop waits at the end for the robot to come to rest."""
+"""Longest time in s that the loop waits at the end until the robot is at rest."""
 MESSAGE_TIME = 4.0
-"""s for which a message is shown."""
+"""Time in s for which a message is shown."""
 _AT_REST = 1e-3
-"""m/s or rad/s below which the robot counts as at rest."""
+"""Speed in m/s or rad/s below which the robot counts as at rest."""
 
 
 def operate(
@@ -30,10 +30,11 @@ def operate(
     ended: Callable[[], bool] = lambda: False,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Drives as the twist source ``source`` until the operator finishes or ``ended`` is true.
+    """Drives the vehicle until the operator finishes or ``ended`` returns true.
 
-    At the end, also after an exception, the last command is a stop.  A robot in this process gets
-    the time to come to rest.
+    ``source`` is the name of the twist source of the operator. The loop always ends with zero
+    commands, even after an exception. If the base driver runs in this process, control cycles run
+    until the robot is at rest.
     """
     last_draw = message_time = clock() - DRAW_PERIOD
     message = ""
@@ -64,18 +65,18 @@ def operate(
 
 
 def publish(vehicle: Vehicle, source: str, twist: Twist) -> None:
-    """Sends a twist to the driver."""
+    """Sends a commanded twist to the base driver."""
     vehicle.call("twist", source=source, vx=twist.vx, vy=twist.vy, wz=twist.wz)
 
 
 def stop(vehicle: Vehicle, source: str, clock: Callable[[], float]) -> None:
-    """Commands zero until the robot is at rest, for ``STOP_TIME`` at most."""
+    """Commands zero until the robot is at rest, for at most ``STOP_TIME``."""
     end = clock() + STOP_TIME
     with contextlib.suppress(ConnectionError, ServiceError):
         while clock() < end:
             state = vehicle.call("state")
             at_rest = all(abs(value) < _AT_REST for value in state["in_force"].values())
-            # The stop does not override another source that drives.
+            # The zero command must not override another twist source that drives the robot.
             if at_rest or state["source"] not in ("", source):
                 return
             publish(vehicle, source, ZERO_TWIST)

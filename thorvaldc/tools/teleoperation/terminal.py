@@ -1,4 +1,4 @@
-"""A terminal that returns keys immediately, and whose settings are always restored."""
+"""A terminal that reads keys without waiting and always restores its settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Iterator
 from typing import IO, Any
 
-# Escape sequences of keys, in the normal and the application mode of terminals.
+# Escape sequences of the arrow keys, in the normal mode and the application mode of terminals.
 _SEQUENCES = {
     "[A": "up", "[B": "down", "[C": "right", "[D": "left",
     "OA": "up", "OB": "down", "OC": "right", "OD": "left",
@@ -22,7 +22,9 @@ _CONTROL = {"\x03": "ctrl-c", "\x04": "ctrl-d"}
 
 
 def keys_of(text: str) -> list[str]:
-    """Returns the names of the keys in a terminal's input; ignores unknown sequences."""
+    """Returns the names of the keys in the input of a terminal. Unknown escape sequences are
+    ignored.
+    """
     keys = []
     at = 0
     while at < len(text):
@@ -41,13 +43,18 @@ def keys_of(text: str) -> list[str]:
 class Terminal:
     """Reads keys from ``keys`` and shows lines at the bottom of ``screen``.
 
-    Within ``with``, keys are not echoed and arrive without Enter, and Ctrl-Z, Ctrl-\\ and Ctrl-S
-    do not stop the process and its control cycle.  Ctrl-C still interrupts.  The end of the block
-    restores the terminal, also after an exception.
+    Inside the ``with`` block, the terminal does not echo keys and reports each key without Enter.
+    The keys Ctrl-Z, Ctrl-\\ and Ctrl-S do not stop the process, so the control cycle continues. The
+    key Ctrl-C still interrupts the process. The end of the ``with`` block restores the terminal
+    settings, even after an exception.
     """
 
     def __init__(self, keys: IO[str] | None, screen: IO[str], *, whole: bool = False) -> None:
-        """``whole``: the lines fill the screen; the end restores the previous content."""
+        """Prepares a terminal without changing its settings.
+
+        If ``whole`` is true, the lines fill the whole screen, and the previous content of the
+        screen is restored at the end.
+        """
         self._keys = keys
         self._screen = screen
         self._settings: list[Any] | None = None
@@ -74,7 +81,8 @@ class Terminal:
             termios.tcsetattr(fd, termios.TCSANOW, raw)
         if self._is_terminal:
             self._screen.flush()
-            # Non-blocking mode belongs to the open file, which other processes share: open anew.
+            # The terminal is opened again for non-blocking output. Setting the non-blocking mode of
+            # the existing file would also affect the other processes that use the file.
             with contextlib.suppress(OSError):
                 name = os.ttyname(self._screen.fileno())
                 self._out = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
@@ -96,7 +104,8 @@ class Terminal:
             fd = self._keys.fileno()
             with contextlib.suppress(OSError, ValueError, termios.error):  # closed terminal
                 termios.tcflush(fd, termios.TCIFLUSH)
-                # TCSADRAIN would wait for the output, on a stalled terminal for ever.
+                # TCSADRAIN would wait until all output is sent, which never ends on a stalled
+                # terminal.
                 termios.tcsetattr(fd, termios.TCSANOW, self._settings)
             self._settings = None
 
@@ -119,9 +128,10 @@ class Terminal:
         return keys_of(data.decode("utf-8", "replace"))
 
     def show(self, lines: list[str]) -> None:
-        """Replaces the lines; drops them while the terminal accepts no output.
+        """Replaces the shown lines by new lines.
 
-        A terminal behind a stalled connection must not delay the control cycle.
+        The new lines are dropped while the terminal accepts no output. A stalled connection to the
+        terminal must not delay the control cycle.
         """
         self._write("")
         if not self._is_terminal or self._pending:
@@ -136,7 +146,7 @@ class Terminal:
         self._write(f"{up}{body}")
 
     def _write(self, text: str) -> None:
-        """Writes without waiting; the rest is written before the next text."""
+        """Writes as much text as possible without waiting. The next call writes the remaining text."""
         self._pending += text.encode("utf-8", "replace")
         if not self._pending or not self._is_terminal:
             return
@@ -148,7 +158,7 @@ class Terminal:
 
 @contextlib.contextmanager
 def end_signals() -> Iterator[Callable[[], bool]]:
-    """Yields a function that reports whether SIGINT, SIGTERM or SIGHUP arrived.
+    """Yields a function that returns true after SIGINT, SIGTERM or SIGHUP was received.
 
     A second SIGINT raises ``KeyboardInterrupt``.
     """

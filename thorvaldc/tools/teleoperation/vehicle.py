@@ -1,4 +1,4 @@
-"""The robots that an operator drives: a driver in this process or in another one."""
+"""The robots that an operator drives, with a base driver in this process or in another process."""
 
 from __future__ import annotations
 
@@ -14,29 +14,34 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
 
 LONGEST_STEP = 0.1
-"""s of simulated time per cycle; a slower machine falls behind the clock."""
+"""Longest step of the simulated time in a cycle, in s. A slow machine falls behind the clock."""
 REMOTE_PERIOD = 0.05
-"""s between two commands to a driver in another process."""
+"""Time in s between two commands to a driver in another process."""
 
 
 class Vehicle(Protocol):
-    """A driver; ``description`` is the answer of its service ``description``."""
+    """A robot with a base driver. ``description`` is the result of the service ``description``."""
 
     description: dict[str, Any]
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Calls a service.  Raises ``ServiceError``, ``ConnectionError`` if the driver ended."""
+        """Calls a service of the base driver and returns its result.
+
+        Raises ``ServiceError`` if the service fails. Raises ``ConnectionError`` if the base driver
+        has ended.
+        """
 
     def cycle(self) -> None:
-        """Waits for the next control cycle and runs it."""
+        """Waits until the next control cycle is due and runs the control cycle."""
 
     def close(self) -> None: ...
 
 
 class SimulatedVehicle:
-    """A driver on a simulated base in real time, with a control channel.
+    """A base driver on a simulated base that runs in real time.
 
-    An empty ``channel`` opens none.  Raises ``OSError`` if the channel is in use.
+    ``channel`` is the name of the control channel for other programs. With an empty name, the
+    vehicle has no control channel. Raises ``OSError`` if the control channel is in use.
     """
 
     def __init__(
@@ -54,7 +59,7 @@ class SimulatedVehicle:
         self._clock, self._sleep = clock, sleep
         self._period = 1.0 / driver.settings.rate
         self._next_cycle = clock()
-        # Clock time minus simulated time, s.
+        # Difference in s between the clock time and the simulated time.
         self._offset = self._next_cycle
         self.now = 0.0
 
@@ -86,7 +91,7 @@ class SimulatedVehicle:
 
 
 class RemoteVehicle:
-    """A driver in another process, reached through its control channel."""
+    """A base driver in another process, connected through its control channel."""
 
     def __init__(self, client: ControlClient, sleep: Callable[[float], None] = time.sleep) -> None:
         self._client = client
