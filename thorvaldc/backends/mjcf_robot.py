@@ -205,8 +205,9 @@ class RobotWriter:
             self._add_ring(body, wheel, tread, contact)
 
     def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
-        """Add the ring beside the tyre that rolls on a rail. The flanges of the ring guide the
-        wheel.
+        """Add the ring beside the tyre that rolls on a rail.
+
+        The flanges of the ring guide the wheel.
         """
         radius = wheel.radius_named(tread.name)
         name = f"{self.prefix}{wheel.link}_{tread.name}"

@@ -17,11 +17,12 @@ _CELL = 0.1
 
 
 def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
-    """Return the heights of rough ground as a grid, one row for each y coordinate.
+    """Return the relative heights of rough ground as a grid.
 
-    The heights are between 0 and 1, in units of twice the amplitude. The ground is level at half
-    height around the start pose of each robot. The ground descends to 0 at its edge, where the
-    plane around the ground begins.
+    The grid has one row for each y coordinate. The relative heights are heights divided by twice
+    the amplitude, so they are between 0 and 1. The ground is level at half height around the start
+    pose of each robot. The ground descends to 0 at its edge, where the plane around the ground
+    begins.
     """
     xs, ys = (_grid(edge, ground.wavelength / CELLS_PER_WAVE) for edge in ground.size)
     rows = _waves(xs, ys, ground.wavelength, ground.seed)
@@ -41,12 +42,11 @@ def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
 
 
 def relief(zone: Zone) -> tuple[list[list[float]], float]:
-    """Return the heights of a zone as a grid, one row for each y coordinate, and the largest height
-    in m.
+    """Return the relative heights of a zone as a grid, and the largest height in m.
 
-    The heights of the grid are divided by the largest height, so the heights are between 0 and 1.
-    The sides of the zone rise from its edge. At half a wavelength from the edge, the bumps reach
-    their full height.
+    The grid has one row for each y coordinate. The relative heights are heights divided by the
+    largest height, so they are between 0 and 1. The sides of the zone rise from its edge. At half a
+    wavelength from the edge, the bumps reach their full height.
     """
     cell = min(_CELL, min(zone.size) / 10)
     if zone.amplitude:

@@ -78,7 +78,7 @@ def protect(work: Callable[[], int]) -> int:
 
 
 class _Interrupts:
-    """A handler of SIGINT that raises ``KeyboardInterrupt`` and remembers that the signal occurred."""
+    """A handler of SIGINT that raises ``KeyboardInterrupt`` and remembers the signal."""
 
     def __init__(self) -> None:
         self.occurred = False
@@ -99,9 +99,8 @@ def _watch_interrupts() -> _Interrupts:
 
 
 def _interrupted() -> int:
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # the process already ends, so ignore a second Ctrl-C
+    # A second Ctrl-C is ignored, because the process already ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # CPython remembers a KeyboardInterrupt that passed through code compiled from text, such as the
     # methods of dataclasses. CPython then ends the process with the signal instead of the exit
     # status. Executing other code from text clears the remembered KeyboardInterrupt.

@@ -37,8 +37,9 @@ class StatusView:
         self._erase_line()
 
     def watch(self, runner: BaseRunner, state: DriverState) -> None:
-        """Prints new state changes and updates the status line. Must be called after each control
-        cycle.
+        """Prints new state changes and updates the status line.
+
+        Must be called after each control cycle.
         """
         session = self._session
         if runner.changes:

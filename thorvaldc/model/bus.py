@@ -28,8 +28,8 @@ class Signal(Element):
     """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
 
     - ``start``, ``length``: the first bit and the number of bits of the signal.
-    - ``joint``: name of the joint that the signal belongs to. The ``unit`` of a joint signal is
-      rad/s or rad.
+    - ``unit``: unit of the physical value, rad or rad/s for a signal that belongs to a joint.
+    - ``joint``: name of the joint that the signal belongs to, or ``None``.
     - ``multiplexer``: true if the signal selects which other signals the frame contains.
     - ``selected_by``: values of the multiplexer with which the frame contains the signal.
     - ``choices``: pairs of a raw value and its name.
@@ -58,14 +58,17 @@ class FrameDefinition(Element):
     - ``producer``, ``consumers``: names of nodes, or ``master``.
     - ``kind``: ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``, ``broadcast`` or
       ``relay``. A ``relay`` frame is a frame of a foreign device that the driver forwards.
-    - ``period``, ``deadline``: times in s. Both are ``None`` for a frame that is sent on demand.
-    - ``minimum_interval``: shortest time in s between two frames that are sent on demand. If the
-      interval is ``None``, the module ``bus_timing`` assumes one frame in a control cycle.
+    - ``period``, ``deadline``: times in s, or ``None`` for a frame that is sent on demand.
+    - ``minimum_interval``: shortest time in s between two frames that are sent on demand, or
+      ``None`` if the frame has no such limit.
     - ``response_time``: longest time in s from the instant at which the frame is due until the
-      frame is received. The response time is ``None`` if there is no upper bound.
+      frame is received, or ``None`` if the time has no upper bound.
     - ``pdo``: number of the CANopen PDO, 1 to 512.
     - ``mapping``: objects in the PDO, each as (index, subindex, type).
     - ``synchronous``: true if the PDO is sent, or takes effect, when the SYNC frame is received.
+
+    For a frame on demand without a minimum interval, the module ``bus_timing`` states how often the
+    frame is assumed to be sent.
     """
 
     name: str
@@ -90,8 +93,7 @@ class FrameDefinition(Element):
 class Channel(Element):
     """A channel of a motor controller.
 
-    - ``actuator``: name of the actuator that the channel drives. ``None`` means that no actuator is
-      connected to the channel.
+    - ``actuator``: name of the actuator on the channel, or ``None`` if no actuator is connected.
     """
 
     name: str
@@ -131,12 +133,12 @@ class Node(Element):
     - ``device_type``: value of the CANopen object 0x1000.
     - ``lss``: true if the node id can be written by LSS (CiA 305).
     - ``heartbeat_timeout``: time in s without a heartbeat of the node after which the master
-      considers the node lost. ``None`` means that the master does not supervise the node.
+      considers the node lost, or ``None`` if the master does not supervise the node.
     - ``heartbeat_consumer_time``: time in s without a heartbeat of the master after which the node
-      considers the master lost (object 0x1016). ``None`` means that the node does not supervise the
+      considers the master lost (object 0x1016), or ``None`` if the node does not supervise the
       master.
-    - ``bitrates``: the supported bit rates in bit/s. An empty list means that the node supports any
-      bit rate.
+    - ``bitrates``: the supported bit rates in bit/s. A node with an empty list supports any bit
+      rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
     """
 

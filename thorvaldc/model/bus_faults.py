@@ -1,4 +1,4 @@
-"""A script of faults to inject into a simulated CAN bus. All values are in SI units."""
+"""Faults to inject into a simulated CAN bus. All values are in SI units."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from thorvaldc.diagnostics import Span
 
 
 class FaultKind(NamedTuple):
-    """The fields that a fault of one kind has in the script.
+    """The fields of the injected faults of one kind.
 
     - ``node``: ``yes`` if the fault affects one device, ``no`` if the fault affects the whole bus,
-      ``maybe`` if the script may choose either.
+      ``maybe`` if both are possible.
     - ``needs``: names of the required fields.
     - ``may``: names of the optional fields.
     - ``lasts``: true if the fault may have a ``duration``.
@@ -48,10 +48,10 @@ class BusFault:
     frame number ``frame`` on the bus. Frames are counted from 1. The fault lasts for ``duration``
     s. If ``duration`` is ``None``, the fault lasts until the end of the run.
 
-    - ``node``: name of the affected device. ``None`` means all devices on the bus.
+    - ``node``: name of the affected device, or ``None`` for all devices on the bus.
     - ``id``: node id that the device takes.
     - ``cob_id``: COB-ID of the frames that a babbling device sends, or of the frames that are lost.
-      ``None`` means that frames with any COB-ID are lost.
+      If ``cob_id`` is ``None``, frames with any COB-ID are lost.
     - ``period``: period in s of the frames that a babbling device sends.
     - ``code``, ``register``: error code and error register of the injected emergency frame (EMCY).
     - ``channel``: name of the motor channel that is affected.
@@ -79,7 +79,10 @@ class BusFault:
 
 @dataclass(frozen=True, slots=True)
 class BusFaults:
-    """A script of faults. ``seed`` initialises the random number generator of the faults."""
+    """A list of faults to inject.
+
+    - ``seed``: seed of the random number generator of the faults.
+    """
 
     faults: tuple[BusFault, ...]
     seed: int = 0

@@ -94,9 +94,9 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
     """Return the worst-case response time in s of each stream.
 
     The response time begins when the frame is due without jitter. The response time ends when the
-    frame and the interframe space after the frame are received. The response time is ``None`` if
-    frames of the same or higher priority need the whole bandwidth of the bus. The identifiers of
-    all streams must be different.
+    frame and the interframe space after the frame are received. The response time of a frame is
+    ``None`` if frames of the same or higher priority need the whole bandwidth of the bus. Two
+    streams must not have the same identifier.
     """
     bit = -(-_SECOND // bitrate)
     order = sorted(range(len(streams)), key=lambda i: streams[i].identifier)
@@ -148,12 +148,12 @@ _ANY = 1 << 60
 def _critical_instants(
     period: int, jitter: int, stage: int | None, cycle: Mapping[tuple[int, int, int], int]
 ) -> Iterator[tuple[int, list[_Other]]]:
-    """Yield the lead of the examined frame and the more urgent frames for each candidate instant.
+    """Yield the lead of the examined frame and the more urgent frames for each candidate.
 
-    The candidates are the times of the control cycle at which a busy period may begin. In the worst
-    case, a frame of the control cycle with its largest jitter begins the busy period (Palencia and
+    A candidate is a time of the control cycle at which a busy period may begin. In the worst case,
+    a frame of the control cycle with its largest jitter begins the busy period (Palencia and
     Gonzalez Harbour, "Schedulability analysis for tasks with static and dynamic offsets", RTSS
-    1998). Therefore each frame of the control cycle gives one candidate.
+    1998). Each frame of the control cycle therefore gives one candidate.
     """
     if not cycle:
         yield jitter, []
@@ -198,10 +198,10 @@ def _longest(
 
 
 def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
-    """Return the least time at which the bus has sent ``own`` and all more urgent frames.
+    """Return the least time at which the bus has sent the frame and all more urgent frames.
 
-    The search begins at ``time``. The result is the fixed point of the equation for w(k) in the
-    docstring of this module.
+    ``own`` is the time in ps that the frame itself needs. The search begins at ``time``. The result
+    is the fixed point of the equation for w(k) in the docstring of this module.
     """
     while True:
         needed = own

@@ -28,8 +28,8 @@ class Ground(Element):
 
     - ``angle``: inclination of the ground in rad.
     - ``direction``: uphill direction in rad, measured from x to y.
-    - ``amplitude``: largest height of the random bumps above and below the plane in m. The ground
-      has no bumps if ``amplitude`` is 0.
+    - ``amplitude``: largest height of the random bumps above and below the plane in m, 0 for no
+      bumps.
     - ``wavelength``: shortest wavelength of the bumps in m.
     - ``seed``: seed of the random number generator for the bumps.
     - ``size``: edge lengths in m along x and y of the bumpy rectangle around the origin.
@@ -48,8 +48,8 @@ class Zone(Element):
     """A rectangular zone of the ground, centred on ``pose``.
 
     - ``size``: edge lengths of the zone in m along x and y.
-    - ``friction``, ``rolling_resistance``: coefficients of the wheels in the zone. ``None`` means
-      that each wheel keeps its own coefficient.
+    - ``friction``, ``rolling_resistance``: coefficients of the wheels in the zone, or ``None`` if
+      each wheel keeps its own coefficient.
     - ``height``: height of the zone above the ground in m.
     - ``slope``: angle of the sides of a raised zone in rad.
     - ``amplitude``: largest height of the random bumps above and below their mean in m.
@@ -109,7 +109,7 @@ class World(Element):
 class Fleet(Element):
     """Several robots in one scene, in the order of the fleet file.
 
-    - ``world``: surroundings of the robots. ``None`` means level ground without other bodies.
+    - ``world``: surroundings of the robots, or ``None`` for level ground without other bodies.
     """
 
     name: str

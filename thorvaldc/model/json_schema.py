@@ -57,8 +57,8 @@ def model_schema_text() -> str:
 def _schema_of(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a type.
 
-    The schema of a class is added to ``definitions``. The returned schema then has only a reference
-    to the definition.
+    The schema of a class is stored in ``definitions``, and a reference to the definition is
+    returned.
     """
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}

@@ -50,8 +50,8 @@ class ModelFormatError(ValueError):
     """The JSON text is not a model of the supported version.
 
     - ``reason``: cause of the error.
-    - ``path``: position in the model, such as ``robot.wheels[2]``. The path is empty if the whole
-      file is wrong.
+    - ``path``: position in the model, such as ``robot.wheels[2]``, or empty if the whole file is
+      wrong.
     """
 
     def __init__(self, reason: str, path: str = "") -> None:
@@ -67,7 +67,7 @@ class ModelFormatError(ValueError):
 def type_hints(cls: type) -> dict[str, Any]:
     """Return the types of the fields of a model class by field name.
 
-    Fields that the JSON text omits are left out.
+    Fields that are not written to the JSON text are left out.
     """
     hints = typing.get_type_hints(cls)
     names = (field.name for field in dataclasses.fields(cls))
@@ -244,9 +244,10 @@ def _require(value: Any, expected: type, path: str) -> None:
 
 
 def _text(value: Any) -> str:
-    """Return a JSON value as text for a message.
+    """Return a JSON value as text for an error message.
 
-    Only the type of a list or an object is named. Other values are cut after 40 characters.
+    A list or an object is returned as the name of its type. Any other value is cut after 40
+    characters.
     """
     if isinstance(value, list | dict):
         return _NAMES[type(value)]

@@ -58,7 +58,7 @@ class PluginTable(Generic[T]):
         return sorted({*self.builtin, *(entry.name for entry in _entry_points(self.group))})
 
     def load(self, name: str) -> type[T] | PluginFailure:
-        """Import and return the class with a name.
+        """Import and return the class that has the name ``name``.
 
         Returns a ``PluginFailure`` with the reason if the class cannot be used.
         """

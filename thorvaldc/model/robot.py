@@ -132,7 +132,7 @@ class Link(Element):
     """A rigid body.
 
     - ``module``: path of the module that the link belongs to, such as ``fl.steering``.
-    - ``inertial``: mass and inertia in the link frame. ``None`` means that the link has no mass.
+    - ``inertial``: mass and inertia in the link frame, or ``None`` for a link without mass.
     """
 
     name: str
@@ -160,7 +160,7 @@ class Joint(Element):
     - ``type``: ``fixed``, ``revolute`` (with position limits), ``continuous`` or ``prismatic``.
     - ``pose``: pose of the child link in the parent link at joint position 0.
     - ``axis``: joint axis as a unit vector in the child link frame.
-    - ``lower``, ``upper``: position limits in rad or m. ``None`` means no limit.
+    - ``lower``, ``upper``: position limits in rad or m, or ``None`` for a joint without limits.
     - ``effort``: largest torque in N m or largest force in N.
     - ``velocity``: largest speed in rad/s or m/s.
     - ``damping``: viscous friction in N m s/rad or N s/m.
@@ -198,12 +198,12 @@ class Joint(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tread(Element):
-    """A ring beside the tyre of a wheel. The ring rolls on rails.
+    """A ring beside the tyre of a wheel, which rolls on rails.
 
     - ``name``: name of the rolling radius of the ring in ``Wheel.radii``.
     - ``center``: centre of the ring in the link frame of the wheel, in m.
     - ``width``: distance between the flanges in m.
-    - ``flange``: height of the flanges in m. The value 0 means that the ring has no flanges.
+    - ``flange``: height of the flanges in m, 0 for a ring without flanges.
     """
 
     name: str
@@ -231,8 +231,8 @@ class Wheel(Element):
     - ``friction``: coefficient of friction.
     - ``rolling_resistance``: coefficient of rolling resistance.
     - ``load``: static wheel load in N.
-    - ``contact_height``: height of the lowest point of the wheel above the ground in m. The height
-      is 0 if the wheel stands on the ground.
+    - ``contact_height``: height of the lowest point of the wheel above the ground in m, 0 for a
+      wheel that stands on the ground.
     """
 
     name: str
@@ -282,9 +282,10 @@ class Actuator(Element):
     - ``max_torque``: largest torque on the joint in N m.
     - ``armature``: inertia of the rotor times the square of the gear ratio, in kg m^2.
     - ``motor_max_speed``: largest speed of the motor shaft in rad/s.
-    - ``encoder_ppr``: encoder pulses per revolution of the motor shaft. One pulse has four counts.
-    - ``node``, ``channel``: names of the motor controller and its channel. Both are ``None`` for a
-      motor without a controller on a bus.
+    - ``encoder_ppr``: encoder pulses per revolution of the motor shaft. One encoder pulse has four
+      counts.
+    - ``node``, ``channel``: names of the motor controller and its channel, or ``None`` for a motor
+      without a controller on a bus.
     - ``encoder_offset``: joint position minus encoder reading in rad, from the calibration of a
       steering motor.
     """
@@ -325,10 +326,10 @@ class Sensor(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Battery(Element):
-    """A battery enclosure.
+    """A battery enclosure of the robot.
 
-    - ``node``: name of the node of the battery on the bus. ``None`` means that the enclosure
-      contains no battery.
+    - ``node``: name of the battery's node on the bus, or ``None`` for an enclosure without a
+      battery.
     """
 
     name: str
@@ -400,7 +401,7 @@ class TwistInput(Element):
     - ``topic``: name of the ROS topic in the name space of the robot.
     - ``priority``: priority of the source or lock, 1 to 255.
     - ``timeout``: time in s without a message after which a source becomes inactive and a lock
-      blocks. With the timeout 0, a lock keeps its last state.
+      blocks. A lock with the timeout 0 keeps its last state.
     """
 
     name: str

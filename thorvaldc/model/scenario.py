@@ -17,8 +17,8 @@ class Command:
 
     - ``vx``, ``vy``: forward velocity and velocity to the left in m/s.
     - ``wz``: counterclockwise angular velocity in rad/s.
-    - ``parameters``: name of the parameter set that the driver selects at ``time``. An empty name
-      keeps the selected parameter set.
+    - ``parameters``: name of the parameter set that the driver selects at ``time``, or empty to
+      keep the selected parameter set.
     """
 
     time: float
@@ -30,19 +30,17 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class WheelFault:
-    """An injected fault of a wheel. The base driver receives no message about the injected fault.
+    """An injected fault of a wheel.
 
-    - ``start``, ``end``: times in s. The fault is active from ``start`` until just before ``end``.
-    - ``motor``: ``drive`` or ``steering``, for a fault of a motor.
-    - ``value``: size of the fault. The meaning depends on ``type``.
-
-    Types and the meaning of ``value``:
+    The base driver receives no message about the injected fault. The injected fault is active from
+    the time ``start`` until just before the time ``end`` (s). ``motor`` is ``drive`` or
+    ``steering``. The meaning of ``value`` depends on ``type``:
 
     - ``steering_offset``: true steering angle minus encoder angle, in rad.
     - ``radius_error``: (true radius - nominal radius) / nominal radius.
     - ``ice``: coefficient of friction under the wheel.
-    - ``encoder_frozen``: no value. The encoder of the motor always returns the same position.
-    - ``motor_lost``: no value. The motor has no torque.
+    - ``encoder_frozen``: no value; the encoder of the motor always returns the same position.
+    - ``motor_lost``: no value; the motor has no torque.
     """
 
     type: str
@@ -63,8 +61,8 @@ class Noise:
     - ``wheel_speed``: standard deviation of the measured wheel speed in rad/s.
     - ``wheel_position``: standard deviation of the measured wheel position in rad.
     - ``steering_angle``: standard deviation of the measured steering angle in rad.
-    - ``gyro``: standard deviation of the measured yaw rate in rad/s. ``None`` means that the robot
-      has no gyroscope.
+    - ``gyro``: standard deviation of the measured yaw rate in rad/s, or ``None`` for a robot
+      without a gyroscope.
     - ``gyro_bias``: constant error of the measured yaw rate in rad/s.
     - ``encoder_counts``: true if positions are rounded to whole encoder counts.
     """
@@ -83,7 +81,7 @@ class Expectation:
     """The allowed range of a metric, checked for every robot of the scenario.
 
     - ``metric``: name of the metric.
-    - ``least``, ``most``: smallest and largest allowed value of the metric. ``None`` means no
+    - ``least``, ``most``: smallest and largest allowed value of the metric, or ``None`` for no
       limit.
     """
 
@@ -100,7 +98,7 @@ class Scenario:
     - ``duration``: duration of the run in s.
     - ``commands``: the name of each robot with the commands of the robot, in order of time.
     - ``record``: names of the groups of columns in the record of the run.
-    - ``every``: time between two rows of the record in s. The value 0 records every control tick.
+    - ``every``: time between two rows of the record in s, or 0 to record every control tick.
     """
 
     name: str

@@ -115,10 +115,10 @@ def quat_to_matrix(q: Quat) -> Mat3:
 def matrix_to_rpy(r: Mat3) -> Vec3:
     """Return the fixed-axis roll, pitch and yaw angles in rad of a rotation matrix.
 
-    With R = Rz(yaw) Ry(pitch) Rx(roll), the matrix Rz(-yaw) R has the entries cos(roll) and
-    -sin(roll) in its second row. The function computes roll from these two entries. The three
-    angles therefore reproduce the matrix R even at a pitch of +-90 degrees, where ``asin`` loses
-    half of the digits.
+    With R = Rz(yaw) Ry(pitch) Rx(roll), the second row of the matrix Rz(-yaw) R contains the
+    entries cos(roll) and -sin(roll). The function computes roll from both entries. The three angles
+    therefore reproduce the matrix R even at a pitch of +-90 degrees, where ``asin`` loses half of
+    the digits.
     """
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
     yaw = math.atan2(r[1][0], r[0][0]) if math.hypot(r[0][0], r[1][0]) > 1e-12 else 0.0

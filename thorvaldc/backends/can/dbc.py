@@ -56,8 +56,9 @@ def dbc_text(bus: Bus) -> str:
             return self  # cantools copies messages to change names; here nothing else uses them
 
         def refresh(self, strict: bool | None = None) -> None:
-            """Skip the codecs and the check of the layout. The compiler has already checked the
-            layout.
+            """Skip the codecs and the check of the layout.
+
+            The compiler has already checked the layout.
             """
 
     nodes = [can.Node("master", "Master of the bus: the base driver.")] + [

@@ -1,4 +1,4 @@
-"""The command ``thorvaldc calibrate``: computes wheel radii and steering offsets from a joint log."""
+"""The command ``thorvaldc calibrate``: computes wheel radii and steering offsets from a log."""
 
 from __future__ import annotations
 

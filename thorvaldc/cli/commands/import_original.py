@@ -1,6 +1,4 @@
-"""The command ``thorvaldc import``: converts a configuration of the original system to a
-robot.yaml.
-"""
+"""The command ``thorvaldc import``: converts a configuration of the original Thorvald system."""
 
 from __future__ import annotations
 

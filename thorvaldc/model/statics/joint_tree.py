@@ -14,9 +14,8 @@ class JointTree:
     The root of the tree is ``links[0]``. The links are visited depth first, and the children of a
     link are visited in model order.
 
-    - ``positions``: joint positions in rad or m by joint name. A joint without a value is at 0.
-    - ``order``: names of the connected links, depth first. A parent link is listed before its
-      children.
+    - ``positions``: joint positions in rad or m by joint name, 0 for a joint without a value.
+    - ``order``: names of the connected links, depth first, with each parent before its children.
     - ``parent_joint``: maps a link name to the joint above the link.
     - ``children``: maps a link name to the joints below the link.
     - ``pose``: maps a link name to the pose of the link in ``base_link``.
@@ -85,8 +84,9 @@ class JointTree:
     def inertial(self, names: Sequence[str] | None = None, lift: float = 0.0) -> Inertial:
         """Return the mass and inertia of several links as one body.
 
-        - ``names``: names of the links. ``None`` means all links. Links that are not connected to
-          the root are left out.
+        Links that are not connected to the root are left out.
+
+        - ``names``: names of the links, or ``None`` for all links.
         - ``lift``: height in m by which all links are raised in ``base_link``.
         """
         bodies = []

@@ -45,9 +45,9 @@ class BranchSparse:
     def factor(self) -> bool:
         """Replace the matrix by its L^T D L factors.
 
-        Each row of the matrix is replaced by the row of L. The last element of the row becomes 1/D.
-        Returns false if a pivot is zero, which means that the matrix is singular. A degree of
-        freedom without a pivot gets a row of zeros. The row of zeros locks the degree of freedom.
+        Each row of the matrix is replaced by the row of L, with 1/D as the last element. Returns
+        false if the matrix is singular, because a pivot is zero. The row of a degree of freedom
+        with a zero pivot is filled with zeros, which locks the degree of freedom.
         """
         regular = True
         for i in range(len(self.rows) - 1, -1, -1):
@@ -104,8 +104,7 @@ _SpatialInertia = list[float]
 
 
 def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | None:
-    """Return the spatial inertia of a link about the point ``origin``, in the axes of
-    ``base_link``.
+    """Return the spatial inertia of a link about ``origin``, in the axes of ``base_link``.
 
     ``pose`` is the pose of the link in ``base_link``. Returns ``None`` for a link without mass.
     """

@@ -11,8 +11,8 @@ The symbols are:
 
 - f_w: contact force of wheel w as a function of its penetration p_w, see ``wheel_contact``.
 - l_w: lift of the contact point of wheel w for a unit change of each unknown. The lift for the
-  height is 1. With the base position b, the lift for the rotations about x and y is y - b_y and b_x
-  - x. For a prismatic joint with axis a, the lift is a_z. For a hinge joint with axis a at the
+  height is 1. With the base position b, the lift for the rotation about x is y - b_y, and the
+  lift for the rotation about y is b_x - x. For a prismatic joint with axis a, the lift is a_z. For a hinge joint with axis a at the
   point o, the lift is a_x (y - o_y) - a_y (x - o_x).
 
 Raising the wheel centre by dz reduces the penetration by 2 dz, so the stiffness matrix is
@@ -82,7 +82,7 @@ class Statics(NamedTuple):
 class _Footing(NamedTuple):
     """A wheel in the home pose, with its geometry in ``base_link``.
 
-    ``group`` is the number of the rigid group of links that carries the wheel.
+    ``group`` is the number of the rigid group of links to which the wheel belongs.
     """
 
     group: int
@@ -170,9 +170,7 @@ class _Stance:
             )
 
     def evaluate(self, base: Pose, positions: list[float]) -> _Forces:
-        """Return the residual r(q) for a pose of the base and the positions of the compliant
-        joints.
-        """
+        """Return the residual r(q) for a base pose and the positions of the compliant joints."""
         transforms = [base]
         frames: list[tuple[Vec3, Vec3]] = [(base.xyz, (0.0, 0.0, 1.0))]
         for g in range(1, len(self.parent)):
@@ -263,8 +261,7 @@ class _Stance:
         return matrix.solve(forces.residual) if matrix.factor() else None
 
     def settle(self, sink: float) -> tuple[Pose, list[float], _Forces] | None:
-        """Return the base pose, the positions of the compliant joints and the forces in
-        equilibrium.
+        """Return the base pose, the compliant joint positions and the forces in equilibrium.
 
         The search starts with the base ``sink`` m below the origin. Returns ``None`` if the search
         finds no equilibrium.
@@ -351,7 +348,8 @@ def solve_statics(robot: Robot) -> Statics:
     contacts = {}
     for (wheel, axis, weight), depth, tilt in zip(wheels, depths, tilts, strict=True):
         p = max(depth, 0.0)
-        # A standing robot leans by about 1e-5 rad. So small a tilt of a wheel counts as upright.
+        # A standing robot leans by about 1e-5 rad. A wheel with a tilt below 1e-4 rad counts as
+        # upright.
         camber = tilt if abs(tilt) > 1e-4 else 0.0
         contacts[wheel.name] = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
     return Statics(base, positions, inertias, contacts, equilibrium is not None)

@@ -251,8 +251,9 @@ class Joystick:
 
 
 class OperatorPair:
-    """Two operators of one robot. The second operator drives while the first operator commands no
-    twist.
+    """Two operators of one robot.
+
+    The second operator drives while the first operator commands no twist.
     """
 
     def __init__(self, first: Operator, second: Operator) -> None:

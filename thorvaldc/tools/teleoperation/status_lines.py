@@ -12,11 +12,13 @@ from thorvaldc.runtime.se2 import Twist
 def status_lines(
     state: Mapping[str, Any], commanded: Twist | None, share: float, message: str
 ) -> list[str]:
-    """Returns two status lines.
+    """Returns the two status lines for the operator.
 
     The first line shows the commanded twist and the twist that the driver applies. The second line
-    shows the pose of the robot and the state of the driver. ``state`` is the result of the service
-    ``state``. ``commanded`` is the twist that the operator commands.
+    shows the pose of the robot and the state of the driver.
+
+    - ``state``: result of the service ``state``.
+    - ``commanded``: twist that the operator commands, or ``None``.
     """
     command = _twist_text(commanded) if commanded is not None else f"{'nothing':^24}"
     source = state.get("source") or "nobody"

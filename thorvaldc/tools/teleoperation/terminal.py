@@ -22,8 +22,9 @@ _CONTROL = {"\x03": "ctrl-c", "\x04": "ctrl-d"}
 
 
 def keys_of(text: str) -> list[str]:
-    """Returns the names of the keys in the input of a terminal. Unknown escape sequences are
-    ignored.
+    """Returns the names of the keys in the input of a terminal.
+
+    Unknown escape sequences are ignored.
     """
     keys = []
     at = 0
@@ -146,7 +147,10 @@ class Terminal:
         self._write(f"{up}{body}")
 
     def _write(self, text: str) -> None:
-        """Writes as much text as possible without waiting. The next call writes the remaining text."""
+        """Writes as much text as possible without waiting.
+
+        The next call writes the remaining text.
+        """
         self._pending += text.encode("utf-8", "replace")
         if not self._pending or not self._is_terminal:
             return
