@@ -50,8 +50,8 @@ class Backend(abc.ABC):
 class Target(NamedTuple):
     """A built-in target.
 
-    - ``backend``: class of the backend as ``"module:class"``. The class has the name and the
-      summary of the target.
+    - ``backend``: class of the backend as ``"module:class"``. The backend class contains the name
+      and the summary of the target.
     - ``default``: true if ``build`` writes the target by default.
     """
 
@@ -73,7 +73,10 @@ PLUGINS: PluginTable[Backend] = PluginTable(
 
 
 class TargetError(KeyError):
-    """The target does not exist, or its backend cannot be used. The message gives the reason."""
+    """The target does not exist, or its backend cannot be used.
+
+    The error message gives the reason.
+    """
 
     def __str__(self) -> str:
         return str(self.args[0])  # ``KeyError`` would show the message in quotes

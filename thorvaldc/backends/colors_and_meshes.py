@@ -10,8 +10,9 @@ Color = tuple[float, float, float, float]
 class Palette:
     """Names of the colours of robots, such as ``color_7f7f7f``.
 
-    A name contains the RGB value in hexadecimal digits. The name of a transparent colour also
-    contains the opacity. The name of a colour does not depend on the other colours of the robot.
+    The name of a colour contains the RGB value in hexadecimal digits. The name of a transparent
+    colour also contains the opacity. The name of a colour does not depend on the other colours of
+    the robot.
     """
 
     def __init__(self, *robots: Robot) -> None:

@@ -102,7 +102,7 @@ def add_home(
 ) -> None:
     """Add the key frame ``home``, in which every robot stands still.
 
-    The set points of all servos are equal to the joint positions of the standing pose.
+    In the key frame, every servo holds its joint at the position of the standing pose.
     """
     qpos: list[float] = []
     ctrl: list[float] = []

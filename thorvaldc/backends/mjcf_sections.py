@@ -11,12 +11,13 @@ from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF
 
 TIMESTEP = 0.005  # s
 # Largest d h / I of a servo for which the model uses MuJoCo's explicit integrator. The implicit
-# integrators apply the damping of the motor joints after the contact forces. An accelerating robot
-# is then ahead of its wheels by 5 ms. The explicit integrator does not have this error. For a joint
-# with the inertia I and the damping d, an explicit step of h s multiplies the joint speed by
-# 1 - d h / I. The explicit integrator is therefore stable for d h / I < 2. Robots with wheels that
-# must slide get an implicit integrator. Sliding wheels have no load except friction, and with the
-# explicit integrator they chatter if d h / I is above 1.
+# integrators apply the damping of the motor joints after the contact forces. With an
+# implicit integrator, an accelerating robot is ahead of its wheels by 5 ms. The explicit integrator
+# has no such delay between the robot and its wheels. For a joint with the inertia I and the damping
+# d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit integrator is
+# therefore stable for d h / I < 2. Robots with wheels that must slide get an implicit integrator.
+# Sliding wheels have no load except friction, so they would chatter with the explicit integrator if
+# d h / I is above 1.
 EXPLICIT_DAMPING = 1.5
 SAME_AXLE = 1e-3  # m and rad, largest distance and angle between two wheels on the same axle
 
@@ -42,7 +43,10 @@ class ModelSections:
         self.largest_damping = 0.0
 
     def root(self) -> Element:
-        """Return the root element of the MJCF model. All robots must be written before the call."""
+        """Return the root element of the MJCF model.
+
+        All robots must be written before ``root`` is called.
+        """
         root = Element("mujoco", model=self.model)
         root.add(
             "compiler",

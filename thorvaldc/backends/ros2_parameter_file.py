@@ -2,8 +2,8 @@
 
 The parser of rcl does not allow some parts of YAML: aliases, nested or mixed lists and empty
 values. The parser of rcl guesses the type of some values: ``y`` is true, ``017`` is 15, and ``1e3``
-is a number. The writer avoids both problems. Text is always in double quotes. A float always has a
-dot. A list is not empty, and all its elements have the same type.
+is a number. The writer therefore puts all text in double quotes and writes every float with a dot.
+The writer rejects empty lists and lists with mixed types.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _INT64 = 1 << 63
 
 
 class ParameterError(ValueError):
-    """A value that a ROS 2 parameter file cannot contain. The message names the parameter."""
+    """A value that a ROS 2 parameter file cannot contain. The error message names the parameter."""
 
 
 def parameter_file(nodes: Mapping[str, Mapping[str, Value]]) -> str:
     """Return the text of a ROS 2 parameter file.
 
     ``nodes`` maps the full name of each node, such as ``/r1/base_driver``, to the parameters of the
-    node. A nested mapping ``{"a": {"b": 1}}`` gives the parameter ``a.b``. Raises
-    ``ParameterError`` for a value that rcl rejects or misreads.
+    node. A nested mapping groups parameters: ``{"a": {"b": 1}}`` gives the parameter ``a.b``.
+    Raises ``ParameterError`` for a value that rcl rejects or misreads.
     """
     lines = [HEADER]
     for node, parameters in nodes.items():

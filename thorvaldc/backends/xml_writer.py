@@ -1,8 +1,8 @@
 """A small XML tree with one deterministic text form.
 
-Attributes and children keep their order. A number is written as the shortest text that reads back
-as the same number. All text is escaped. A build uses this module instead of ``xml.etree``, because
-this module is smaller and faster.
+The attributes and children of an element keep their order. A number is written as the shortest text
+that reads back as the same number. The writer escapes all text. A build uses this module instead of
+``xml.etree``, because this module is smaller and faster.
 """
 
 from __future__ import annotations
@@ -115,8 +115,8 @@ def parse(text: str, rename: Rename | None = None) -> Element:
 
     ``rename`` is called with the tag, the attribute name and the value of each attribute, and
     returns the new value. For the text of an element, ``rename`` is called with an empty attribute
-    name. Comments are omitted. Text beside child elements is also omitted. Raises ``ValueError`` if
-    the text is not well-formed XML.
+    name. The parser omits comments and text beside child elements. Raises ``ValueError`` if the
+    text is not well-formed XML.
     """
     from xml.parsers import expat
 

@@ -40,8 +40,8 @@ UNTESTED = (
 class BusAccess:
     """Access of a command to one CAN bus of a robot.
 
-    - ``master``: the CANopen master for the bus. No other CANopen master may be on the bus.
-    - ``virtual_operator``: carries out the manual steps on simulated devices. ``None`` means that a
+    - ``master``: the CANopen master for the bus. The bus must have no other CANopen master.
+    - ``virtual_operator``: carries out the manual steps on simulated devices, or ``None`` if a
       person carries out the manual steps.
     """
 
@@ -132,7 +132,7 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
             f"{name!r} is neither virtual nor virtual:delivered", param_hint="'--bus'"
         )
     check_full_installation("`--bus virtual`")
-    # The import is here, because the runtime package has no simulation.
+    # The simulation is imported here, because the runtime package does not contain the simulation.
     from thorvaldc.cli.virtual_robot import read_store
     from thorvaldc.simulation.bus.device_memory import write_memory
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

@@ -22,7 +22,10 @@ class ConsoleOperator:
 
 
 def agrees(question: str) -> bool:
-    """Asks a yes-or-no question and returns true for yes. An empty answer means no."""
+    """Asks a yes-or-no question and returns true for yes.
+
+    An empty answer to the question means no.
+    """
     return _read_answer(f"{question} [y/N] ").strip().lower() in ("y", "yes")
 
 

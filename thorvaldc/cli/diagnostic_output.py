@@ -99,8 +99,9 @@ def report_of(error: DiagnosticError) -> Report:
 def has_color(stream: TextIO) -> bool:
     """Returns whether the output may be coloured.
 
-    The output is coloured on a terminal. The environment variables ``NO_COLOR`` and ``TERM=dumb``
-    turn colours off (no-color.org), and ``FORCE_COLOR`` turns colours on.
+    By default, output on a terminal is coloured. The environment variables ``NO_COLOR`` and
+    ``TERM=dumb`` turn colours off (no-color.org), and ``FORCE_COLOR`` turns colours on for any
+    output.
     """
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return False

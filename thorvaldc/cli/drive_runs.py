@@ -41,10 +41,9 @@ def run_drive(
 ) -> int:
     """Drives a robot or fleet in simulation, prints the result and returns the exit status.
 
-    - ``twist``: text of the commanded twist. If empty, the robot drives its demonstration
-      manoeuvre.
-    - ``duration``: duration in s. The value 0 selects the default duration.
-    - ``record``, ``log``: paths of the record and the joint log. An empty path writes no file.
+    - ``twist``: text of the commanded twist, or empty for the demonstration manoeuvre of the robot.
+    - ``duration``: duration in s, or 0 for the default duration.
+    - ``record``, ``log``: paths of the record and the joint log, or empty for no file.
     """
     gc.enable()
     report = Report()

@@ -176,10 +176,9 @@ def parse_duration(text: str, option: str, least: float = 0.0) -> float:
 
 
 def parse_record_time(text: str) -> float:
-    """Returns a time in s from the start of a record.
+    """Returns a time in s from the start of a record, or infinity for empty text.
 
-    An empty text gives an infinite time. Raises ``ValueError`` if the text is no time or the time
-    is negative.
+    Raises ``ValueError`` if the text is no time or the time is negative.
     """
     if not text:
         return math.inf

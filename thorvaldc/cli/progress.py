@@ -15,7 +15,7 @@ BAR_WIDTH = 30  # characters
 
 
 class Progress:
-    """A progress bar on stderr. The bar is shown only on a terminal.
+    """A progress bar on stderr, which is shown only on a terminal.
 
     - ``total``: value at which the progress bar is full.
     - ``label``: text before the progress bar.
@@ -36,7 +36,8 @@ class Progress:
             bar = f"[{'#' * (percent * BAR_WIDTH // 100):<{BAR_WIDTH}}]"
             number = f"{value:.1f}" if self.unit == "s" else f"{value:.0f}"
             line = f"{self.label}{bar} {percent:3d} %  {number} of {self.total:g} {self.unit}"
-            # The text is cut at the width of the terminal, because a wrapped line cannot be erased.
+            # The progress bar is cut at the width of the terminal, because a wrapped line cannot be
+            # erased.
             print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
 
     def watch(self, loop: ControlLoop) -> None:

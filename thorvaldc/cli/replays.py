@@ -35,7 +35,7 @@ def replay_run(
     """Prints the result of a recorded run, draws its pictures and returns the exit status.
 
     - ``source``: path of the record.
-    - ``record``: path for a copy of the record in another format. An empty path writes no copy.
+    - ``record``: path for a copy of the record in another format, or empty for no copy.
     """
     robots = _robots_of(model)
     runs, status = _read_record(source, robots, for_plot=bool(pictures.plot))
@@ -67,8 +67,8 @@ def arrangement(
 ) -> Callable[[MujocoScene], None] | None:
     """Returns a function that moves the robots of a scene to their recorded poses at ``time`` (s).
 
-    A time after the end of the record selects the end of the record. Returns ``None`` if the record
-    has errors. The errors are printed.
+    A time after the end of the record selects the end of the record. If the record has errors, the
+    errors are printed and ``None`` is returned.
     """
     robots = _robots_of(model)
     runs, _ = _read_record(source, robots, for_plot=False)

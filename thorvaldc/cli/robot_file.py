@@ -36,9 +36,9 @@ class LoadedRobot(NamedTuple):
 def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
     """Returns the robot of a robot.yaml or model.json.
 
-    Returns ``None`` if the file has errors. The errors are printed. Raises ``typer.BadParameter``
-    if the file contains no robot. Raises ``OutsideError`` for a robot.yaml if the compiler is not
-    installed.
+    If the file has errors, the errors are printed and ``None`` is returned. Raises
+    ``typer.BadParameter`` if the file contains no robot. Raises ``OutsideError`` for a robot.yaml
+    if the compiler is not installed.
     """
     if file.endswith(".json"):
         return _load_model_file(Path(file))
@@ -47,7 +47,7 @@ def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
             f"{file} needs the compiler, and this installation is the runtime alone: give the"
             " model.json of a build, or `pip install thorvaldc`"
         )
-    # The import is here, because the runtime package has no compiler.
+    # The compiler is imported here, because the runtime package does not contain the compiler.
     from thorvaldc.cli.compiling import compile_and_show
 
     compilation = compile_and_show(file, library)

@@ -52,7 +52,7 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
 
 
 class RunPictures:
-    """The plot and the video of a run. An empty path requests no picture.
+    """The plot and the video of a run. No plot or video is drawn for an empty path.
 
     The constructor must be called before the import of MuJoCo, because the constructor selects the
     OpenGL backend. The method ``watch`` must be called in each tick of the run. The method

@@ -1,4 +1,7 @@
-"""The records and joint logs that a run writes. All files are opened before the run."""
+"""The records and joint logs that a run writes.
+
+All records and joint logs are opened before the run.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,9 @@ def open_recorders(
 ) -> Sequence[Recorder]:
     """Opens the recorder for the option ``--record``.
 
-    Returns an empty sequence for an empty path. A path that ends in ``.mcap`` is one file for all
-    robots. A path that ends in ``.csv`` is a file for one robot. Any other path is a folder with a
-    CSV file for each robot.
+    An empty path opens no recorder. A path that ends in ``.mcap`` is one file for all robots. A
+    path that ends in ``.csv`` is a file for one robot. Any other path is a folder with a CSV file
+    for each robot.
 
     - ``every``: recording period in s.
     - ``stack``: closes the recorder at the end of the run.

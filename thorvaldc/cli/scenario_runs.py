@@ -44,7 +44,9 @@ def run_scenario(
 ) -> int:
     """Runs a scenario, prints its result and returns the exit status.
 
-    The paths ``record``, ``junit`` and ``log`` name output files. An empty path writes no file.
+    - ``record``: path of the record, or empty for no record.
+    - ``junit``: path of the JUnit report, or empty for no report.
+    - ``log``: path of the joint log, or empty for no joint log.
     """
     if junit:
         check_output(junit, ("xml",), "--junit")
@@ -84,9 +86,9 @@ def plan_runs(
 ) -> Variations | None:
     """Returns the variations of a scenario from the options ``--set``.
 
-    If ``from_document`` is true, the variations in the scenario file are included. Returns ``None``
-    if the scenario has errors. The errors are printed. Raises ``typer.BadParameter`` if an option
-    is wrong or nothing varies.
+    If ``from_document`` is true, the variations in the scenario file are included. If the scenario
+    has errors, the errors are printed and ``None`` is returned. Raises ``typer.BadParameter`` if an
+    option is wrong or no value varies.
     """
     for text in settings:
         path, equals, _ = text.partition("=")
@@ -130,8 +132,9 @@ def run_batch(
 ) -> int:
     """Runs all variations of a scenario, prints the results and returns the exit status.
 
-    ``output`` is the path of a CSV or JSON file for the results. An empty path writes no file.
     After Ctrl-C, the results of the completed runs are printed and written.
+
+    - ``output``: path of a CSV or JSON file for the results, or empty for no file.
     """
     gc.enable()
     process_count = parse_count(jobs, "--jobs", 1) or processors()

@@ -39,7 +39,7 @@ class StatusView:
     def watch(self, runner: BaseRunner, state: DriverState) -> None:
         """Prints new state changes and updates the status line.
 
-        Must be called after each control cycle.
+        The method ``watch`` must be called after each control cycle.
         """
         session = self._session
         if runner.changes:

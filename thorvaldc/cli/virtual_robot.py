@@ -27,7 +27,7 @@ def start_virtual_robot(
 ) -> SimulatedRobot:
     """Returns a simulated robot with a device for each node of its buses, switched on.
 
-    ``faults`` is the path of a file with faults to inject. An empty path injects no faults. Raises
+    ``faults`` is the path of a file with faults to inject, or empty for no faults. Raises
     ``DiagnosticError`` if the faults cannot be read or the robot cannot be simulated.
     """
     script = read_faults(faults, robot, report) if faults else None

@@ -75,7 +75,7 @@ class Sphere(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MeshShape(Element):
-    """A shape from a mesh file of the robot.
+    """A collision or visual shape from a mesh file of the robot.
 
     - ``mesh``: name of a mesh in ``Robot.meshes``.
     - ``scale``: scale factors along x, y and z.
@@ -355,16 +355,16 @@ class CalculatorChoice(Element):
 class DriverSettings(Element):
     """Settings of the base driver.
 
+    The limits of the twist are those in the robot file. Without limits in the robot file, the
+    limits of the modules determine the limits of the twist.
+
     - ``rate``: frequency of the control loop in Hz.
     - ``command_timeout``: time in s after which the driver considers a commanded twist too old.
     - ``max_linear_velocity``, ``max_angular_velocity``: limits of the twist in m/s and rad/s.
     - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
       in m/s^2 and rad/s^2.
-    - ``noise``: standard deviations for the odometry in SI units, by the names of the fields of the
-      runtime's class ``Noise``. Only values from the robot file are listed.
-
-    The limits of the twist are those in the robot file. Without limits in the robot file, the
-    limits of the modules determine the limits of the twist.
+    - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
+      names of the standard deviations are the fields of the runtime's class ``Noise``.
     """
 
     rate: float
@@ -380,8 +380,8 @@ class DriverSettings(Element):
 class ParameterSet(Element):
     """A named set of parameters that the driver can select while the robot drives.
 
-    - ``radii``: name of the rolling radii of the wheels. With ``None``, each wheel uses
-      ``Wheel.radius``. A wheel that has no radius with this name also uses ``Wheel.radius``.
+    - ``radii``: name of the rolling radii of the wheels, or ``None`` for ``Wheel.radius``. A wheel
+      without a rolling radius of the name ``radii`` also uses ``Wheel.radius``.
     - ``driver``: settings of the robot's driver, with the changes of the parameter set.
     """
 
@@ -414,7 +414,7 @@ class TwistInput(Element):
 class Robot(Element):
     """A whole robot.
 
-    - ``namespace``: prefix of names in outputs. An empty name space means no prefix.
+    - ``namespace``: prefix of names in outputs, or empty for names without a prefix.
     - ``links``: rigid bodies of the robot. The first link is ``base_link``, which lies on the
       ground.
     - ``inertial``: inertia of the whole robot in ``base_link`` when every joint is at position 0.
@@ -448,14 +448,20 @@ class Robot(Element):
         return f"{self.namespace}/" if self.namespace else ""
 
     def link(self, name: str) -> Link:
-        """Return the link with a name. Raises ``KeyError`` if the robot has no such link."""
+        """Return the link that has the name ``name``.
+
+        Raises ``KeyError`` if the robot has no link with the name.
+        """
         for link in self.links:
             if link.name == name:
                 return link
         raise KeyError(name)
 
     def joint(self, name: str) -> Joint:
-        """Return the joint with a name. Raises ``KeyError`` if the robot has no such joint."""
+        """Return the joint that has the name ``name``.
+
+        Raises ``KeyError`` if the robot has no joint with the name.
+        """
         for joint in self.joints:
             if joint.name == name:
                 return joint

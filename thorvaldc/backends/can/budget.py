@@ -64,7 +64,7 @@ def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
 def budget_table(robot: Robot) -> str:
     """Return the load of each bus and the response time of each frame as Markdown tables.
 
-    The columns of the tables are aligned.
+    The columns of the Markdown tables are aligned.
     """
     lines = [
         f"# Load of the buses of {robot.name}",

@@ -26,7 +26,7 @@ def described(bus: Bus) -> list[Node]:
 def dcf_text(bus: Bus, node: Node) -> str:
     """Return the text of the DCF of a node.
 
-    Numbers are written as decimal numbers. Identifiers are written as hexadecimal numbers.
+    Numbers in the DCF are decimal, and identifiers in the DCF are hexadecimal.
     """
     in_pdo = {
         (index, subindex): frame.producer != node.name

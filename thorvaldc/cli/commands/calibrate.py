@@ -54,7 +54,7 @@ def calibrate(
         DriverParameters.from_robot(model, parameters or None)
     except DiagnosticError as error:
         return show_report(compilation.located(report_of(error)), compilation.sources)
-    # The import is here, so that numpy is loaded only for a calibration.
+    # The calibration is imported here, so that other commands do not load numpy.
     from thorvaldc.tools.calibration.calibration_file import overlay_text, write_calibration
     from thorvaldc.tools.calibration.calibration_text import as_json, table
     from thorvaldc.tools.calibration.self_calibration import calibrate as estimate

@@ -1,6 +1,6 @@
 """The hidden command ``thorvaldc demo``: builds robots and drives each robot in simulation.
 
-The command prints a table with the results of the robots.
+The demo prints a table with the results of all robots.
 """
 
 from __future__ import annotations

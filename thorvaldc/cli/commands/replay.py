@@ -1,6 +1,6 @@
 """The command ``thorvaldc replay``: shows a recorded run as a table, a plot or a video.
 
-The command can also convert the record to another file format.
+The command ``replay`` can also convert the record to another file format.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ def _connect(name: str) -> Vehicle:
 def _start_driver(file: str, on: str, name: str, library: list[str]) -> Vehicle | None:
     """Starts a base driver in this process.
 
-    Returns ``None`` if the file has errors. The errors are printed.
+    If the file has errors, the errors are printed and ``None`` is returned.
     """
     loaded = load_robot(file, library)
     if loaded is None:

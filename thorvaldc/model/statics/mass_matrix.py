@@ -5,7 +5,7 @@ Rigid Body Dynamics Algorithms, 2008, section 6.2). The degrees of freedom are t
 and three rotations of the base, followed by one degree of freedom for each movable joint. The
 elements of the mass matrix are
 
-    M_ij = s_j . C_i s_i,   for each j on the path from the root to i,
+    M_ij = s_j^T C_i s_i,   for each j on the path from the root to i,
 
 and M_ij = 0 if neither joint carries the other joint. The symbols are:
 

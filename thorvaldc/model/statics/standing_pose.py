@@ -12,18 +12,18 @@ The symbols are:
 - f_w: contact force of wheel w as a function of its penetration p_w, see ``wheel_contact``.
 - l_w: lift of the contact point of wheel w for a unit change of each unknown. The lift for the
   height is 1. With the base position b, the lift for the rotation about x is y - b_y, and the
-  lift for the rotation about y is b_x - x. For a prismatic joint with axis a, the lift is a_z. For a hinge joint with axis a at the
-  point o, the lift is a_x (y - o_y) - a_y (x - o_x).
+  lift for the rotation about y is b_x - x. For a prismatic joint with axis a, the lift is a_z.
+  For a hinge joint with axis a at the point o, the lift is a_x (y - o_y) - a_y (x - o_x).
 
 Raising the wheel centre by dz reduces the penetration by 2 dz, so the stiffness matrix is
 
     K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses).
 
 The stiffness matrix neglects the small change of l_w with q. Newton's method solves K dq = r for
-the step dq. K has entries only between unknowns that carry the same wheel. K therefore has the
-sparsity of the joint tree and is factored like a mass matrix. The computing time grows linearly
-with the number of branches of the tree. Every element of a Newton step is limited to 0.05 m or 0.05
-rad. The step is then halved until the largest residual decreases.
+the step dq. The matrix K has entries only between unknowns that carry the same wheel. K therefore
+has the sparsity of the joint tree and is factored like a mass matrix. The computing time grows
+linearly with the number of branches of the tree. Every element of a Newton step is limited to 0.05
+m or 0.05 rad. A Newton step is halved until the largest residual decreases.
 """
 
 from __future__ import annotations
@@ -326,7 +326,8 @@ def solve_statics(robot: Robot) -> Statics:
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
     compliant = _compliant_joints(robot, tree)
-    # The positions of compliant joints are measured from 0. All other joints are at home.
+    # The positions of compliant joints are measured from 0. All other joints are at their home
+    # positions.
     unknown = {joint.name for joint in compliant}
     home = {name: q for name, q in positions.items() if name not in unknown and q != 0.0}
     wheels = list(zip(robot.wheels, axes, weights, strict=True))

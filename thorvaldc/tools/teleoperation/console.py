@@ -25,12 +25,12 @@ def drive_from_console(
 ) -> None:
     """Drives the vehicle until the operator quits or ``end_requested`` returns true.
 
+    Raises ``ConnectionError`` if the base driver ends.
+
     - ``source``: name of the twist source of the operator.
     - ``share``: initial share of the top speed, 0 to 1.
-    - ``search``: function that finds the joystick. ``None`` means that the operator drives only
-      with the keyboard.
-
-    Raises ``ConnectionError`` if the base driver ends.
+    - ``search``: function that finds the joystick, or ``None`` if the operator drives only with the
+      keyboard.
     """
     description = vehicle.description
     limits = Limits.of(description)
@@ -39,7 +39,7 @@ def drive_from_console(
     help_texts = [KEYBOARD_HELP] * (keys is not None) + [JOYSTICK_HELP] * (search is not None)
     print(*help_texts, "", sep="\n", flush=True)
     # A pause for garbage collection would delay the control cycle. Freezing the existing objects
-    # shortens the pauses.
+    # shortens the pauses for garbage collection.
     gc.collect()
     gc.freeze()
     with Terminal(keys, sys.stdout) as terminal:

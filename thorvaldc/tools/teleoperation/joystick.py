@@ -78,9 +78,11 @@ class Device(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The Linux event codes of the axes and buttons that are used. The code -1 means not used.
+    """The Linux event codes of the axes and buttons of a joystick.
 
-    - ``enable``: dead-man button. The robot drives only while the button is pressed.
+    The code -1 means that an axis or a button is not used.
+
+    - ``enable``: dead-man button, which must be pressed while the robot drives.
     - ``turbo``: dead-man button for the top speed.
     - ``stop``: button that requests the safety stop.
     - ``release``: button that requests the release of the safety stop.

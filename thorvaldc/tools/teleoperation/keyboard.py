@@ -1,4 +1,4 @@
-"""Converts keys to twists.
+"""Converts the keys of a keyboard to twists.
 
 A terminal reports when a key is pressed and repeated, but not when the key is released. The press
 of a key therefore drives for ``FIRST_HOLD``, and each repeat drives for ``REPEAT_HOLD``. After the
@@ -80,8 +80,8 @@ _SERVICES: dict[str, Request] = {
 class Keyboard:
     """An operator at a keyboard.
 
-    - ``read``: function that returns the names of the keys since the last call. The function raises
-      ``EOFError`` if the terminal is closed, which ends the teleoperation.
+    - ``read``: function that returns the names of the keys since the last call, or raises
+      ``EOFError`` if the terminal is closed. The closed terminal ends the teleoperation.
     - ``sets``: names of the parameter sets of the robot.
     """
 
@@ -164,7 +164,8 @@ class Keyboard:
             self.message = "this robot cannot move sideways"
             self._driving = False
             return
-        # The same key within its hold time counts as a repeat. A different key counts as a press.
+        # The same key within its hold time counts as a repeat. A different key counts as a new
+        # press.
         repeats = self._driving and key == self._key and now <= self._until
         self._until = now + (REPEAT_HOLD if repeats else FIRST_HOLD)
         self._motion, self._key = Twist(*motion), key
