@@ -72,8 +72,8 @@ class BaseHandle(abc.ABC):
     def expect_single_commands(self) -> None:
         """Tells the base that ``write`` will be called on every change of a single joint's command.
 
-        The calls of ``write`` then come at irregular times.  The base therefore cannot derive the
-        rates of set points from successive commands.
+        For single commands, ``write`` is called at irregular times.  The base therefore cannot
+        derive the rates of set points from successive commands.
         """
         return
 

@@ -26,7 +26,7 @@ _TIME_TOLERANCE = 1e-9
 
 
 class DriveMode(enum.Enum):
-    """Mode of the driver.
+    """Mode of the base driver.
 
     - ``IDLE``: no motion is commanded.
     - ``DRIVING``: the robot follows a command.
@@ -92,9 +92,9 @@ class BaseDriver:
     ) -> None:
         """Creates a driver for ``robot``.
 
-        ``parameters`` is the name of the initial parameter set.  ``None`` selects the ordinary
-        values of the robot file.  Raises ``DiagnosticError`` if the parameter set is unknown or the
-        calculator cannot drive the robot.
+        ``parameters`` is the name of the initial parameter set.  If ``parameters`` is ``None``, the
+        driver uses the ordinary values of the robot file.  Raises ``DiagnosticError`` if the
+        parameter set is unknown or the calculator cannot drive the robot.
         """
         self.robot = robot
         self.base = base
@@ -272,7 +272,7 @@ class BaseDriver:
     # -- parts of a tick ----------------------------------------------------------
 
     def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist]:
-        """Returns the mode of this tick, and the commanded twist of this mode."""
+        """Returns the mode of a tick, and the commanded twist in this mode."""
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST
         if fault:

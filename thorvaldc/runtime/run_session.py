@@ -95,7 +95,7 @@ class RunSession:
         return self.runner.clock.now - self.start_time
 
     def run(self, watch: Watch | None = None) -> Diagnostic | None:
-        """Runs the robot until the end of the run, then stops it and closes the interfaces.
+        """Runs the robot until the end of the run, then stops it and closes the CAN interfaces.
 
         The run ends after its duration, after a fault, or at the signal SIGINT or SIGTERM.
         ``watch`` is called after each cycle.  Returns the diagnostic of the fault that ended the
@@ -112,7 +112,8 @@ class RunSession:
                 diagnostic = self._verdict()
                 self.runner.shutdown()
             except BaseException:
-                # No frame is sent any more.  The drives stop by their own time-outs.
+                # After an exception, no frame is sent any more, so the drives stop by their own
+                # time-outs.
                 self.runner.base.close()
                 raise
             finally:

@@ -106,9 +106,9 @@ class BaseRunner:
     ) -> None:
         """Creates the driver of the robot.
 
-        ``parameters`` is the name of the initial parameter set.  ``None`` selects the ordinary
-        values of the robot file.  Raises ``DiagnosticError`` if the parameter set is unknown or the
-        calculator cannot drive the robot.
+        ``parameters`` is the name of the initial parameter set.  If ``parameters`` is ``None``, the
+        driver uses the ordinary values of the robot file.  Raises ``DiagnosticError`` if the
+        parameter set is unknown or the calculator cannot drive the robot.
         """
         self.robot = robot
         self.base = base
@@ -256,7 +256,7 @@ class BaseRunner:
                 future.set_exception(error)
 
     def safety_stop(self, engaged: bool = True) -> None:
-        """Stops all motors and switches them off.  ``False`` releases the stop.
+        """Stops all motors and switches them off.  With ``engaged=False``, releases the stop.
 
         After the release, the service ``reset`` must be called before the robot can drive again.  A
         stop in software is not a safety function.

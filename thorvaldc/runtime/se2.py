@@ -161,12 +161,12 @@ def integrate(
     Jacobian of SE(2) (Sola et al., "A micro Lie theory for state estimation in robotics", 2018,
     equations 161 and 163).
 
-    With ``correlation`` = 0, the twist errors of two steps are independent.  Otherwise the
-    correlation of the errors decreases with the time constant ``correlation`` (s), by the factor r
-    = exp(-dt / correlation) per step.  Over a time n dt much longer than the time constant, the
-    variance of a sum of n errors is n Q (1 + 2 r + 2 r^2 + ...) = n Q (1 + r) / (1 - r) = n Q /
-    tanh(dt / (2 correlation)).  For times that are not much longer than the time constant, the
-    formula overestimates the variance.
+    With ``correlation`` = 0, the twist errors of two steps are independent.  If ``correlation`` is
+    positive, the correlation of the errors decreases with the time constant ``correlation`` (s), by
+    the factor r = exp(-dt / correlation) per step.  Over a time n dt much longer than the time
+    constant, the variance of a sum of n errors is n Q (1 + 2 r + 2 r^2 + ...) = n Q (1 + r) / (1 -
+    r) = n Q / tanh(dt / (2 correlation)).  For times that are not much longer than the time
+    constant, the formula overestimates the variance.
     """
     dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
     if abs(angle) < 1e-3:

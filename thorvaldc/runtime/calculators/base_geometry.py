@@ -267,8 +267,8 @@ class FixedWheels:
     def feasible(self, twist: Twist) -> Twist:
         """Returns the feasible twist nearest to ``twist``.
 
-        The result is a linear function of ``twist``.  With one axle, the result has the same wz and
-        no side slip: v' = v - n (n . v + d wz).
+        The feasible twist is a linear function of ``twist``.  With one axle, the feasible twist has
+        the same wz and no side slip: v' = v - n (n . v + d wz).
         """
         if not self.rows:
             return twist

@@ -38,8 +38,7 @@ class Differential(BaseCalculator):
     ) -> None:
         super().__init__(geometry, options, noise)
         self._fixed = FixedWheels(geometry.wheels)
-        # The constraint of the axle is n . v + d wz = 0.  The coefficients of this equation are (n,
-        # d).
+        # The constraint of the axle is n . v + d wz = 0 with the coefficients n = (nx, ny) and d.
         nx, ny, self._d = self._fixed.rows[0]
         self._nx, self._ny = nx, ny
         # (index, sign: -1 if the wheel is mounted the other way round, row L, radius, speed limit)

@@ -10,8 +10,8 @@ exceeds its limit v_max, the whole twist is scaled by the factor min(v_max / v_i
 for all wheels keeps the centre of rotation.
 
 While wheels turn to new angles, the wheel speeds of the commanded twist would make the wheels work
-against each other.  The wheel speeds then realise a different twist xi*, which causes the least
-scrub at the present steering angles theta:
+against each other.  Until the wheels are aligned, the wheel speeds realise a different twist xi*,
+which causes the least scrub at the present steering angles theta:
 
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
@@ -36,7 +36,7 @@ from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, Twis
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW_WEIGHT = 0.01
-"""The factor lambda for large misalignment.  It weighs tracking of the command against scrub."""
+"""Weight lambda of the command against the scrub, for large misalignment."""
 _ROLLING = 0.05
 """Speed (m/s) above which a wheel scrubs noticeably if it points in a wrong direction."""
 _MAX_TURN_ROLLING = math.pi / 4.0
@@ -80,8 +80,8 @@ class GeneralOptions(SteeringOptions):
     """Options of the calculator ``general``, in addition to the steering options.
 
     - ``faulty_wheels``: largest number of faulty wheels that the odometry may leave out, 0 to 2.
-    - ``polish``: number of additional Gauss-Newton steps of the odometry.  Each step brings the
-      estimate closer to the maximum-likelihood estimate.
+    - ``polish``: number of additional Gauss-Newton steps of the odometry.  Each additional step
+      brings the estimate closer to the maximum-likelihood estimate.
     """
 
     faulty_wheels: int = 2
@@ -339,8 +339,8 @@ class General(BaseCalculator):
             return start, unreachable, False
         slower = target
         while ticks > 1.0:
-            # If a wheel would turn too far, halve the change of the twist.  Otherwise interpolate
-            # to the change for which the wheels need exactly one tick.
+            # If a wheel would turn too far, halve the change of the twist.  If no wheel turns too
+            # far, interpolate to the change for which the wheels need exactly one tick.
             share *= 0.5 if ticks == math.inf else (1.0 - start_ticks) / (ticks - start_ticks)
             if ticks == math.inf and share < _MIN_SHARE:
                 return start, self._choose_angles(start, angles, speeds), True
@@ -412,8 +412,8 @@ class General(BaseCalculator):
             v = joint.rolling * gain
             if lateral and not joint.unreachable:
                 # If the contact lies beside the steering axis, the contact moves on a circle around
-                # the axis.  The wheel therefore rolls even if its axis is at the centre of
-                # rotation.
+                # the axis.  A wheel with a lateral offset therefore rolls even if its axis is at
+                # the centre of rotation.
                 v -= lateral * (wz + joint.wheel.sign * joint.rate)
             speeds[i] = v
             if v > limit or v < -limit:
@@ -439,7 +439,7 @@ class General(BaseCalculator):
     def _least_scrub(
         self, target: Twist, angles: Sequence[float], misalignment: float
     ) -> tuple[Twist, list[float]]:
-        """Returns the twist with the least scrub at these steering angles, and its wheel speeds.
+        """Returns the twist with the least scrub at given steering angles, and its wheel speeds.
 
         The wheel speeds are in rad/s.  The solver computes the difference d = xi* - target, which
         loses no digits near the target.  With the metric G = diag(1, 1, length^2), d solves the
@@ -447,8 +447,8 @@ class General(BaseCalculator):
 
             (sum T'T + lambda G) d = -sum T' (T target)
 
-        The factor lambda grows to infinity as the misalignment decreases to ``_ALIGNED``.  The
-        twist is therefore continuous at ``_ALIGNED``.
+        The weight lambda grows to infinity as the misalignment decreases to ``_ALIGNED``.  The
+        twist is therefore a continuous function of the misalignment.
         """
         follow = _FOLLOW_WEIGHT / (1.0 - (_ALIGNED / misalignment) ** 2)
         vx, vy, wz = target

@@ -14,7 +14,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 
 class DriveMotors:
-    """Limits the commands of the drive motors and stores the last command.
+    """Limits the wheel speeds of the drive motors and stores the last command.
 
     A command consists of the speed of each wheel (rad/s) and of the twist that the speeds produce.
     """
@@ -69,8 +69,8 @@ class DriveMotors:
         The limited wheel speeds are v0 + k (v - v0), where v0 are the last commanded speeds and v
         are the requested speeds.  The share k <= 1 is the largest value for which no wheel exceeds
         its acceleration limit.  The twist changes by the same share k.  If ``dt`` is ``None``, the
-        change is not limited.  The method stores the limited twist and speeds as the last command
-        and returns them.
+        change of the speeds is not limited.  The method stores the limited twist and speeds as the
+        last command and returns them.
         """
         if dt is not None:
             last_speeds = self._speeds

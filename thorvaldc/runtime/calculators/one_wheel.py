@@ -144,9 +144,9 @@ class OneWheel(BaseCalculator):
         angle = states.angles[i]
         twist = self._motion(angle, rolls, slips)
         # The twist is a linear function of the rolling speed, the side slip and the slip of the
-        # axle.  The errors of the three speeds are independent.  The covariance of the twist is
-        # therefore sum sigma_k^2 J_k J_k', where J_k is the twist per unit of speed k, and sigma_k
-        # is the standard deviation of speed k.
+        # axle.  The three speeds have independent errors.  The covariance of the twist is therefore
+        # sum sigma_k^2 J_k J_k', where J_k is the twist per unit of speed k, and sigma_k is the
+        # standard deviation of speed k.
         a2 = rolls * rolls + slips * slips
         angle2, slip2 = noise.angle**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy

@@ -36,9 +36,9 @@ class RandomPairsOptions(GeneralOptions):
     - ``seed``: seed of the random number generator that draws the pairs.
     - ``pairs_per_wheel``: number of pairs per wheel and tick.
     - ``special_cases``: if ``True``, the odometry handles parallel wheels and wheels at the centre
-      of rotation.  If most pairs are parallel, the robot does not turn.  The speed of a wheel at
-      the centre of rotation is not used.  If ``special_cases`` is ``False``, only exactly parallel
-      lines have no intersection.
+      of rotation.  If most pairs are parallel, the estimated yaw rate is 0.  The speed of a wheel
+      at the centre of rotation is not used.  If ``special_cases`` is ``False``, only exactly
+      parallel lines have no intersection.
     - ``parallel``: with ``special_cases``, two wheels count as parallel if their directions differ
       by less than this angle (rad).
     """
@@ -62,9 +62,9 @@ class RandomPairs(General):
 
     Source: Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
     section 3.3.1.  The calculator ``random_pairs`` computes the same joint commands as the
-    calculator ``general``.  The covariance of the twist is constant.  This odometry is only a
-    baseline for comparisons.  With noise, two almost parallel lines intersect at any point, so the
-    mean intersection is useless.
+    calculator ``general``.  The covariance of the twist is constant.  The odometry of random pairs
+    is only a baseline for comparisons.  With noise, two almost parallel lines intersect at any
+    point, so the mean intersection is useless.
     """
 
     name = "random_pairs"
@@ -118,7 +118,7 @@ class RandomPairs(General):
     def _centre_of_rotation(self, lines: list[_AxleLine]) -> tuple[float, float] | None:
         """Returns the mean intersection (m) of the axle lines of random pairs of wheels.
 
-        Returns ``None`` if the robot does not turn.
+        Returns ``None`` if too few pairs of lines intersect, because the robot does not turn.
         """
         options = self._pairs
         draw, n = self._random.randrange, len(lines)

@@ -12,7 +12,7 @@ class SkidSteering:
     With Coulomb friction and equal loads, the yaw rate is the least-squares fit of a twist to the
     surface velocities of the wheels.  Wheel i has the position a_i across the wheels and l_i along
     the wheels, both relative to the mean position.  If wheel i rolls at the speed v_i, the robot
-    turns at
+    turns at the yaw rate
 
         wz = -sum a_i v_i / (sum a_i^2 + sum l_i^2)
 

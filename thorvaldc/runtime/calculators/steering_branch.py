@@ -12,7 +12,7 @@ The hysteresis is added only to candidates on the other branch.  V is the expect
 joint to the next candidate, if the next direction of motion is uniformly distributed.  Far from its
 limits, the joint turns to the nearer of two opposite directions: by at most pi/2, and by pi/4 on
 average.  With a limit at a distance d < pi/2 on one side, the joint turns by at most d to that side
-and by at most pi - d to the other side.  The expected travel is then
+and by at most pi - d to the other side.  The expected travel V of a joint near a limit is
 
     V = (1/pi) (integral of t from 0 to d + integral of t from 0 to pi - d)
       = (d^2 + (pi - d)^2) / (2 pi)
@@ -40,7 +40,7 @@ LIMIT_TOLERANCE = 1e-4
 """Distance (rad) past a limit up to which a candidate is clamped to the limit."""
 _HOLD2 = HOLD_BELOW**2
 _TIE = 1e-9
-"""Two costs (s) count as equal if they differ by less than this."""
+"""Largest difference (s) between two costs that count as equal."""
 
 
 class SteeringJoint:
@@ -100,7 +100,7 @@ class SteeringJoint:
         self.reset(0.0)
 
     def reset(self, angle: float) -> None:
-        """Discards the last choice.  After a reset, the joint is at rest at ``angle``."""
+        """Discards the last chosen angle.  After a reset, the joint is at rest at ``angle``."""
         self.angle = min(max(angle, self._lower), self._upper)
         self.target = self.angle
         self.rate = 0.0
@@ -230,8 +230,8 @@ class SteeringJoint:
     ) -> bool:
         """Checks whether a candidate is better than the best candidate so far at equal cost.
 
-        These rules apply in this order: a candidate on the present branch is better, then a smaller
-        absolute angle, then the forward branch, then a positive angle.
+        At equal cost, the following rules apply in turn: a candidate on the present branch is
+        better, then a smaller absolute angle, then the forward branch, then a positive angle.
         """
         candidate = (direction != self.direction, abs(angle), -direction, -angle)
         best = (best_direction != self.direction, abs(best_angle), -best_direction, -best_angle)
@@ -244,8 +244,8 @@ class SteeringJoint:
     def advance(self, dt: float, share: float) -> None:
         """Moves the commanded ``angle`` towards the target angle for ``dt`` s, without overshoot.
 
-        ``share`` is the allowed share of the joint's rate limit.  The change of the rate is limited
-        by the acceleration limit of the joint.
+        ``share`` is the allowed share of the joint's rate limit.  The acceleration limit of the
+        joint limits the change of the steering rate.
         """
         error = self.target - self.angle
         if error == 0.0 and self.rate == 0.0:

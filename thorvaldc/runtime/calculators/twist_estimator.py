@@ -87,13 +87,13 @@ class TwistEstimate(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorOptions:
-    """Options of the estimator.
+    """Options of the twist estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
     - ``faulty``: largest number of faulty wheels to leave out, 0 to 2.  If ``faulty`` is 0, wheels
       are only tested.
-    - ``polish``: number of additional Gauss-Newton steps.  Each step brings the estimate closer to
-      the maximum-likelihood estimate.
+    - ``polish``: number of additional Gauss-Newton steps.  Each additional step brings the estimate
+      closer to the maximum-likelihood estimate.
     """
 
     gate: float = 0.008
@@ -145,7 +145,7 @@ class TwistEstimator:
                 continue
             c, s = math.cos(w.heading), math.sin(w.heading)
             flags = ROLL_AND_SIDE if w.encoder else SIDE_ONLY
-            if i in skids:  # it disagrees with the others in every turn
+            if i in skids:  # a skidding wheel disagrees with the others in every turn
                 flags &= ~(TEST_ROLL | TEST_SIDE)
             x = w.x - xm + c * w.trail - s * w.lateral
             y = w.y - ym + s * w.trail + c * w.lateral
@@ -175,7 +175,8 @@ class TwistEstimator:
         """
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
-        # The sum is finite if all values are finite.  One sum is faster than a test of each value.
+        # The sum of all values is finite only if each value is finite.  One test of the sum is
+        # faster than a test of each value.
         total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates)
         positions = states.positions
         if positions is None:
@@ -260,7 +261,7 @@ class TwistEstimator:
     def _measurements(
         self, states: JointStates
     ) -> tuple[list[Measurement], tuple[float, float, float]]:
-        """Returns the measurements of the wheels, and b = sum L' z_L of all wheels.
+        """Returns the measurements of all wheels, and the vector b = sum L' z_L.
 
         The vector b is the right-hand side of the unweighted fit for wheels without trail and
         lateral offset.
@@ -331,8 +332,8 @@ class TwistEstimator:
         rank = 3
         if det <= RANK_TOLERANCE * k * mean * mean * mean:
             rank = self._count_rank(a11, a12, a13, a22, a23, a33)
-            # The small diagonal makes the system solvable.  `prior` is not used here, because all
-            # rows have weight 1 instead of the inverse variance.
+            # A small number is added to the diagonal, so that the system has a solution.  `prior`
+            # is not suitable for unweighted rows, because it contains inverse variances.
             weak = 1e-6 * max(mean, 1.0)
             a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * k
         return solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3), rank

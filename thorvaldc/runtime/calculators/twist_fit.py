@@ -39,10 +39,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-# Flags of a measurement.  USE_ROLL and USE_SIDE: the fit uses the row L (rolling) or T (side slip).
-# TEST_ROLL and TEST_SIDE: the row is tested against the other wheels.  A rejected wheel is not
-# used, but it is still tested to determine its chi-square.  A skidding wheel is used, but not
-# tested.
+# Flags of a measurement.  USE_ROLL and USE_SIDE mean that the fit uses the row L (rolling) or T
+# (side slip).  TEST_ROLL and TEST_SIDE mean that the row is tested against the other wheels.  A
+# rejected wheel is not used, but it is still tested to determine its chi-square.  A skidding wheel
+# is used, but not tested.
 USE_ROLL, USE_SIDE, TEST_ROLL, TEST_SIDE = 1, 2, 4, 8
 SIDE_ONLY = USE_SIDE | TEST_SIDE
 ROLL_AND_SIDE = USE_ROLL | TEST_ROLL | SIDE_ONLY
@@ -187,9 +187,9 @@ def fit_twist(
 
     The measured direction of a steered wheel has an error.  If the rows L and T used the measured
     direction, this error would reduce the measured speed by its cosine.  The rows L and T therefore
-    use the predicted direction u / a.  The wheel then measures z_T = -a asin(n . u / a), where n is
-    the normal of the measured direction.  The value z_T is the length of the arc between the
-    measured and the predicted direction.
+    use the predicted direction u / a.  Relative to the predicted direction, the wheel measures z_T
+    = -a asin(n . u / a), where n is the normal of the measured direction.  The value z_T is the
+    length of the arc between the measured and the predicted direction.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
@@ -232,7 +232,7 @@ def fit_twist(
         if flags != ROLL_AND_SIDE:
             w_t = w_t if flags & USE_SIDE else 0.0
             k = 1.0 / v_l - w_t if flags & USE_ROLL else -w_t
-        # W = w_t 1 + k d d', then the products H' W and H' W H.
+        # Computes W = w_t 1 + k d d' and the products H' W and H' W H.
         kc = k * c
         w11, w12, w22 = w_t + kc * c, kc * s, w_t + k * s * s
         tx, ty = w12 * x - w11 * y, w22 * x - w12 * y
@@ -294,9 +294,9 @@ def chi_squares(fit: Fit) -> list[float]:
 
         D = r' S^-1 r
 
-    is chi-square distributed with 2 degrees of freedom, or with 1 for a wheel without encoder.  If
-    the fit uses the wheel, D is also the decrease of the total misfit when this wheel is left out.
-    D is 0 if the other wheels give no redundant measurement for this wheel.
+    has a chi-square distribution with 2 degrees of freedom, or with 1 for a wheel without encoder.
+    If the fit uses the wheel, D is also the decrease of the total misfit when this wheel is left
+    out.  D is 0 if the other wheels give no redundant measurement for this wheel.
     """
     vx, vy, wz, p11, p12, p13, p22, p23, p33, measurements = fit
     result: list[float] = []
@@ -365,7 +365,7 @@ def compare_with_others(fit: Fit, measurement: WeightedMeasurement) -> Compariso
         both = (s_t * r_l * r_l - 2.0 * s_lt * r_l * r_t + s_l * r_t * r_t) / det
         return Comparison(both, roll, side, True)
     # S has rank 1, because the other wheels determine only one direction of u.  The residual r lies
-    # in this direction.
+    # in the direction of u that the other wheels determine.
     scale = s_l / v_l + s_t / v_t
     both = (r_l * r_l / v_l + r_t * r_t / v_t) / scale if scale > UNTESTABLE else 0.0
     return Comparison(both, roll, side, False)

@@ -5,8 +5,8 @@ chi-square D of a faulty wheel therefore exceeds a threshold, the gate (see
 ``twist_fit.chi_squares``).  One faulty wheel also changes the fitted twist, so healthy wheels can
 exceed their gates, too.  With few wheels, a healthy wheel can even have the largest D. The search
 therefore fits the twist without each wheel in turn (leave-one-out).  If no single wheel explains
-the misfit, the search also leaves out pairs of wheels.  Each hypothesis "the wheels F are faulty"
-has a cost
+the misfit, the search also leaves out pairs of wheels.  The cost of the hypothesis "the wheels F
+are faulty" is
 
     cost = misfit of the rows in use + sum over the k-th wheel of F of k * price
 
@@ -39,7 +39,7 @@ _CREDIBLE = 6.63
 1 % quantile of the distribution with 1 degree of freedom.
 """
 _NEGLIGIBLE = 9.2
-"""Hypotheses with a cost this much above the smallest cost have a weight below 1 %."""
+"""Difference from the smallest cost at which the weight of a hypothesis falls below 1 %."""
 _PAIR_SEEDS = 3
 """Number of single wheels, the most likely ones first, that the search extends to pairs."""
 
@@ -65,7 +65,7 @@ class Hypothesis(NamedTuple):
 
 
 class HypothesisSearch:
-    """Search for faulty wheels.
+    """Searches for the faulty wheels of a robot.
 
     - ``gates``: for each measurement, the chi-square D above which the wheel is suspect.
     - ``price``: cost of a rejected wheel, as explained in the documentation of the module
@@ -170,7 +170,7 @@ class HypothesisSearch:
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
-    """Returns the mean and covariance over all hypotheses, and the probability of the first one.
+    """Returns the mixture of all hypotheses, and the probability of the first hypothesis.
 
     With probabilities p_i, means xi_i and covariances P_i, the mixture has the mean xi = sum p_i
     xi_i.  The mixture has the covariance P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Value = Array | float
 
 _SINGULAR = 1e-250
-"""Determinants below this limit count as 0.  They are not exactly 0 because of underflow."""
+"""Determinants with a smaller absolute value count as 0."""
 
 
 class MeasurementBatch(NamedTuple):

@@ -32,8 +32,8 @@ class OdometryBatch:
     odometry of the class ``BaseCalculator``.  The wheels of equal robots determine the whole twist
     at any steering angles.
 
-    Each array has one column per robot.  A column contains a copy of the robot's ``Odometry`` after
-    the last update.
+    Each array of the batch has one column per robot.  A column contains a copy of the robot's
+    ``Odometry`` after the last update.
     """
 
     def __init__(self, calculator: BaseCalculator, odometries: Sequence[Odometry]) -> None:
@@ -46,8 +46,8 @@ class OdometryBatch:
         self._joints = np.zeros((2, wheels, n))  # positions and steering angles, rad
         self._poses = np.zeros((3, n))
         self._covariances = np.zeros((6, n))
-        # Objects from which the columns were copied.  If an odometry contains other objects, the
-        # odometry was changed outside of this batch.
+        # Objects from which the columns were copied.  If the odometry of a robot contains other
+        # objects, code outside of the batch has changed the odometry.
         self._copied: list[tuple[JointStates, Pose2, Cov3] | None] = [None] * n
 
     def update(self, joints: Sequence[JointStates], now: float) -> None:

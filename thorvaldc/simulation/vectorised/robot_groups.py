@@ -35,7 +35,8 @@ class RobotGroups:
         self.groups: list[tuple[list[int], OdometryBatch]] = []
         for indices in robots_by_key.values():
             if len(indices) >= MIN_GROUP_SIZE:
-                # This module imports numpy, which a scene with few robots does not need.
+                # The module odometry_batch imports numpy, which a scene with few robots does not
+                # need.
                 from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
 
                 odometries = [drivers[i].odometry for i in indices]

@@ -108,7 +108,7 @@ class Rollouts:
         - ``speeds``: wheel speeds of the commands, shape (n, t, wheels), rad/s.  Values of wheels
           without drive motor are not used.
         - ``angles``: steering angles of the commands, shape (n, t, wheels), rad.  Values of wheels
-          without steering motor are not used.  By default all angles are 0.
+          without steering motor are not used.  By default all steering angles are 0.
         - ``period``: duration of each command in s, a whole number of the scene's time steps.
         - ``states``: MuJoCo states at the start of the runs, shape (n, state).  By default all runs
           start at ``start``.

@@ -115,9 +115,9 @@ class _Fit:
 class Solver:
     """Gauss-Newton solver for the steering offsets and the radius ratios of the wheels.
 
-    Each steering joint has an offset.  Each wheel with encoder has the logarithm of its radius
-    ratio (log ratio).  The log ratios sum to zero.  The parameters of the solver are the
-    coordinates of the log ratios in a basis of the vectors with zero sum.
+    Each steering joint has an unknown offset.  Each wheel with encoder has a log ratio, the
+    logarithm of its radius ratio.  The log ratios of all wheels sum to zero.  The parameters of the
+    solver are the coordinates of the log ratios in a basis of the vectors with zero sum.
     """
 
     def __init__(self, robot: Robot, ticks: Ticks) -> None:
@@ -309,8 +309,8 @@ class Solver:
     def _covariance(self, fit: _Fit, systematic: Array | None = None) -> Array:
         """Returns the covariance of the parameters by the sandwich formula M^-1 G M^-1.
 
-        M is the information matrix.  G is the sum of the outer products of the gradients of all
-        blocks.  ``systematic`` adds the errors that last over many ticks to G.
+        M is the information matrix of the parameters.  G is the sum of the outer products of the
+        gradients of all blocks.  ``systematic`` adds the errors that last over many ticks to G.
         """
         gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.residuals, optimize=True)
         block = self._blocks()
@@ -347,9 +347,7 @@ class Solver:
         return fit.residuals[:, : speed.shape[1]] / per_share, per_share
 
     def _ground(self, twists: Array) -> tuple[Array, Array]:
-        """Returns the velocity (m/s) over the ground of each wheel's steering axis, in
-        ``base_link``.
-        """
+        """Returns the velocity (m/s) of each wheel's steering axis, in ``base_link``."""
         vx, vy, wz = twists[:, :1], twists[:, 1:2], twists[:, 2:] / self.lever
         return vx - wz * self.y, vy + wz * self.x
 

@@ -16,10 +16,10 @@ determines it.
 The standard deviations of the rolling rows and of the pointing rows are estimated as variance
 components.  At the start of the iterations, the rolling rows have smaller standard deviations than
 the pointing rows, relative to the defaults.  The pointing rows are less reliable, because a
-steering motor can hold its wheel against the ground.  Such a wheel slips sideways although its
-steering angle looks right.  Slip that lasts over many ticks counts as an unknown offset of each
-wheel.  If all steering angles agree with the offsets in the robot file, the offsets are not
-determined, because the steering motors may hold the wheels at these angles.
+steering motor can hold its wheel against the ground.  A wheel that its motor holds slips sideways
+although its steering angle looks right.  Slip that lasts over many ticks counts as an unknown
+offset of each wheel.  If all steering angles agree with the offsets in the robot file, the offsets
+are not determined, because the steering motors may hold the wheels at these angles.
 
 Ticks without motion are left out.  Ticks with slip get a small weight (Geman and McClure).  Errors
 in successive ticks are correlated.  The standard errors are therefore computed from blocks of 1 s
