@@ -1,10 +1,13 @@
-"""The simulated bus as an interface of python-can: ``thorvaldc_sim``.
+"""Connects programs that use python-can to a simulated bus.
+
+The name of the python-can interface is ``thorvaldc_sim``:
 
     bus = can.Bus(interface="thorvaldc_sim", channel="thorvald_4wd4ws")
 
-The channel is the name that ``thorvaldc bus`` prints, the path of its socket, or, in the same
-process and in virtual time, a ``Wire``.  If thorvaldc is installed, python-can finds the interface
-by its entry point; otherwise call ``register()``.
+The channel is the name that ``thorvaldc bus`` prints, or the path of the local socket.  In virtual
+time, a program in the same process as the simulation uses a ``Wire`` as the channel.  If thorvaldc
+is installed, python-can finds the interface by an entry point.  If thorvaldc is not installed, call
+``register()`` first.
 """
 
 from __future__ import annotations
@@ -36,24 +39,28 @@ _STATES = {
 
 
 def register() -> None:
-    """Makes ``can.Bus(interface="thorvaldc_sim")`` work if thorvaldc is not installed."""
+    """Registers the interface ``thorvaldc_sim`` in python-can.
+
+    The call is necessary only if thorvaldc is not installed.
+    """
     can.interfaces.BACKENDS[NAME] = (__name__, SimulatedBus.__name__)
     known = frozenset((*can.interfaces.VALID_INTERFACES, NAME))
-    # python-can copies the names into three modules when it is imported.
+    # On import, python-can copies the names of all interfaces into three modules.
     for module in (can, can.interfaces, can.util):
         vars(module)["VALID_INTERFACES"] = known
 
 
 class SimulatedBus(can.BusABC):
-    """A bus of python-can on a simulated wire.
+    """A python-can bus that is connected to a simulated CAN bus.
 
-    On a ``Wire`` time is virtual: it runs only while the program waits in ``recv`` or
-    ``send``, in one thread, and every run is the same.  On a channel of another process it is
-    real time, or with ``lockstep`` the time of all clients in lockstep.  Time-outs and timestamps
-    are in s of that time.
+    With a ``Wire`` as the channel, the time is virtual.  Virtual time advances only while the
+    program waits in ``recv`` or ``send``.  In virtual time, the program must use one thread, and
+    every run has the same result.  With the channel of another process, the time is real time.
+    With ``lockstep``, the simulated time advances only while all clients in lockstep wait.
+    Time-outs and timestamps are in s of the simulated time.
 
-    ``interface`` offers what python-can does not: ``now``, ``sleep``, ``sleep_until``,
-    ``overruns``.
+    The attribute ``interface`` has additional functions that python-can does not have: ``now``,
+    ``sleep``, ``sleep_until`` and ``overruns``.
     """
 
     def __init__(
@@ -69,9 +76,10 @@ class SimulatedBus(can.BusABC):
         can_filters: Any = None,
         **_: Any,
     ) -> None:
-        """``bitrate`` (bit/s) ``None``: that of the wire.
+        """Opens the connection to a simulated bus.
 
-        Raises ``can.CanInitializationError`` if there is no such bus.
+        ``bitrate`` is the bitrate of the CAN controller (bit/s).  The default is the bitrate of the
+        simulated bus.  Raises ``can.CanInitializationError`` if the simulated bus does not exist.
         """
         options: dict[str, Any] = {
             "receive_own": receive_own_messages,
@@ -87,7 +95,7 @@ class SimulatedBus(can.BusABC):
                     str(channel), name, bitrate, lockstep=lockstep, **options
                 )
         except OSError as error:
-            # Otherwise BusABC warns of a bus that was not shut down.
+            # Without this line, BusABC warns that the bus was not shut down.
             self._is_shutdown = True
             raise can.CanInitializationError(str(error)) from None
         self.channel_info = f"{NAME} {channel if isinstance(channel, str) else name}"
@@ -100,15 +108,20 @@ class SimulatedBus(can.BusABC):
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
-        """``ACTIVE``: leaves bus-off, which never happens automatically."""
+        """Leaves bus-off if ``new_state`` is ``ACTIVE``.
+
+        The CAN controller never leaves bus-off automatically.
+        """
         if new_state is not can.BusState.ACTIVE:
             raise NotImplementedError("only ACTIVE can be set")
         self.interface.restart()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Sends a message.  Raises ``can.CanOperationError`` in bus-off or if the queue stays full.
+        """Sends a message.
 
-        ``timeout`` in s, ``None``: ``SEND_TIMEOUT``.
+        ``timeout`` is the longest time (s) to wait for space in the send queue.  The default is
+        ``SEND_TIMEOUT``.  Raises ``can.CanOperationError`` if the CAN controller is in bus-off, or
+        if the send queue is still full after the time-out.
         """
         if msg.is_fd or msg.is_error_frame:
             raise can.CanOperationError("the simulated bus takes classical data and remote frames")
@@ -128,7 +141,10 @@ class SimulatedBus(can.BusABC):
             raise can.CanOperationError("bus-off" if off else "the transmit queue is full")
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Receives a message; ``timeout`` in s of the bus's time."""
+        """Receives a message.
+
+        ``timeout`` is the longest time (s) to wait for a message, in the time of the simulated bus.
+        """
         limit = None if timeout is None else self.interface.now + timeout
         while True:
             left = None if limit is None else max(limit - self.interface.now, 0.0)
@@ -156,7 +172,7 @@ class SimulatedBus(can.BusABC):
         )
 
     def _apply_filters(self, filters: Any) -> None:
-        """Does nothing: ``recv`` applies the filters."""
+        """Does nothing, because ``recv`` applies the filters."""
 
     def _send_periodic_internal(
         self,
@@ -186,7 +202,10 @@ class VirtualCyclicTask(
     can.broadcastmanager.ModifiableCyclicTaskABC,
     can.broadcastmanager.RestartableCyclicTaskABC,
 ):
-    """Sends messages periodically in virtual time; drops one if the send queue is full."""
+    """Sends messages periodically in virtual time.
+
+    If the send queue is full, the message of the period is dropped.
+    """
 
     def __init__(
         self,

@@ -1,4 +1,7 @@
-"""A channel of the Roboteq controller: a motor with its encoder, in units of motor rpm."""
+"""A motor channel of the simulated Roboteq controller.
+
+The controller measures and commands the speed of the motor in rpm.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,10 @@ DRIVE = 0
 
 @dataclass(frozen=True, slots=True)
 class ChannelSettings:
-    """Hardware of a channel.  ``limit`` (rad) bounds a steering angle to either side.
+    """Hardware settings of a motor channel.
 
-    ``steering`` ``False``: a propulsion motor.
+    ``steering`` is true for a steering motor, and false for a propulsion motor.  ``limit`` is the
+    largest steering angle (rad) in both directions.
     """
 
     gear_ratio: float
@@ -31,7 +35,10 @@ class ChannelSettings:
 
 
 class Channel:
-    """A motor with its encoder.  ``position`` is in rad of the joint, ``rpm`` of the motor."""
+    """A motor channel with a motor and an encoder.
+
+    ``position`` is the joint position (rad), and ``rpm`` is the speed of the motor (rpm).
+    """
 
     def __init__(self, settings: ChannelSettings, motor: MotorModel) -> None:
         self.settings = settings
@@ -51,16 +58,19 @@ class Channel:
 
     @property
     def radians_per_rpm(self) -> float:
-        """rad/s of the joint for one rpm of the motor."""
+        """Speed of the joint (rad/s) at a motor speed of 1 rpm."""
         return math.pi / 30.0 / self.settings.gear_ratio
 
     @property
     def counts(self) -> int:
-        """The position in encoder counts."""
+        """Joint position in encoder counts."""
         return round(self.position * self.encoder.counts_per_radian)
 
     def start(self, now: float) -> None:
-        """Starts after power-on; the encoder counts from the present position."""
+        """Starts the channel after power-on.
+
+        The encoder counts from the present position of the joint.
+        """
         self.mode = DRIVE
         self.max_rpm, self.acceleration = self.settings.max_rpm, 0.0
         self.encoder_error, self._still_since, self.setpoint = False, None, 0.0
@@ -73,7 +83,10 @@ class Channel:
         self.rpm = velocity / self.radians_per_rpm
 
     def turn(self, rpm: float, now: float, dt: float) -> None:
-        """Commands a speed within the speed limit; the motor model adds its own ramp."""
+        """Commands a motor speed (rpm), limited by the speed limit of the channel.
+
+        The motor model limits the acceleration further.
+        """
         setpoint = min(max(rpm, -self.max_rpm), self.max_rpm)
         if self.acceleration > 0.0:
             step = self.acceleration * dt
@@ -82,7 +95,10 @@ class Channel:
         self.motor.turn(setpoint * self.radians_per_rpm, now)
 
     def stalled(self, now: float) -> bool:
-        """The motor has not turned for a while, despite its command, or its encoder has failed."""
+        """Returns true if the measured motor speed is too low for longer than ``STALL_TIME``.
+
+        The cause is a motor that does not follow the commanded speed, or a failed encoder.
+        """
         if abs(self.setpoint) < STALL_RPM or abs(self.rpm) > STALL_RPM / 2.0:
             self._still_since = None
         elif self._still_since is None:

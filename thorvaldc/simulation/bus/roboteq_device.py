@@ -1,20 +1,24 @@
-"""The two-channel motor controller of the Thorvald: Roboteq FBL2360 with the robot's script.
+"""The simulated two-channel motor controller of the Thorvald robot.
 
-It uses CANopen frames but not CiA 402: the PDOs carry variables of the script.  Frames, scalings,
-flags and setup ids are those of the real script; docs/simulated-bus.md lists the behaviour that
-is not published and therefore assumed.
+The real motor controller is a Roboteq FBL2360 that runs a script of the robot's maker.  The motor
+controller uses CANopen, but not the device profile CiA 402.  The PDOs contain variables of the
+script.  The frames, scalings, flags and setup ids are the same as in the real script.  The page
+docs/simulated-bus.md lists the behaviour of the script that is not published and thus assumed.
 
-One command, from the master's frame to its effect:
+This diagram shows the handling of one command of the master:
 
     master   RPDO1 sequence, speed -->
     script   (writes variables 9 and 10; the second write makes them a command)
              loop every 5 ms: measure, check time-out and stalls, command both motors
     script                                  --> TPDO1 speeds, counts (every cycle, free-running)
 
-If the sequence number does not change for 0.5 s, the script stops the propulsion.
+If the sequence number of the commands does not change for 0.5 s, the script stops the propulsion
+motors.
 
-Homing: the switch reads 1 on one side of the home angle and 0 on the other, so its first reading
-gives the direction.  The steering turns until the reading changes, and counts from there.
+Homing of a steering motor: the home switch reads 1 on one side of the home angle and 0 on the other
+side.  The first reading of the home switch thus determines the direction of the search.  The
+steering motor turns until the reading of the home switch changes.  The encoder then counts from the
+home angle.
 """
 
 from __future__ import annotations
@@ -71,11 +75,15 @@ _STATIC_POWER = 24.0
 
 
 class RoboteqController(CanopenDevice):
-    """Two channels on one node: propulsion and steering, or two propulsion motors.
+    """A simulated motor controller with two channels on one node.
 
-    The node id cannot be written over the bus; ``change_node_id`` does what the maker's tool
-    does.  ``home_angle`` (rad): true angle of the steering's home switch.  The setting
-    ``home_count`` is the encoder count there, so that a steering counts from straight ahead.
+    The channels drive a propulsion motor and a steering motor, or two propulsion motors.  A master
+    cannot change the node id over the bus.  The method ``change_node_id`` has the same effect as
+    the tool of the manufacturer.
+
+    * ``home_angle``: true steering angle (rad) at the edge of the home switch.
+    * ``home_count``: setting with the encoder count at the home switch.  With a correct setting,
+      the encoder count is 0 when the wheel points straight ahead.
     """
 
     def __init__(
@@ -186,7 +194,8 @@ class RoboteqController(CanopenDevice):
             self._running = True
         self.every(lambda: LOOP_PERIOD, self._loop, first=LOOP_PERIOD)
         for index in range(4):
-            # Random phases: the cycles of the TPDOs are not synchronised.
+            # The cycles of the TPDOs have random phases, because the script does not synchronise
+            # the TPDOs.
             first = self.random.uniform(0.0, self._cycle(index))
             self.every(partial(self._cycle, index), partial(self._send_tpdo, index), first=first)
 
@@ -216,7 +225,10 @@ class RoboteqController(CanopenDevice):
             self._speeds = [0, 0]
 
     def add_objects(self, objects: ObjectDictionary) -> None:
-        """Adds the script's variables: the master writes 9 to 16 and reads 1 to 8."""
+        """Adds the variables of the script to the object dictionary.
+
+        The master reads variables 1 to 8 and writes variables 9 to 16.
+        """
         self._variables = [0] * 8
         reports = (
             self._measured_speeds,
@@ -236,7 +248,7 @@ class RoboteqController(CanopenDevice):
             objects.add(0x2106, number + 1, Entry("i32", read=reports[number]))
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
-        """Returns four PDOs in each direction, with two variables each."""
+        """Returns four RPDOs and four TPDOs, with two variables in each PDO."""
 
         def variables(index: int, first: int) -> tuple[tuple[int, int, int], ...]:
             return (index, first, 32), (index, first + 1, 32)
@@ -260,7 +272,10 @@ class RoboteqController(CanopenDevice):
     # -- commands -----------------------------------------------------------------------------
 
     def _write_variable(self, number: int, value: Any) -> DelayedWrite | None:
-        """Writes a variable of the script; the second of a pair triggers their command."""
+        """Writes a variable of the script.
+
+        The write to the second variable of a pair triggers the command of the pair.
+        """
         self._variables[number] = value
         if number % 2:
             command = (self._rpdo1, self._rpdo2, self._rpdo3, self._rpdo4)[number // 2]
@@ -346,12 +361,16 @@ class RoboteqController(CanopenDevice):
             channel.setpoint = 0.0
             channel.motor.hold(channel.encoder.joint_position(goal), now)
         else:
-            # Proportional to the distance near the goal, so that the steering does not overshoot.
+            # Near the goal, the speed is proportional to the distance from the goal, so that the
+            # steering does not overshoot.
             speed = min(top, APPROACH_GAIN * abs(distance) / channel.radians_per_rpm)
             channel.turn(math.copysign(speed, distance), now, LOOP_PERIOD)
 
     def _home(self, channel: Channel, now: float) -> None:
-        """Turns the steering until the home switch changes, and counts from there."""
+        """Turns the steering motor until the reading of the home switch changes.
+
+        The encoder count is then set to the count of the home angle.
+        """
         reading = self.home_switch_works and channel.state.position > self.home_angle
         speed = float(self.nonvolatile["home_speed"])
         if self._home_reading is None:
@@ -373,7 +392,7 @@ class RoboteqController(CanopenDevice):
         self._home_distance += abs(speed) * channel.radians_per_rpm * LOOP_PERIOD
 
     def _check_stalls(self, now: float) -> None:
-        """Reports a stalled motor, or an encoder that does not count."""
+        """Reports a motor that is stalled or has an encoder that does not count."""
         for index, channel in enumerate(self.channels):
             searching = channel.mode == HOME
             if searching or not channel.stalled(now) or self._stalled:
@@ -425,7 +444,7 @@ class RoboteqController(CanopenDevice):
 
     @property
     def flags(self) -> int:
-        """Byte 0 of TPDO3."""
+        """Status flags in byte 0 of TPDO3."""
         first, second = self.channels
         bits = (
             (PROPULSION_ENCODER, first.encoder_error),
@@ -440,13 +459,19 @@ class RoboteqController(CanopenDevice):
         return flags | NOT_OK if flags & ~ILLEGAL_COMMAND else flags
 
     def _power(self, channel: Channel) -> float:
-        """Electric power (W): mechanical power, and losses proportional to the speed."""
+        """Returns the electric power of a channel (W).
+
+        The electric power is the mechanical power plus losses that are proportional to the speed.
+        """
         state = channel.state
         return abs(state.torque * state.velocity) + 4.0 * abs(state.velocity)
 
 
 def _version(text: Any) -> tuple[int, int, int]:
-    """Returns the script version that the robot file requires; 1.0.0 for any other text."""
+    """Returns the three numbers of the script version in the robot file.
+
+    If ``text`` is not a version, the function returns 1.0.0.
+    """
     parts = str(text).split(".")
     if len(parts) == 3 and all(part.isdigit() and int(part) < 256 for part in parts):
         return int(parts[0]), int(parts[1]), int(parts[2])
@@ -454,10 +479,10 @@ def _version(text: Any) -> tuple[int, int, int]:
 
 
 def _words(low: float, high: float) -> int:
-    """Packs two signed 16-bit words into a variable."""
+    """Packs two numbers as signed 16-bit words into a variable of the script."""
     return _i16(low) & 0xFFFF | _i16(high) << 16
 
 
 def _i16(value: float) -> int:
-    """Rounds and saturates."""
+    """Rounds a number to a signed 16-bit integer, limited to the largest and smallest value."""
     return min(max(round(value), -0x8000), 0x7FFF)

@@ -1,4 +1,4 @@
-"""An SDO server (CiA 301): expedited and segmented transfers in both directions."""
+"""A simulated SDO server (CiA 301) with expedited and segmented transfers."""
 
 from __future__ import annotations
 
@@ -11,25 +11,29 @@ from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, ObjectDicti
 
 
 class SdoServer:
-    """Answers the requests of a client with ``respond``, one transfer at a time.
+    """Answers the SDO requests of a client, one transfer at a time.
 
-    The server refuses block transfer with "command unknown"; clients then use segments.  A new
-    request ends an unfinished transfer.
+    The function ``respond`` sends a response to the client.  The server aborts a block transfer
+    with the abort code "command unknown".  A client then uses a segmented transfer.  A new request
+    ends an unfinished transfer.
     """
 
     def __init__(self, objects: ObjectDictionary, respond: Callable[[bytes], None]) -> None:
         self._objects = objects
         self._respond = respond
         self._object = (0, 0)
-        """Index and subindex of the present transfer."""
+        """Index and subindex of the current transfer."""
         self._upload: bytes | None = None
-        """Bytes still to send in segments."""
+        """Bytes that the server has not yet sent in segments."""
         self._download: bytearray | None = None
         self._size: int | None = None
         self._toggle = 0
 
     def request(self, data: bytes) -> None:
-        """Handles a request of 8 bytes; messages of other lengths get no answer."""
+        """Handles an SDO request of 8 bytes.
+
+        The server does not answer a message with another length.
+        """
         if len(data) != 8:
             return
         command = data[0] >> 5

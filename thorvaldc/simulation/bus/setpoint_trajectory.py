@@ -1,6 +1,7 @@
-r"""Set-points of a drive over time: speed ramps, and moves that end at rest.
+r"""Computes the set-points of a drive for speed ramps and for trapezoidal moves.
 
-A trapezoidal move, here with equal acceleration and deceleration a and top speed v:
+A trapezoidal move ends at rest at the goal.  This diagram shows a trapezoidal move with the top
+speed v and with equal acceleration and deceleration a:
 
     speed ^      v ____________
           |       /            \
@@ -8,9 +9,10 @@ A trapezoidal move, here with equal acceleration and deceleration a and top spee
           |   /                    \
           +--+----------------------+--> time
 
-At each step the drive may have at most the speed s from which it can still stop at the goal.  In
-steps of dt the braking distance is s dt + (s - a dt) dt + ... = s^2 / (2 a) + s dt/2, a little
-more than the continuous one.  Set equal to the distance d to the goal:
+The speed limit s in a step is the highest speed from which the drive can still stop at the goal.
+The speed changes in time steps of dt, so that the braking distance is the sum
+s dt + (s - a dt) dt + ... = s^2 / (2 a) + s dt/2.  The braking distance must be equal to the
+distance d to the goal.  The speed limit is then:
 
     s = sqrt((a dt/2)^2 + 2 a d) - a dt/2
 """
@@ -21,7 +23,7 @@ import math
 
 
 def ramp(speed: float, goal: float, acceleration: float, dt: float) -> float:
-    """Returns the speed after ``dt`` s of a change towards ``goal``."""
+    """Returns the speed after a ramp from ``speed`` towards ``goal`` for ``dt`` s."""
     step = acceleration * dt
     return min(max(goal, speed - step), speed + step)
 
@@ -29,7 +31,8 @@ def ramp(speed: float, goal: float, acceleration: float, dt: float) -> float:
 class Move:
     """The set-point of a trapezoidal move that ends at rest and may start at any speed.
 
-    ``position`` (rad) and ``speed`` (rad/s) are those of the set-point.
+    ``position`` is the position of the set-point (rad), and ``speed`` is the speed of the set-point
+    (rad/s).
     """
 
     def __init__(self, position: float, speed: float = 0.0) -> None:
@@ -39,7 +42,10 @@ class Move:
     def step(
         self, goal: float, velocity: float, acceleration: float, deceleration: float, dt: float
     ) -> bool:
-        """Advances by ``dt`` s; all limits are positive.  Returns whether the goal is reached."""
+        """Computes the set-point after a time step of ``dt`` s.
+
+        All limits must be positive.  Returns true if the set-point has reached the goal.
+        """
         distance = goal - self.position
         half = deceleration * dt / 2.0
         allowed = math.sqrt(half * half + 2.0 * deceleration * abs(distance)) - half

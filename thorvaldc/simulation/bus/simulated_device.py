@@ -1,4 +1,4 @@
-"""The base class of simulated devices: power, timers, frames and non-volatile memory."""
+"""The base class of all simulated devices on a CAN bus."""
 
 from __future__ import annotations
 
@@ -27,18 +27,20 @@ BITRATE = "bitrate"
 
 
 class SimulatedDevice:
-    """A device on a wire.  A subclass implements ``start`` and adds frame handlers there.
+    """A simulated device on a CAN bus.
 
-    ``handlers`` maps an 11-bit identifier to the function that handles its frames.  A device
-    reacts shortly after a frame, and in the order of the frames; ``seed`` and ``name``
-    determine the delays.
+    A subclass implements the method ``start``, which adds frame handlers and starts timers.
+    ``handlers`` has a function for each 11-bit identifier that the device receives.  The device
+    calls the frame handlers with a short random delay, in the order of the received frames.
+    ``seed`` and ``name`` determine the random delays.
 
-    A device does nothing before ``power_on``.  A loss of power ends its timers, its queue and its
-    volatile state; ``nonvolatile`` remains.  A ``muted`` device receives and acknowledges
-    frames but sends none.
+    A device is inactive before ``power_on``.  A loss of power stops all timers and clears the send
+    queue and the volatile state of the device.  The mapping ``nonvolatile`` keeps its values
+    without power.  A device with ``muted`` receives and acknowledges frames, but does not send
+    frames.
 
-    A class of another package is found by the entry-point group ``thorvaldc.simulated_devices``,
-    under the name of the node's protocol.
+    Another package can provide a device class by an entry point in the group
+    ``thorvaldc.simulated_devices``.  The name of the entry point is the protocol of the node.
     """
 
     def __init__(
@@ -50,7 +52,11 @@ class SimulatedDevice:
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """``bitrate`` (bit/s) is the factory setting; ``nonvolatile`` may contain another."""
+        """Creates the device without power.
+
+        ``bitrate`` is the factory setting of the bitrate (bit/s).  A bitrate in ``nonvolatile``
+        replaces the factory setting.
+        """
         self.name = name
         self.wire = wire
         self.timeline = wire.timeline
@@ -73,7 +79,10 @@ class SimulatedDevice:
 
     @classmethod
     def from_specification(cls, specification: DeviceSpecification) -> Self:
-        """Makes the device of a node.  A subclass with other arguments overrides this method."""
+        """Creates the simulated device of a node.
+
+        A subclass whose constructor has other arguments overrides this method.
+        """
         return cls(
             specification.name,
             specification.wire,
@@ -87,13 +96,17 @@ class SimulatedDevice:
         if self.powered:
             return
         self.powered = True
-        # A torn write may have destroyed the stored bitrate.
+        # A loss of power during a write may have destroyed the stored bitrate.
         self.controller.bitrate = self.nonvolatile.get(BITRATE, self.factory_bitrate)
         self.controller.switch_on()
         self.start()
 
     def power_off(self) -> None:
-        """Cuts the power.  Values being written are lost, or destroyed with ``torn_writes``."""
+        """Switches the power of the device off.
+
+        A write to non-volatile memory that is in progress is lost.  With ``torn_writes``, the
+        values of the write are destroyed.
+        """
         if not self.powered:
             return
         self.powered = False
@@ -107,24 +120,34 @@ class SimulatedDevice:
         self.stop()
 
     def start(self) -> None:
-        """Called after power-on: add handlers and start timers here."""
+        """Adds the frame handlers and starts the timers of the device.
+
+        The base class calls this method after power-on.
+        """
 
     def stop(self) -> None:
-        """Called after a loss of power: switch motors and outputs off here."""
+        """Switches the motors and outputs of the device off.
+
+        The base class calls this method after a loss of power.
+        """
 
     def channel_motor(self, index: int) -> tuple[Encoder | None, MotorModel | None]:
-        """Returns encoder and motor of a channel, which injected faults freeze or block."""
+        """Returns the encoder and the motor of a channel.
+
+        An injected fault freezes the encoder or blocks the motor.
+        """
         return None, None
 
     def change_node_id(self, node_id: int) -> None:
-        """Changes the id, as the maker's tool or a fault does.
+        """Changes the node id of the device.
 
-        Raises ``ValueError`` for a device without an id.
+        The method has the same effect as the tool of the manufacturer.  Raises ``ValueError`` if
+        the device has no node id.
         """
         raise ValueError(f"{self.name} has no id")
 
     def change_bitrate(self, bitrate: int) -> None:
-        """Changes the bitrate (bit/s) until the next power-on."""
+        """Changes the bitrate (bit/s) of the CAN controller until the next power-on."""
         self.controller.bitrate = bitrate
         self.controller.restart()
 
@@ -132,11 +155,14 @@ class SimulatedDevice:
 
     @property
     def now(self) -> float:
-        """s"""
+        """Simulated time (s)."""
         return self.timeline.now / NANOSECONDS
 
     def after(self, delay: float, action: Action) -> Event:
-        """Calls ``action`` in ``delay`` s, unless the power is lost before."""
+        """Calls ``action`` after ``delay`` s.
+
+        A loss of power cancels the call.
+        """
         life = self._life
 
         def act() -> None:
@@ -146,10 +172,11 @@ class SimulatedDevice:
         return self.timeline.after(to_ns(delay), act)
 
     def every(self, period: Callable[[], float], action: Action, first: float = 0.0) -> None:
-        """Calls ``action`` every ``period()`` s, for the first time in ``first`` s.
+        """Calls ``action`` periodically, for the first time after ``first`` s.
 
-        Ends with a loss of power.  ``period()`` may change; while it is not positive, the
-        action pauses and the period is checked every 0.1 s.
+        The function ``period`` returns the time (s) to the next call.  If the time is not positive,
+        ``action`` is not called, and ``period`` is called again after 0.1 s.  A loss of power ends
+        the periodic calls.
         """
 
         def repeat() -> None:
@@ -162,7 +189,11 @@ class SimulatedDevice:
     # -- frames -----------------------------------------------------------------------------
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Sends a frame, unless the device is muted.  A full queue or bus-off drops it."""
+        """Sends a CAN frame.
+
+        The frame is dropped if the device is muted, if the send queue is full, or if the CAN
+        controller is in bus-off.
+        """
         if not self.muted:
             self.controller.send(CanFrame(identifier, data))
 
@@ -183,7 +214,10 @@ class SimulatedDevice:
     # -- non-volatile memory -------------------------------------------------------------------
 
     def store(self, changes: Mapping[str, Any], on_stored: Action | None = None) -> None:
-        """Writes to ``nonvolatile`` after the write time, and then calls ``on_stored``."""
+        """Writes ``changes`` to the non-volatile memory of the device.
+
+        After the duration of the write, ``nonvolatile`` is updated and ``on_stored`` is called.
+        """
         self._writing = {**self._writing, **changes}
         values = dict(changes)
 

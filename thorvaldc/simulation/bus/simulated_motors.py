@@ -1,4 +1,4 @@
-"""Motor models for simulated controllers: ideal motors, or the joints of a simulated base."""
+"""Models of motors and encoders for simulated motor controllers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,12 @@ STOP = math.pi
 
 
 class MotorState(NamedTuple):
-    """At the joint: rad (not wrapped), rad/s, N m."""
+    """The state of a motor at the joint.
+
+    * ``position``: joint position (rad), not wrapped.
+    * ``velocity``: joint velocity (rad/s).
+    * ``torque``: joint torque (N m).
+    """
 
     position: float
     velocity: float
@@ -27,35 +32,37 @@ class MotorState(NamedTuple):
 
 
 class MotorModel(abc.ABC):
-    """A motor with its gear on a joint, in rad, rad/s and N m of the joint.
+    """A motor with a gear that drives a joint.
 
-    Times are in s and never decrease.  The last command applies until the next one.
-    ``blocked``: the joint cannot move.
+    All values are in rad, rad/s and N m at the joint.  Times are in s and never decrease.  A
+    command applies until the next command.  If ``blocked`` is true, the joint cannot move.
     """
 
     blocked = False
 
     @abc.abstractmethod
     def read(self, now: float) -> MotorState:
-        """Returns the state of the joint at ``now``."""
+        """Returns the state of the joint at the time ``now`` (s)."""
 
     @abc.abstractmethod
     def turn(self, velocity: float, now: float) -> None:
-        """Commands a speed; the motor ramps to it as fast as it can."""
+        """Commands a velocity (rad/s), which the motor reaches as fast as possible."""
 
     @abc.abstractmethod
     def hold(self, position: float, now: float) -> None:
-        """Commands a position; the motor moves there as fast as it can and stays."""
+        """Commands a position (rad), which the motor reaches as fast as possible and holds."""
 
     @abc.abstractmethod
     def release(self, now: float) -> None:
-        """Switches the power stage off: no torque."""
+        """Switches the power stage off, so that the motor applies no torque."""
 
 
 class IdealMotor(MotorModel):
-    """A motor without load: speeds ramp with ``max_acceleration``, positions with ``max_velocity``.
+    """A motor without load.
 
-    ``lower`` and ``upper`` (rad) are mechanical stops.
+    A commanded velocity is reached with ``max_acceleration`` (rad/s^2).  A commanded position is
+    reached with ``max_velocity`` (rad/s).  ``lower`` and ``upper`` are the positions (rad) of the
+    mechanical stops.
     """
 
     def __init__(
@@ -92,7 +99,7 @@ class IdealMotor(MotorModel):
         self._speed, self._goal = None, position
 
     def release(self, now: float) -> None:
-        """Brakes to rest: an ideal motor has no inertia that could make it coast."""
+        """Brakes the motor to rest, because an ideal motor without inertia cannot coast."""
         self._advance(now)
         self._speed, self._goal = 0.0, None
 
@@ -112,7 +119,8 @@ class IdealMotor(MotorModel):
             commanded = min(max(self._speed or 0.0, -limit), limit)
             step = self.max_acceleration * dt
             self._velocity = min(max(commanded, speed - step), speed + step)
-            # Trapezoid: mean speed during the ramp, then the final speed for the rest of dt.
+            # The position changes with the mean speed during the ramp, and with the final speed
+            # during the rest of dt.
             ramp = min(abs(self._velocity - speed) / self.max_acceleration, dt)
             end = start + (speed + self._velocity) / 2.0 * ramp + self._velocity * (dt - ramp)
             share = (self._velocity - speed) / step
@@ -127,10 +135,11 @@ class IdealMotor(MotorModel):
 
 
 class BaseMotors:
-    """The motors of a simulated base, ideal or in MuJoCo; one model for each actuator.
+    """The motors of a simulated base.
 
-    All reads and commands use one ``BaseHandle``, whose simulation advances when it is read.  A
-    released motor is commanded to rest, because a ``BaseHandle`` cannot release a joint.
+    Each actuator has a motor model.  All motor models use the same ``BaseHandle``.  The simulation
+    of the base advances when the ``BaseHandle`` is read.  A ``BaseHandle`` cannot release a joint,
+    so that the motor model of a released motor commands the joint to rest.
     """
 
     def __init__(self, robot: Robot, base: BaseHandle) -> None:
@@ -141,14 +150,14 @@ class BaseMotors:
         self._states: JointStates | None = None
         self._read_at = -1.0
         self._joints: dict[str, tuple[int, bool]] = {}
-        """Index of the wheel, and whether it is the steering, by joint."""
+        """(wheel index, true for a steering joint) by joint name."""
         for i, wheel in enumerate(robot.wheels):
             self._joints[wheel.spin_joint] = (i, False)
             if wheel.steering_joint is not None:
                 self._joints[wheel.steering_joint] = (i, True)
 
     def motor(self, actuator: Actuator) -> MotorModel | None:
-        """Returns the motor model of an actuator; ``None`` if it moves no wheel of the base."""
+        """Returns the motor model of an actuator, or ``None`` if the actuator moves no wheel."""
         joint = self._joints.get(actuator.joint)
         return None if joint is None else _BaseMotor(self, *joint)
 
@@ -167,7 +176,10 @@ class BaseMotors:
 
 
 class _BaseMotor(MotorModel):
-    """One joint of the base: a steering (commanded by angle) or a wheel (commanded by speed)."""
+    """The motor of one joint of a simulated base.
+
+    A steering joint is commanded by angle, and a spin joint is commanded by speed.
+    """
 
     def __init__(self, motors: BaseMotors, wheel: int, steering: bool) -> None:
         self._motors = motors
@@ -189,7 +201,8 @@ class _BaseMotor(MotorModel):
         if not self._steering:
             self._write(velocity, now)
             return
-        # The base controls a steering by position: the commanded position moves with the speed.
+        # The base controls a steering joint by position.  The commanded position therefore moves
+        # with the commanded speed.
         if self._turning is None:
             self._commanded = self.read(now).position
         else:
@@ -227,9 +240,9 @@ class _BaseMotor(MotorModel):
 
 
 class Encoder:
-    """An incremental encoder on the motor shaft, four counts per pulse, 0 at power-on.
+    """An incremental encoder on the motor shaft with four counts per pulse.
 
-    ``frozen``: it keeps its last count.
+    The count is 0 at power-on.  If ``frozen`` is true, the encoder repeats the last count.
     """
 
     def __init__(self, gear_ratio: float, pulses: int) -> None:
@@ -241,26 +254,32 @@ class Encoder:
 
     @property
     def counts_per_radian(self) -> float:
-        """Counts per rad of the joint."""
+        """Number of encoder counts per rad of the joint."""
         return 4.0 * self.pulses * self.gear_ratio / math.tau
 
     def set_zero(self, state: MotorState, counts: float = 0.0) -> None:
-        """Sets the zero so that the joint position of ``state`` reads ``counts``."""
+        """Sets the zero of the encoder.
+
+        After the call, the encoder reads ``counts`` at the joint position of ``state``.
+        """
         self._zero = state.position - counts / self.counts_per_radian
 
     def joint_position(self, counted: float) -> float:
-        """Returns the true joint position (rad) for a counted one."""
+        """Returns the true joint position (rad) for the counted position ``counted`` (rad)."""
         return counted + self._zero
 
     def measure(self, state: MotorState) -> tuple[float, float]:
-        """Returns the counted position (rad) and speed (rad/s) of the joint."""
+        """Returns the joint position (rad) and joint speed (rad/s) that the encoder measures."""
         if not self.frozen:
             self._last = (state.position - self._zero, state.velocity)
         return self._last if not self.frozen else (self._last[0], 0.0)
 
 
 def ideal_motor(actuator: Actuator, joint: Joint) -> IdealMotor:
-    """Returns an actuator's motor; a joint with limits has stops half a turn to either side."""
+    """Returns an ideal motor for an actuator.
+
+    If the joint has limits, the motor has mechanical stops at half a turn in both directions.
+    """
     return IdealMotor(
         actuator.max_velocity,
         actuator.max_acceleration,

@@ -1,4 +1,4 @@
-"""A robot's buses, with a simulated device for each node."""
+"""The simulated CAN buses of a robot, with a simulated device for each node."""
 
 from __future__ import annotations
 
@@ -20,10 +20,14 @@ from thorvaldc.simulation.bus.wire import Wire
 
 
 class SimulatedRobot:
-    """One timeline, a wire for each bus, a device with its motors for each node.
+    """The simulated CAN buses, devices and motors of a robot.
 
-    ``wires`` by name of the bus, ``devices`` by name of the node, ``motors`` by name of
-    the actuator.  No device has power before ``power_on``.
+    * ``timeline``: virtual time of the simulation.
+    * ``wires``: simulated bus lines by bus name.
+    * ``devices``: simulated devices by node name.
+    * ``motors``: motor models by actuator name.
+
+    The devices have no power before the call of ``power_on``.
     """
 
     def __init__(
@@ -35,12 +39,15 @@ class SimulatedRobot:
         delivered: bool = False,
         nonvolatile: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        """``base``: the motors move its joints (a ``MujocoBase``, say); default: ideal motors.
+        """Creates a simulated device for each node of the robot.
 
-        ``delivered``: devices are in their factory state.  ``nonvolatile``: contents of the
-        non-volatile memory by node, before those from the robot: ``{"fl_drive": {"node_id": 2}}``.
+        * ``base``: simulated base whose joints the motors move, for example a ``MujocoBase``.  The
+          default is ideal motors without a base.
+        * ``delivered``: true if all devices are in the factory state.
+        * ``nonvolatile``: values in the non-volatile memory by node name, for example
+          ``{"fl_drive": {"node_id": 2}}``.  The values replace the values from the robot.
 
-        Raises ``DiagnosticError`` (``bus-missing``) for a robot without a bus.
+        Raises ``DiagnosticError`` (``bus-missing``) if the robot has no bus.
         """
         require_bus(robot)
         self.robot = robot
@@ -68,18 +75,26 @@ class SimulatedRobot:
     def interface(
         self, bus: str | None = None, name: str = "master", **options: Any
     ) -> VirtualTimeInterface:
-        """Opens an interface to a bus, by default the first, in virtual time."""
+        """Opens a CAN interface to a bus in virtual time.
+
+        The default bus is the first bus of the robot.
+        """
         return VirtualTimeInterface(self.wire(bus), name, **options)
 
     def wire(self, bus: str | None = None) -> Wire:
-        """Returns the wire of a bus, by default of the first.  Raises ``KeyError``."""
+        """Returns the simulated bus line of a bus.
+
+        The default bus is the first bus of the robot.  Raises ``KeyError`` if the robot has no bus
+        with the name ``bus``.
+        """
         return self.wires[bus if bus is not None else self.robot.buses[0].name]
 
     def clone(self, node: str, name: str, **nonvolatile: Any) -> SimulatedDevice:
-        """Adds a second device like that of ``node``, with ideal motors and without power.
+        """Adds a copy of the device of the node ``node``.
 
-        It has the same product code and id, unless ``nonvolatile`` contains another id, and a
-        different serial number.  Raises ``KeyError``.
+        The copy has ideal motors, no power and a different serial number.  The copy has the same
+        product code as the device, and the same node id unless ``nonvolatile`` contains another
+        node id.  Raises ``KeyError`` if the robot has no node with the name ``node``.
         """
         for bus in self.robot.buses:
             for original in bus.nodes:
@@ -88,7 +103,7 @@ class SimulatedRobot:
         raise KeyError(node)
 
     def run(self, seconds: float) -> None:
-        """Lets time run."""
+        """Runs the simulation for ``seconds`` s of virtual time."""
         self.timeline.run_until(self.timeline.now + to_ns(seconds))
 
     def _add(

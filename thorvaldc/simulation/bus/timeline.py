@@ -1,4 +1,4 @@
-"""Virtual time: a queue of events, ordered to the nanosecond and the same in every run."""
+"""The virtual time of a simulation: a queue of events with times in ns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Action = Callable[[], None]
 
 
 class Event:
-    """An action that is due at ``time`` (ns), unless it is cancelled."""
+    """An action that is called at the virtual time ``time`` (ns), unless the event is cancelled."""
 
     __slots__ = ("action", "time")
 
@@ -24,10 +24,10 @@ class Event:
 
 
 class Timeline:
-    """The clock of a simulation and its planned events.
+    """The virtual clock of a simulation and the queue of scheduled events.
 
-    ``now`` is in ns.  Events of the same time run in the order in which they were planned;
-    events planned with ``last`` run after all others of that time.
+    ``now`` is the virtual time (ns).  Events with equal times run in the order in which the events
+    were scheduled.  An event with ``last`` runs after all other events with the same time.
     """
 
     def __init__(self) -> None:
@@ -38,30 +38,36 @@ class Timeline:
 
     @property
     def seconds(self) -> float:
-        """The present time in s."""
+        """Virtual time in s."""
         return self.now / NANOSECONDS
 
     @property
     def next_time(self) -> int:
-        """Time (ns) of the next event; ``NEVER`` if none is planned."""
+        """Time (ns) of the next event, or ``NEVER`` if no event is scheduled."""
         queue = self._queue
         while queue and queue[0][3].action is None:
             heapq.heappop(queue)
         return queue[0][0] if queue else NEVER
 
     def at(self, time: int, action: Action, last: bool = False) -> Event:
-        """Plans ``action`` for ``time`` (ns).  A time in the past counts as now."""
+        """Schedules a call of ``action`` at the virtual time ``time`` (ns).
+
+        A time in the past is replaced by the current time.
+        """
         event = Event(max(time, self.now), action)
         self._planned += 1
         heapq.heappush(self._queue, (event.time, int(last), self._planned, event))
         return event
 
     def after(self, delay: int, action: Action) -> Event:
-        """Plans ``action`` for ``delay`` ns from now."""
+        """Schedules a call of ``action`` after ``delay`` ns."""
         return self.at(self.now + delay, action)
 
     def step(self) -> bool:
-        """Runs the next event.  ``False``: none is planned."""
+        """Runs the next event.
+
+        Returns ``False`` if no event is scheduled.
+        """
         queue = self._queue
         while queue:
             time, _, _, event = heapq.heappop(queue)
@@ -73,10 +79,11 @@ class Timeline:
         return False
 
     def run_until(self, time: int, stop: Callable[[], bool] | None = None) -> bool:
-        """Runs all events up to and including ``time`` (ns), or until ``stop()`` is true.
+        """Runs all events until ``time`` (ns), including events at ``time``.
 
-        ``stop`` is called after each event.  Returns whether it ended the run; otherwise
-        ``now`` is ``time`` afterwards.  Raises ``RuntimeError`` if an event calls this method.
+        The function ``stop`` is called after each event.  If ``stop`` returns true, the method ends
+        early and returns true.  If no call of ``stop`` returns true, the method sets ``now`` to
+        ``time`` and returns false.  Raises ``RuntimeError`` if an event calls this method.
         """
         if self._running:
             raise RuntimeError("an event of the simulation cannot wait for the simulation")

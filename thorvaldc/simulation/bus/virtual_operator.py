@@ -1,4 +1,4 @@
-"""The operator of simulated devices: power switches and the manufacturers' tools."""
+"""A simulated operator who carries out the manual steps of commissioning."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ SETTLING_TIME = 0.3
 
 
 class VirtualOperator:
-    """Carries out manual commissioning steps on a simulated robot."""
+    """Carries out the manual steps of commissioning on a simulated robot."""
 
     def __init__(self, simulated: SimulatedRobot) -> None:
         self.simulated = simulated
 
     def attach(self, step: AttachStep, words: str) -> bool:
-        """Powers one device alone and sets its id, as a person does with a manufacturer's tool."""
+        """Switches the power of only one device on and sets the node id of the device.
+
+        On a real robot, a person sets the node id with a tool of the manufacturer.
+        """
         for device in self.simulated.devices.values():
             device.power_off()
         device = self.simulated.devices[step.node]
@@ -27,7 +30,7 @@ class VirtualOperator:
         return True
 
     def power_all(self, words: str) -> bool:
-        """Powers all devices."""
+        """Switches the power of all devices on."""
         self.simulated.power_on()
         self.simulated.run(SETTLING_TIME)
         return True

@@ -1,4 +1,4 @@
-"""A program's access to a simulated wire, in virtual time and in one thread."""
+"""A CAN interface to a simulated bus in virtual time, for a program with one thread."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from thorvaldc.simulation.bus.wire import Wire
 
 
 class VirtualTimeInterface:
-    """A ``CanInterface`` to a wire: virtual time runs while the program waits.
+    """A ``CanInterface`` to a simulated bus in virtual time.
 
-    The receive queue holds ``receive_limit`` frames.  A full queue drops the newest frame
-    and counts it in ``overruns``, as controllers and kernels do.  ``bitrate`` ``None``: that
-    of the wire.
+    Virtual time advances only while the program waits.  The receive queue has space for
+    ``receive_limit`` frames.  A frame that arrives while the receive queue is full is dropped, and
+    ``overruns`` is increased by 1.  Real CAN controllers and operating systems drop frames in the
+    same way.  ``bitrate`` is the bitrate of the CAN controller (bit/s), by default the bitrate of
+    the simulated bus.
     """
 
     epoch = 0.0
@@ -61,13 +63,14 @@ class VirtualTimeInterface:
 
     @property
     def now(self) -> float:
-        """Virtual time in s."""
+        """Virtual time (s)."""
         return self.timeline.seconds
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Queues a frame; waits at most ``timeout`` s for room in the queue.
+        """Adds a frame to the send queue.
 
-        ``False``: there was no room, or the controller is in bus-off.
+        The method waits at most ``timeout`` s for space in the send queue.  Returns ``False`` if
+        the send queue is still full, or if the CAN controller is in bus-off.
         """
         controller = self.controller
         if controller.pending >= controller.queue_limit and timeout > 0.0:
@@ -76,10 +79,11 @@ class VirtualTimeInterface:
         return controller.send(frame)
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """Returns the oldest received frame; time runs until there is one.
+        """Returns the oldest received frame.
 
-        ``None`` after ``timeout`` s.  Without a time-out ``None`` means that no event is
-        planned any more.
+        Virtual time advances until a frame is received.  Returns ``None`` if no frame is received
+        within ``timeout`` s.  Without a time-out, the method returns ``None`` if the simulation has
+        no further events.
         """
         if not self.received and (timeout is None or timeout > 0.0):
             limit = NEVER - 1 if timeout is None else self.timeline.now + to_ns(timeout)
@@ -91,15 +95,21 @@ class VirtualTimeInterface:
         return self.received.popleft() if self.received else None
 
     def sleep(self, seconds: float) -> None:
-        """Lets time run; frames received meanwhile wait in the queue."""
+        """Advances the virtual time by ``seconds`` s.
+
+        Received frames wait in the receive queue.
+        """
         self.timeline.run_until(self.timeline.now + to_ns(seconds))
 
     def sleep_until(self, time: float) -> None:
-        """Lets time run until ``time`` (s).  Returns immediately if that time is past."""
+        """Advances the virtual time to ``time`` (s).
+
+        The method returns immediately if ``time`` is in the past.
+        """
         self.timeline.run_until(to_ns(time))
 
     def restart(self) -> None:
-        """Leaves bus-off."""
+        """Restarts the CAN controller after bus-off."""
         self.controller.restart()
 
     def close(self) -> None:

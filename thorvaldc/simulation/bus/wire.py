@@ -1,19 +1,21 @@
-"""The wire that CAN controllers share: arbitration, frame times and errors (ISO 11898-1).
+"""A simulated CAN bus line with arbitration, frame times and errors (ISO 11898-1).
 
-The simulation computes one event per frame, not one per bit.
+The simulation computes one event per CAN frame, instead of one event per bit.
 
-Arbitration.  When the wire is free, all controllers with a waiting frame start at the same bit.
-A 0 is dominant: a controller that sends a 1 and reads a 0 has lost and becomes a receiver.  So
-the lowest arbitration field wins, and the winner does not notice the others:
+Arbitration: when the bus line is free, all controllers with a frame to send start at the same bit.
+The bit 0 is dominant.  A controller that sends a 1 and reads a 0 has lost the arbitration and
+becomes a receiver.  The frame with the lowest arbitration field thus wins the arbitration without
+an error:
 
     bit        SOF 10  9  8  7  6  5  4  3 ...
     A 0x185     0   0  0  1  1  0  0  0  0      wins
     B 0x285     0   0  1  .  .  .  .  .  .      reads 0 for its 1 at bit 9, and stops
     wire        0   0  0  1  1  0  0  0  0
 
-Two controllers with the same identifier do not notice each other until their frames differ.  Equal
-frames pass as one.  If they differ, the controller that sends 1 reads 0 outside of the arbitration
-field: a bit error.  If it is error-active, it destroys the frame with an error flag:
+Two controllers may send frames with the same identifier at the same time.  If the two frames are
+equal, the receivers receive one frame.  If the two frames have different data, one controller sends
+a 1 and reads a 0 after the arbitration field, which is a bit error.  An error-active controller
+with a bit error destroys both frames with an error flag:
 
     time -->
     frame of A  |SOF|identifier|length|data 01 2 |
@@ -24,15 +26,18 @@ field: a bit error.  If it is error-active, it destroys the frame with an error 
                                                  |<- FLAG ->|<- FLAG ->|     |
     next arbitration: all senders try again                                  |SOF ...
 
-If the loser is error-passive, its flag is recessive and the other frame passes.
+The error flag of an error-passive controller is recessive, so that the other frame is not
+destroyed.
 
-Error counters after an error: sender +8; receivers +1; the receiver that sent its flag first +9,
-because it also sees the dominant bits of the flags of the others.
+An error increases the transmit error counter of a sender by 8 and the receive error counter of a
+receiver by 1.  The receive error counter of the receiver that sent the first error flag increases
+by 9, because this receiver also detects the dominant bits of the other error flags.
 
-A frame ends for its receivers before the interframe space.  If no controller acknowledges it, the
-sender repeats it, and its transmit errors stop to count at error-passive.
+A receiver receives a frame at the end of the frame, before the interframe space.  A sender repeats
+a frame that no controller acknowledges.  A missing acknowledgement does not increase the transmit
+error counter of an error-passive sender.
 
-docs/simulated-bus.md lists the simplifications.
+The page docs/simulated-bus.md lists the simplifications of the simulation.
 """
 
 from __future__ import annotations
@@ -53,7 +58,11 @@ MISMATCH_BIT = 13
 
 
 class _Transmission:
-    """A frame on the wire, its senders, and the listeners that were online at its start."""
+    """A CAN frame that is being sent.
+
+    ``senders`` are the controllers that send the frame.  ``listeners`` are the controllers that
+    were online at the start of the frame.
+    """
 
     __slots__ = ("bits", "event", "frame", "listeners", "queued", "senders", "start")
 
@@ -65,7 +74,11 @@ class _Transmission:
         listeners: list[CanController],
         start: int,
     ) -> None:
-        """``queued``: the entry in the send queue of each sender.  ``start`` in ns."""
+        """Creates the transmission of a CAN frame.
+
+        ``queued`` has the entry in the send queue of each sender.  ``start`` is the start time in
+        ns.
+        """
         self.frame = frame
         self.senders = senders
         self.queued = queued
@@ -80,12 +93,15 @@ Observer = Callable[[int, CanFrame, Sequence[CanController]], None]
 
 
 class Wire:
-    """A bus line that connects controllers in one timeline.
+    """A simulated CAN bus line that connects CAN controllers.
 
-    ``bitrate`` (bit/s) is the nominal one; each controller has its own.  ``frames`` counts
-    the valid frames and ``errors`` the destroyed or unacknowledged ones; ``busy`` is the time
-    (ns) that both occupied the wire.  ``noise`` is the share of frames (0..1) that are
-    destroyed at random; ``seed`` determines which.
+    * ``timeline``: virtual time of the simulation.
+    * ``bitrate``: nominal bitrate (bit/s).  Each controller also has a separate bitrate.
+    * ``frames``: number of valid frames.
+    * ``errors``: number of frames that were destroyed or not acknowledged.
+    * ``busy``: total duration (ns) of all valid and faulty frames.
+    * ``noise``: probability (0..1) that a frame is destroyed by a random error.
+    * ``seed``: seed of the random errors.
     """
 
     def __init__(self, timeline: Timeline, bitrate: int = 500_000, *, seed: int = 0) -> None:
@@ -111,20 +127,24 @@ class Wire:
         self.controllers.remove(controller)
 
     def at_frame(self, number: int, action: Callable[[], None]) -> None:
-        """Calls ``action`` in the middle of the frame with this number; the first frame is 1."""
+        """Calls ``action`` in the middle of the frame with the number ``number``.
+
+        The first frame has the number 1.
+        """
         self._at_frame.setdefault(number, []).append(action)
 
     # -- arbitration ------------------------------------------------------------------------
 
     def wake(self) -> None:
-        """Plans an arbitration for the next moment at which the wire is free."""
+        """Schedules an arbitration for the next time at which the bus line is free."""
         if self._current is None and self._arbitration is None:
             self._plan_arbitration(max(self.timeline.now, self._free_at))
 
     def _plan_arbitration(self, time: int) -> None:
         if self._arbitration is not None:
             self._arbitration.cancel()
-        # After all other events of that time, so that every frame queued by then takes part.
+        # The arbitration runs after all other events with the same time, so that all queued frames
+        # take part in the arbitration.
         self._arbitration = self.timeline.at(time, self._arbitrate, last=True)
 
     def _arbitrate(self) -> None:
@@ -150,7 +170,8 @@ class Wire:
         queued = [head for field, _, head in contenders if field == lowest]
         frame = queued[0].frame
         if len(senders) > 1:
-            # Zeros are dominant: among equal identifiers the lowest length and data remain.
+            # The bit 0 is dominant, so that the frame with the lowest length and data remains among
+            # frames with equal identifiers.
             frame = min((head.frame for head in queued), key=lambda f: (f.length, f.data))
         listeners = [c for c in self.controllers if c.online and c not in senders]
         current = _Transmission(frame, senders, queued, listeners, now)
@@ -169,9 +190,10 @@ class Wire:
             )
 
     def _find_error(self, current: _Transmission) -> tuple[int, list[CanController]] | None:
-        """Returns the bit at which an error flag starts, and the controllers that send it first.
+        """Finds the first error in a frame.
 
-        ``None``: no active error flag destroys the frame.
+        Returns the bit at which the first error flag starts, and the controllers that send the
+        first error flag.  Returns ``None`` if no dominant error flag destroys the frame.
         """
         senders, frame = current.senders, current.frame
         rate = senders[0].bitrate
@@ -189,7 +211,8 @@ class Wire:
             difference = min(first_difference(frame, lost) for lost in active)
             return difference + 1, []
         if losers:
-            # All losers are error-passive: their flags are recessive, and the frame goes on.
+            # All losing senders are error-passive and send recessive error flags, so that the
+            # transmission of the frame continues.
             current.senders = [s for s in senders if all(s is not loser for loser, _ in losers)]
             current.queued = [head for head in current.queued if head.frame == frame]
             for sender, _ in losers:
@@ -202,7 +225,10 @@ class Wire:
     # -- ends of a frame -----------------------------------------------------------------------
 
     def _finish(self) -> None:
-        """End of frame, before the interframe space: the frame is valid for its receivers."""
+        """Handles the end of a frame, before the interframe space.
+
+        The receivers accept the frame as valid.
+        """
         current = self._current
         if current is None:
             return
@@ -227,7 +253,11 @@ class Wire:
             receiver.frame_received(current.frame)
 
     def _end_unacknowledged(self, current: _Transmission) -> None:
-        """Acknowledge error.  ISO 11898-1: it takes a lone sender no further than error-passive."""
+        """Handles the end of a frame that no controller acknowledged.
+
+        An acknowledgement error does not change the state of a sender beyond error-passive
+        (ISO 11898-1).
+        """
         self.errors += 1
         self._current = None
         for sender in current.senders:
@@ -238,9 +268,10 @@ class Wire:
             sender.suspend()
 
     def _destroy(self, detectors: Iterable[CanController]) -> None:
-        """Error flag: all controllers drop the frame; its senders try again.
+        """Destroys the current frame with an error flag.
 
-        ``detectors``: the controllers that send their flag first.
+        All receivers drop the frame, and all senders repeat the frame.  ``detectors`` are the
+        controllers that send the first error flag.
         """
         current = self._current
         if current is None:
@@ -257,7 +288,10 @@ class Wire:
                 listener.count_errors(receive=9 if listener in first else 1)
 
     def dropped(self, controller: CanController) -> None:
-        """Handles the loss of a controller; a frame that it alone was sending breaks off."""
+        """Handles a controller that stops to send and receive.
+
+        If the controller is the only sender of the current frame, the frame is aborted.
+        """
         current = self._current
         if current is None or controller not in current.senders:
             return
@@ -270,14 +304,15 @@ class Wire:
             current.event.cancel()
         self.errors += 1
         self._current = None
-        # A stuff error after 6 equal bits, then the flag and its echo.
+        # The receivers detect a stuff error after 6 equal bits.  The error flag and the echo of the
+        # error flag follow.
         self._release_wire(current, 3 * FLAG_BITS + DELIMITER_BITS + INTERFRAME_BITS)
         for listener in current.listeners:
             if listener.online and not listener.listen_only:
                 listener.count_errors(receive=1)
 
     def _release_wire(self, current: _Transmission, more_bits: int) -> None:
-        """Frees the wire after ``more_bits`` bits, and plans the next arbitration for then."""
+        """Frees the bus line after ``more_bits`` bits and schedules the next arbitration."""
         rest = more_bits * NANOSECONDS // current.senders[0].bitrate
         self._free_at = self.timeline.now + rest
         self.busy += self._free_at - current.start
