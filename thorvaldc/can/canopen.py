@@ -39,7 +39,7 @@ HEARTBEAT = 0x700
 
 
 class NmtCommand(enum.IntEnum):
-    """NMT command: the first byte of an NMT message.
+    """NMT command, which is the first byte of an NMT message.
 
     The second byte of an NMT message is the node id; node id 0 addresses every node.
     """

@@ -20,7 +20,7 @@ import enum
 class DriveState(enum.Enum):
     """Power state of a CiA 402 drive.
 
-    The value of each member is the bit pattern of the status word in this power state.
+    The value of a power state is its bit pattern in the status word.
     """
 
     NOT_READY = 0x00

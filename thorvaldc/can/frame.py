@@ -78,7 +78,7 @@ class ReceivedFrame(NamedTuple):
 def worst_case_bits(length: int, extended: bool = False) -> int:
     """Returns the largest number of bits of a frame with ``length`` data bytes.
 
-    The number includes the interframe space.  In the worst case the first stuff bit follows five
+    The interframe space is included.  In the worst case the first stuff bit follows five
     bits, and each further stuff bit follows four bits.
     """
     stuffed = (54 if extended else 34) + 8 * length
@@ -129,7 +129,7 @@ def frame_bits(frame: CanFrame) -> int:
 def first_difference(a: CanFrame, b: CanFrame) -> int:
     """Returns the number of equal bits at the start of two frames with the same identifier.
 
-    The number counts the bits of header and data without stuff bits.  If two nodes send the two
+    Only the bits of header and data are counted, without stuff bits.  If two nodes send the two
     frames at the same time, one node detects a bit error at the first bit that differs.
     """
     header = 39 if a.extended else 19
@@ -154,7 +154,7 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-# The state of the bit stuffing is the number 2 * (run - 1) + bit.  Here `bit` is the last bit, and
+# The state of the bit stuffing is the number 2 * (run - 1) + bit.  The last sent bit is `bit`, and
 # `run` (1 to 4) is the number of equal bits at the end.  The fifth equal bit adds a stuff bit, and
 # the stuff bit starts the next run.  The state `_START` means that no bit was sent yet.
 _START = 8

@@ -57,7 +57,7 @@ def remove_stale_socket(path: Path, program: str) -> None:
 def runtime_directory() -> Path:
     """Returns the directory of the user's sockets and locks, and creates a missing directory.
 
-    Raises ``PermissionError`` if the directory belongs to another user.  This check is necessary
+    Raises ``PermissionError`` if the directory belongs to another user.  The owner is checked
     because every user can create a directory in /tmp.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")

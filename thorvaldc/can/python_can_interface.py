@@ -31,13 +31,13 @@ _LOST = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
 class PythonCanInterface:
     """A CAN interface that sends and receives through a bus of python-can (``can.BusABC``).
 
-    The clock of this interface is ``time.monotonic``.  python-can stamps frames with the wall
-    clock, which may jump.  Therefore the age of each frame is computed from its time stamp and
+    The clock of this interface is ``time.monotonic``.  The time stamps of python-can come from the
+    wall clock, which may jump.  The age of each frame is computed from its time stamp and
     subtracted from the current monotonic time.  A time stamp that is in the future or older than
     ``MAXIMUM_AGE`` is ignored.  One thread may send while another thread receives.
 
-    Most interfaces of python-can do not report the error states error-passive and bus-off.
-    socketcan reports the error state by error frames, which ``receive`` evaluates.  No interface
+    Most interfaces of python-can do not report the error states error-passive and bus-off.  The
+    interface socketcan sends error frames, from which ``receive`` reads the state.  No interface
     of python-can reports the number of lost frames, so ``overruns`` is always 0.
 
     Echo removal (``echoes``).  UDP multicast also delivers a program's own frames to the program,
@@ -146,8 +146,8 @@ class PythonCanInterface:
     def restart(self) -> None:
         """Restarts the CAN controller after bus-off, if the interface supports a restart.
 
-        A socketcan interface can only be restarted with the command ``ip link``.  socketcan reports
-        the restart by an error frame.
+        A socketcan interface can only be restarted with the command ``ip link``.  After the
+        restart the socketcan interface sends an error frame.
         """
         with contextlib.suppress(NotImplementedError, AttributeError):
             self.bus.state = self._can.BusState.ACTIVE

@@ -27,7 +27,8 @@ class SimulatedBusClient:
 
     All methods are thread-safe.  Without ``lockstep`` the simulated bus runs in real time.  With
     ``lockstep`` the simulated time advances only while every lockstep client waits in ``receive``,
-    ``sleep`` or ``send``.  Therefore the computing time of a lockstep client does not count.
+    ``sleep`` or ``send``.  The computing time of a lockstep client does not advance the
+    simulated time.
     """
 
     def __init__(

@@ -18,7 +18,7 @@ class BusLock:
     """
 
     def __init__(self, spec: str) -> None:
-        """``spec`` is the name of the CAN interface on the command line."""
+        """``spec``: name of the CAN interface, such as ``socketcan:can0``."""
         self.spec = spec
         self._file: int | None = None
 

@@ -64,8 +64,8 @@ class BusMaster:
     """CAN master that sends requests and evaluates all received frames.
 
     All methods that wait for frames raise ``DiagnosticError`` (``bus-error``) if the CAN controller
-    is not error-active or if the CAN interface is lost.  If ``exclusive`` is ``True``, these
-    methods also raise ``DiagnosticError`` (``bus-other-master``) after a frame of another master.
+    is not error-active or if the CAN interface is lost.  If ``exclusive`` is ``True``, a frame
+    of another master also raises ``DiagnosticError`` (``bus-other-master``).
     """
 
     def __init__(self, interface: CanInterface, bus: Bus, timing: Timing | None = None) -> None:

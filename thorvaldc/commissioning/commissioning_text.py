@@ -14,8 +14,8 @@ from thorvaldc.commissioning.verify import Verification
 def scan_table(scan: ScanResult) -> str:
     """Returns a text table with one row for each node and each unknown device.
 
-    The columns are: verdict, name of the node, node id in the robot file, node id on the bus, and
-    description of the device.
+    The columns of the table are: verdict, name of the node, node id in the robot file, node id on
+    the bus, and description of the device.
     """
     header = ("verdict", "node", "id", "found", "device")
     return text_table([header, *(_scan_row(entry) for entry in scan.entries)])
@@ -84,7 +84,8 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
 def verification_table(verification: Verification) -> str:
     """Returns a text table with one row for each check of a verification.
 
-    The columns are: result, node, checked quantity, expected value, and value on the bus.
+    The columns of the table are: result, node, checked quantity, expected value, and value on the
+    bus.
     """
     rows = [("", "node", "what", "wanted", "found")]
     rows += [

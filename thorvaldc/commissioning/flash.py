@@ -1,8 +1,8 @@
 """Executes a plan of the commissioning (flash).
 
-Before the first step the flash checks that writing is safe.  Each step is verified and recorded in
-the journal.  The state of the bus is always read from the devices, never from the journal.  The
-journal records the planned steps and the previous values.  The sequence of a flash:
+Before the first step the flash checks that writing is safe.  Each step of the plan is verified and
+recorded in the journal.  The state of the bus is always read from the devices, never from the
+journal.  The journal records the planned steps and the previous values.  The sequence of a flash:
 
     scan        check: only devices of this robot, no other master, no drive enabled
     reset       the nodes of the robot, so that each node loads its stored values
@@ -14,11 +14,11 @@ journal records the planned steps and the previous values.  The sequence of a fl
 
 ``resume`` continues a flash after a power cut or a stop at any point.  ``resume`` scans the bus and
 resets the nodes again.  Each device must have a node id that a plan in the journal contains for
-this device.  Then ``resume`` makes a new plan from the scan.  The new plan contains only the steps
-whose results are not stored yet.
+this device.  ``resume`` makes a new plan from the scan.  The new plan contains only steps whose
+results are not stored in the devices yet.
 
 ``rollback`` works like ``resume``, but restores the node ids and values from before the first step.
-The journal contains the previous node ids and values.
+The journal contains the node ids and values from before the first step.
 """
 
 from __future__ import annotations
@@ -144,8 +144,8 @@ class Flash:
         previous: dict[str, dict[tuple[int, int], ParameterValue]] = {}
         for run in chain:
             for name, values_before in run.previous_values():
-                # Only the first record of a node is used.  A later record may contain values that
-                # an incomplete step has written.
+                # Only the first journal record of a node is used.  A later record may contain
+                # values that an incomplete step has written.
                 previous.setdefault(name, {value.key: value for value in values_before})
         changed = {step.node for step in first.steps} | set(previous)
         nodes = []

@@ -8,9 +8,9 @@ Records are written to the disk before and after each step of the flash:
     ...
     {"record":"end"}         or {"record":"stopped", "reason":...}, or nothing after a power cut
 
-Records are only appended.  A power cut can leave an incomplete line at the end of the journal.  The
-reader skips an incomplete line at the end of the file or before a new run.  Skipping the line is
-safe, because the state of the devices is always read from the bus.
+Records are only appended to the journal.  A power cut can leave an incomplete line at the end of
+the journal.  The reader skips an incomplete line at the end of the file or before a new run.
+Skipping an incomplete line is safe, because the state of the devices is always read from the bus.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ from thorvaldc.commissioning.bus_master import BusMaster
 
 
 class LssError(Exception):
-    """Missing response, multiple responses or refusal of an LSS request."""
+    """Error: an LSS request has no response, more than one response, or was refused."""
 
 
 class LssMaster:
@@ -101,9 +101,9 @@ class LssMaster:
     def fastscan(self) -> Identity | None:
         """Returns the identity of a slave without node id, or ``None`` if there is no such slave.
 
-        The slave is then in the configuration state.  Raises ``LssError`` if the responses
-        contradict each other.  Each request waits for the full time-out, because a late response
-        would be counted as a response to the next request.
+        A slave that was found stays in the configuration state.  Raises ``LssError`` if the
+        responses contradict each other.  Each request waits for the full time-out, because a late
+        response would be counted as a response to the next request.
         """
         if not self.has_unconfigured_slave():
             return None

@@ -57,11 +57,11 @@ class AddressStep:
 class ConfigureStep:
     """Step that writes the object values of a node.
 
-    The step writes each value that differs and reads the written value back.  Then the step stores
-    the values, resets the node, and reads all values again.  Before the step exactly one node must
-    respond at ``id``, and no motor of the node may be enabled.  A step with the previous values in
-    the journal undoes this step.  ``differing`` is the number of differing values, or ``None`` if
-    the number is not known yet.
+    The step writes each value that differs and reads the written value back.  Finally the step
+    stores the values, resets the node, and reads all values again.  Before the step exactly one
+    node must respond at ``id``, and no motor of the node may be enabled.  A step with the previous
+    values in the journal undoes this step.  ``differing`` is the number of differing values, or
+    ``None`` if the number is not known yet.
     """
 
     node: str

@@ -1,7 +1,7 @@
 """Plans the steps of a flash from the scanned bus to the required configuration.
 
-Two nodes must never share a node id, because SDO cannot address two nodes with the same id.  So
-each step moves one node to a node id that is free at that time.  In the diagram A(1->2) means that
+Two nodes must never share a node id, because SDO cannot address two nodes with the same id.  Each
+step moves one node to a node id that is free at that time.  In the diagram A(1->2) means that
 node A has the id 1 and requires the id 2.  An arrow leads from each node to the node whose id is
 required:
 
@@ -11,7 +11,7 @@ required:
 
 The required node ids are distinct, so the arrows form chains and cycles.  In a chain, the first
 node to move is the node whose required id is free.  A cycle becomes a chain when one node of the
-cycle is moved to a parking id.  So one parking id at a time is sufficient.  The plan is impossible
+cycle is moved to a parking id.  One parking id at a time is sufficient.  The plan is impossible
 if a required id belongs to a device that keeps its id.  If new nodes share a node id, this id is
 free when all nodes with this id have moved.
 """
@@ -178,7 +178,7 @@ def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResu
     at = Counter(scan.ids().values())
     known = node.lss and device is not None and device.identity is not None
     ids = {node.id} if device is None else {node.id, device.id}
-    # A shared node id is not a problem if LSS has found all these devices by serial number.
+    # A shared node id is not a problem if LSS has found all devices with this node id.
     if known and not any(i in ids and at[i] < 2 for i, _ in scan.duplicates):
         return []
     shared = device.id if device is not None and device.id is not None else node.id
@@ -248,7 +248,7 @@ def _address_steps(
             move(movable, movable.id)
             remaining.remove(movable)
             continue
-        # Now no required node id is free.  One node of a cycle is moved to a parking id.
+        # If no required node id is free, one node of a cycle is moved to a parking id.
         required = {node.id for node in remaining}
         blocker = next(
             (

@@ -1,9 +1,9 @@
 """Scans a bus for CANopen nodes.
 
 A passive scan only listens.  An active scan listens first, and then sends requests to one node at a
-time.  Two nodes with the same node id cause no error on the bus.  So the scanner counts all
-responses and reads the serial numbers twice to detect duplicates.  The scanner never sends frames
-to test a bitrate.
+time.  Two nodes with the same node id cause no error on the bus.  To detect two nodes
+with the same id, the scanner counts all responses and reads the serial numbers twice.  The scanner
+never sends frames to test a bitrate.
 
 The sequence of an active scan:
 
@@ -214,7 +214,7 @@ class Scanner:
     def _read_all(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
         """Requests a number ``rounds`` times and returns the numbers in all responses.
 
-        ``None`` in the result is a refused request.
+        A request that the node refuses gives ``None``.
         """
         evidence = self._findings.evidence
         numbers: list[int | None] = []
@@ -267,8 +267,8 @@ class Scanner:
         if not self.lss.has_unconfigured_slave():
             return
         for device in self._findings.by_name.values():
-            # An LSS slave does not respond to a fastscan in the configuration state.  So the
-            # devices that are already known are switched to the configuration state.
+            # An LSS slave does not respond to a fastscan in the configuration state.  Devices
+            # that are already known are switched to the configuration state.
             if device.id == UNCONFIGURED and device.identity is not None:
                 self.lss.select(device.identity)
         devices = self._findings.without_id

@@ -18,7 +18,7 @@ LONGEST_TEXT = 256
 
 
 class SdoAborted(Exception):
-    """The node has aborted the SDO transfer."""
+    """Error: the node has aborted the SDO transfer."""
 
     def __init__(self, code: int) -> None:
         super().__init__(sdo.abort_text(code))
@@ -26,14 +26,14 @@ class SdoAborted(Exception):
 
 
 class SdoTimeout(Exception):
-    """The node has not responded within the time-out."""
+    """Error: the node has not responded to an SDO request within the time-out."""
 
     def __init__(self) -> None:
         super().__init__("it does not answer")
 
 
 class SdoMultipleResponses(Exception):
-    """More than one node has responded to a request."""
+    """Error: more than one node has responded to an SDO request."""
 
     def __init__(self, count: int) -> None:
         super().__init__(f"{count} answers to one request")
@@ -126,7 +126,7 @@ class SdoClient:
     ) -> bytes:
         """Returns the only response to an SDO request.
 
-        The client does not wait for a second response.  A late second response has no effect,
+        The SDO client does not wait for a second response.  A late second response has no effect,
         because the response matches no later request.
         """
         frames = self._request(node, request, timeout or self.master.timing.sdo, 0.0, segment)

@@ -52,7 +52,7 @@ class Operator(Protocol):
 
 
 class StepFailed(Exception):
-    """Failure of a step; the message states the observed difference."""
+    """Error: a step of a plan failed.  The message states the observed difference."""
 
 
 class StepExecutor:
@@ -124,7 +124,7 @@ class StepExecutor:
         self.master.boots.clear()
         lss.switch_to_waiting()
         if step.before == UNCONFIGURED:
-            # The first node id of a node takes effect without a reset.  The reset then verifies
+            # The first node id of a node takes effect without a reset.  A reset verifies
             # that the node id is stored.
             self._wait_for_boots([step.after])
             self._restart(step.after, step.after)
@@ -250,7 +250,7 @@ class StepExecutor:
     def power_all(self, plan: Plan, number: int) -> None:
         """Asks the operator to power all modules after the last attach step.
 
-        Then a scan checks that each module has its required node id.  ``number`` is the index of
+        A scan then checks that each module has its required node id.  ``number`` is the index of
         the executed attach step in the plan.
         """
         if any(isinstance(step, AttachStep) for step in plan.steps[number + 1 :]):

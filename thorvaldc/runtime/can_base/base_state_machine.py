@@ -24,8 +24,8 @@ received all reports:
                                                 <---  enabled, in position
     READY    PDO: speed 0                       --->
 
-The base can enter FAULT and ESTOP from every state.  Only ``reset`` leaves FAULT and ESTOP.  After
-``reset`` the base enters PREOP, so that all start-up checks are repeated.
+The base can enter the states FAULT and ESTOP from every state.  Only ``reset`` leaves FAULT and
+ESTOP.  After ``reset`` the base enters PREOP, so that all start-up checks are repeated.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class BaseStateMachine:
         self.stop_engaged = engaged
 
     def fail(self, reason: str) -> None:
-        """Reports a problem; the next ``update`` enters FAULT with this reason."""
+        """Reports a problem of the base; the next ``update`` enters the state FAULT."""
         self._reported_problem = self._reported_problem or reason
 
     def reset(self, now: float, commanded: bool) -> str:
@@ -202,7 +202,7 @@ class BaseStateMachine:
 
     @property
     def intent(self) -> Intent:
-        """Request to all motor controllers in this control cycle."""
+        """Request of the base to all motor controllers in this control cycle."""
         if self.ending or self.state in (BaseState.FAULT, BaseState.ESTOP):
             return Intent.QUICK_STOP
         if self.state.drives or self._enabling_since is not None:
@@ -326,8 +326,8 @@ class BaseStateMachine:
     def _step_config(self, now: float) -> None:
         """Compares the objects and identities of the nodes with the robot file.
 
-        After the comparison of the objects the nodes are started.  CONFIG ends when all nodes have
-        sent all reports.
+        After the comparison of the objects the NMT start command is sent to the nodes.  CONFIG ends
+        when all nodes have sent all reports.
         """
         readbacks = [(n, r) for c in self.connections for n, r in c.readbacks.items()]
         for name, readback in readbacks:

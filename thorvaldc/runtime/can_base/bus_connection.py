@@ -134,8 +134,8 @@ class BusConnection:
     def receive(self, now: float) -> None:
         """Decodes all received frames.
 
-        The events are decoded first, in the order of their reception.  Of each report only the
-        newest frame is decoded.
+        The events are decoded first, in the order of their reception.  Only the newest
+        frame of each report is decoded.
         """
         self.watchdog.begin_cycle(now)
         for event in self.receiver.drain():
@@ -226,10 +226,10 @@ class BusConnection:
     ) -> Iterator[CanFrame]:
         """Yields the frames of this cycle that are not sent in every cycle.
 
-        The frames of the outbox come first.  SDO requests follow, and then frames of the motor
-        controllers in turn.  The number of frames is at most ``OCCASIONAL_DRIVING`` if ``driving``
-        is ``True``, else ``OCCASIONAL_AT_REST``.  If ``commands`` is ``False``, no frames of the
-        motor controllers are sent.
+        The frames of the outbox are sent first.  SDO requests are sent next, and frames of the
+        motor controllers in turn last.  The number of frames is at most ``OCCASIONAL_DRIVING`` if
+        ``driving`` is ``True``, else ``OCCASIONAL_AT_REST``.  If ``commands`` is ``False``, no
+        frames of the motor controllers are sent.
         """
         room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
         while room > 0 and self.outbox:

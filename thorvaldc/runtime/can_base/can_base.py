@@ -18,8 +18,8 @@ its reports with its own period.  The driver sends the heartbeat of the master o
 cycle.
 
 No frame is sent by a timer.  If the control loop hangs or a cycle cannot be sent, the heartbeat of
-the master is missing.  Then each node stops its motors with its own watchdog.  The watchdog of a
-CiA 402 drive is the heartbeat consumer (object 0x1016).  The Roboteq script stops the motors 0.5 s
+the master is missing.  Without the heartbeat of the master each node stops its motors with its own
+watchdog.  The watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The Roboteq script stops the motors 0.5 s
 after the last new sequence number.
 """
 
@@ -142,7 +142,7 @@ class CanBase(BaseHandle):
     def arm(self, commanded: bool) -> None:
         """Allows motion if the base is ready and no motion is commanded (``commanded`` ``False``).
 
-        A joystick that is already deflected during the start-up therefore does not move the robot.
+        A joystick that is deflected during the start-up cannot move the robot.
         """
         if self.state_machine.state.drives and not commanded:
             self.armed = True

@@ -257,8 +257,8 @@ class Cia402Controller(MotorController):
             axis = machine.axis
             follows = intent is Intent.FOLLOW and machine.enabled
             if axis.steering and not follows and math.isfinite(axis.position):
-                # While the drive is not enabled, the steering target is the measured angle.  So the
-                # steering does not jump to an old target when the drive is enabled.
+                # While the drive is not enabled, the steering target is the measured angle.  When
+                # the drive is enabled, the steering does not jump to an old target.
                 axis.target = axis.position
             target = axis.target if axis.steering or follows else 0.0
             values = [

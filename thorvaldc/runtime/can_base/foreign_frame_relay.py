@@ -4,8 +4,8 @@ The relay passes only frames whose identifiers the robot file lists.  The robot 
 a minimum interval between the frames of an identifier.
 
 The relay limits the rate of an identifier with the minimum interval T by a due time.  A frame is
-dropped if it arrives more than T/2 before the due time.  Each passed frame changes the
-due time to max(due time, arrival time) + T:
+dropped if it arrives more than T/2 before the due time.  Each passed frame changes the due
+time to max(due time, arrival time) + T:
 
     due times   |                   |                   |                   |
     arrivals    x         x    -               x             -      x

@@ -18,7 +18,7 @@ _STOP_CHECK = 0.1
 
 
 class Event(NamedTuple):
-    """A received frame of a kind of which every frame is evaluated, such as heartbeat or EMCY."""
+    """A received frame that must not be skipped, such as a heartbeat or an EMCY message."""
 
     time: float
     cob_id: int

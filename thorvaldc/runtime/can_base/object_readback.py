@@ -18,7 +18,8 @@ class ObjectReadback:
     """Reads the objects of a node one after another and compares the values.
 
     All objects are numbers of up to 4 bytes, so each object needs one request and one response
-    (expedited SDO transfer).  The comparison ends at the first mismatch.  No object is written.
+    (expedited SDO transfer).  The comparison ends at the first mismatch.  The values of
+    the objects are never changed.
     """
 
     def __init__(self, request: int, response: int, expected: Iterable[ObjectValue]) -> None:

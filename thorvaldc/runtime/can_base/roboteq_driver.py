@@ -14,8 +14,8 @@ contain variables of the script:
     TPDO 4  slow          one of several constants in turn: configuration, version, encoders
 
 The script sends no confirmation of a command.  The script stops the wheels 0.5 s after the last new
-sequence number.  So the driver compares the measured joint motion with the commands
-(``_supervise``).
+sequence number.  The driver compares the measured joint motion with the commands to detect a motor
+that does not follow (``_supervise``).
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class RoboteqScriptController(MotorController):
     def _supervise(self, follows: bool, now: float) -> None:
         """Detects motors that deviate from their targets, and stores the start of each deviation.
 
-        The wheel speed follows its target with a ramp and a delay.  So every wheel speed between
+        The wheel speed follows its target with a ramp and a delay.  Every wheel speed between
         the lowest and the highest target of the last ``DEVIATION_TIME`` seconds is accepted.  A
         steering joint that stands away from its target angle counts as deviating.
         """
@@ -329,8 +329,8 @@ class RoboteqScriptController(MotorController):
     def set_zero_frame(self) -> CanFrame | None:
         """Returns the CAN frame that defines the present steering angle as zero.
 
-        The script stores the zero angle as a home count, but does not report the home count.  So
-        the new home count is computed from the last home count that this driver has sent.  The
+        The script stores the zero angle as a home count, but does not report the home count.  The
+        new home count is computed from the last home count that this driver has sent.  The
         driver assumes that the first home count is 0.
         """
         steering = next((axis for axis in self.axes if axis.steering), None)

@@ -25,11 +25,12 @@ class FrameCodec:
     """Encodes and decodes the signals of one frame definition.
 
     All signals are little endian.  The value of a signal is the physical value
-    ``raw * scale + offset``.  The values are in the order of ``frame.signals``.  A signal with
-    scale 1 and offset 0 has integer values.
+    ``raw * scale + offset``.  The values of a frame are in the order of ``frame.signals``.  A
+    signal with scale 1 and offset 0 has integer values.
 
     For speed, a frame whose signals all start and end at byte boundaries is converted by one call
-    of ``struct``.  Other frames are converted with shifts and masks.
+    of ``struct``.  A frame with any other signal is converted with shifts
+    and masks.
     """
 
     def __init__(self, frame: FrameDefinition) -> None:
@@ -57,8 +58,8 @@ class FrameCodec:
     def decode(self, data: bytes) -> list[float]:
         """Returns the values of all signals in the data of a frame.
 
-        The result also contains the signals that the multiplexer does not select.  Surplus bytes
-        are ignored.  Raises ``ValueError`` if ``data`` is too short.
+        The returned list also contains the signals that the multiplexer does not select.  Surplus
+        bytes are ignored.  Raises ``ValueError`` if ``data`` is too short.
         """
         if len(data) < self.length:
             raise ValueError(f"{self.frame.name} has {len(data)} bytes, not {self.length}")
@@ -76,10 +77,10 @@ class FrameCodec:
         return values
 
     def decode_named(self, data: bytes) -> dict[str, float]:
-        """Returns the values of the signals by name, without signals that are not selected.
+        """Returns the values of the selected signals by name.
 
-        The multiplexer signal of the frame selects the signals.  Raises ``ValueError`` if ``data``
-        is too short.
+        If the frame has a multiplexer signal, its value selects the signals.  Raises ``ValueError``
+        if ``data`` is too short.
         """
         values = self.decode(data)
         if self._multiplexer is None:

@@ -5,7 +5,7 @@
                                                             runs the services,
                                                      <---   {"ok": true, "result": null, "id": 7}
 
-The constants of this module limit the work for each client.  So no client can delay a control cycle
+The constants of this module limit the work for each client.  A client cannot delay a control cycle
 with endless lines, too many requests or unread answers.
 """
 

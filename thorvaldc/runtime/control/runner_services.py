@@ -52,7 +52,7 @@ class RunnerControl:
 def runner_services(control: RunnerControl) -> list[Service]:
     """Returns the services of a robot with CAN buses.
 
-    A service of this list replaces a service of the base driver with the same name.
+    A service in the list replaces the service of the base driver with the same name.
     """
     runner, multiplexer = control.runner, control.multiplexer
 

@@ -294,7 +294,8 @@ def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
 def _drive_states(node: Node, records: list[_FrameRecord]) -> dict[str, str | None]:
     """Returns the CiA 402 power state of each channel and the flags that are set.
 
-    The value for a flag is ``None``.  The result is empty for a node without motors.
+    The keys are the names of channels and flags, and the value of a flag is ``None``.  The
+    result is empty for a node without motors.
     """
     states: dict[str, str | None] = {}
     if not node.channels:
