@@ -1,6 +1,6 @@
 """Constants and basic messages of CANopen (CiA 301).
 
-The CAN master, the commissioning and the simulated devices use this module.
+The CAN master, the commissioning and the simulated CANopen devices use these constants.
 
 In the predefined connection set of CANopen, a COB-ID is the base of a service plus the node id
 (1 to 127).  SYNC and EMCY have the same base: 0x080 is SYNC, and 0x081 to 0x0FF are EMCY.
@@ -74,8 +74,8 @@ def nmt_message(command: NmtCommand, node_id: int) -> bytes:
 def heartbeat_state(data: bytes) -> int:
     """Returns the NMT state in the data of a heartbeat message.
 
-    Bit 7 is masked out, because node guarding uses bit 7 as a toggle bit.  The returned number may
-    be a value that ``NmtState`` does not define.  ``data`` must not be empty.
+    Bit 7 is masked out, because node guarding uses bit 7 as a toggle bit.  The returned number is
+    not always a member of ``NmtState``.  ``data`` must not be empty.
     """
     return data[0] & 0x7F
 

@@ -17,7 +17,7 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 
 
 class CanInterface(Protocol):
-    """Sends and receives CAN frames.
+    """Interface to send and receive CAN frames.
 
     All times are in seconds on the monotonic clock of the interface.  ``send`` and ``receive``
     raise ``ConnectionError`` if the CAN adapter is unplugged or the process of the bus has ended.

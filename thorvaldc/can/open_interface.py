@@ -52,8 +52,8 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     - ``udp`` or ``udp:GROUP``: frames in UDP multicast, between programs without hardware;
     - ``INTERFACE:CHANNEL``: any other interface that python-can knows.
 
-    If ``listen_only`` is ``True``, the interface sends neither frames nor acknowledgements.  The
-    interfaces ``sim`` and ``slcan`` support ``listen_only``; the others ignore it.
+    If ``listen_only`` is ``True``, the interface sends neither frames nor acknowledgements.  Only
+    the interfaces ``sim`` and ``slcan`` support ``listen_only``.
 
     Raises ``DiagnosticError`` (``bus-interface``) if the interface does not exist, is not set up,
     or may not be used by this user.

@@ -13,9 +13,9 @@ journal.  The journal records the planned steps and the previous values.  The se
     journal     end
 
 ``resume`` continues a flash after a power cut or a stop at any point.  ``resume`` scans the bus and
-resets the nodes again.  Each device must have a node id that a plan in the journal contains for
-this device.  ``resume`` makes a new plan from the scan.  The new plan contains only steps whose
-results are not stored in the devices yet.
+resets the nodes again.  The node id of each device must be in a plan of the journal.  ``resume``
+makes a new plan from the scan.  The new plan contains only steps whose results are not stored in
+the devices yet.
 
 ``rollback`` works like ``resume``, but restores the node ids and values from before the first step.
 The journal contains the node ids and values from before the first step.
@@ -144,8 +144,8 @@ class Flash:
         previous: dict[str, dict[tuple[int, int], ParameterValue]] = {}
         for run in chain:
             for name, values_before in run.previous_values():
-                # Only the first journal record of a node is used.  A later record may contain
-                # values that an incomplete step has written.
+                # Only the first journal record of each node is used for the rollback.  A later
+                # journal record may contain values that an incomplete step has written.
                 previous.setdefault(name, {value.key: value for value in values_before})
         changed = {step.node for step in first.steps} | set(previous)
         nodes = []
@@ -169,7 +169,8 @@ class Flash:
     def _scan_and_reset(self, configuration: BusConfiguration) -> tuple[ScanResult, ScanResult]:
         """Scans the bus, resets the nodes of the robot, and scans the bus again.
 
-        Returns both scan results.  Raises ``DiagnosticError`` if a check of a scan fails.
+        Returns the results of the first and the second scan.  Raises ``DiagnosticError`` if a check
+        of a scan fails.
         """
         self.master.exclusive = False
         scanner = Scanner(self.master, configuration, self._scanning)
@@ -227,7 +228,7 @@ class Flash:
     def _check_reachable(self, scan: ScanResult) -> None:
         """Checks that a plan in the journal explains the node id of each device.
 
-        A device may also be without node id if a step for this device was started.
+        A device without node id is accepted if the journal contains a started step for the device.
         """
         chain = self.journal.chain
         identities = dict(chain[0].plan.identities)

@@ -12,18 +12,19 @@ node id of a device with a known identity:
     17     store                      ----->   17 00    after the write to its memory
     04 00  switch all to WAITING      ----->   a first id takes effect now
 
-An LSS fastscan finds the identity of a device without node id.  A request contains the known bits
-of the identity and the number of the bit to check, which is 0 in the request.  All slaves whose
-identities match the request respond.  If no slave responds, the checked bit is 1 in all remaining
-identities.  The sequence for each of the four parts of the identity, from bit 31 to bit 0:
+An LSS fastscan finds the identity of a device without node id.  A fastscan request contains the
+known bits of the identity and the position of the bit to check.  The checked bit is 0 in the
+fastscan request.  All slaves whose identities match a fastscan request respond.  If no slave
+responds to a fastscan request, the checked bit is 1 in all remaining identities.  The sequence for
+each of the four parts of the identity, from bit 31 to bit 0:
 
     51 number, bit, part, part        ----->   4F  some identity has 0 at this bit: keep it
                                       ----->   --  no identity has 0: set this bit in ``number``
     51 number, 0, part, next part     ----->   4F  confirms the part; the slaves go to ``next part``
 
 Identities are unique, so exactly one slave is in the CONFIGURATION state after the confirmation of
-the last part.  In the last confirmation ``next part`` is 0.  A fastscan needs one request to start
-and 4 x (32 + 1) = 132 further requests.
+the last part.  In the last confirmation request ``next part`` is 0.  A fastscan needs one request
+to start and 4 x (32 + 1) = 132 further requests.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class LssError(Exception):
 class LssMaster:
     """Client of the layer setting services (LSS).
 
-    At most one slave may be in the configuration state at a time.  ``switch_to_waiting`` ends the
-    configuration state of all slaves.
+    At most one LSS slave may be in the configuration state at a time.  ``switch_to_waiting`` ends
+    the configuration state of all slaves.
     """
 
     def __init__(self, master: BusMaster) -> None:

@@ -77,7 +77,7 @@ class ObjectWriter:
         changed: Sequence[ParameterValue],
         present: PresentValues,
     ) -> None:
-        """Writes mapping and parameters of a PDO.
+        """Writes the mapping and the communication parameters of a PDO.
 
         The PDO is disabled before the first write.  Writing the COB-ID enables the PDO again, so
         the COB-ID is written last.
@@ -108,7 +108,7 @@ class ObjectWriter:
         changed: Sequence[ParameterValue],
         present: PresentValues,
     ) -> ParameterValue:
-        """Returns the value that an object has after the write.
+        """Returns the value of an object after the write of all ``changed`` values.
 
         An object that is not in ``changed`` keeps its present value.
         """

@@ -82,9 +82,9 @@ class ConfigureStep:
 class AttachStep:
     """Step in which the operator sets a node id with the tool of the manufacturer.
 
-    The operator powers only the module of this node.  The program writes no values in this step.
-    After the step exactly one device must respond, with the node id ``after`` and the required
-    device type.  Only the operator can undo this step.
+    The operator powers only the module of this node.  The program writes no values in an
+    ``AttachStep``.  After the step exactly one device must respond, with the node id ``after`` and
+    the required device type.  Only the operator can undo an ``AttachStep``.
     """
 
     node: str

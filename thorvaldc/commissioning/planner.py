@@ -46,7 +46,7 @@ from thorvaldc.commissioning.scan_result import (
 def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
     """Returns the plan that changes the scanned bus into the required configuration.
 
-    The problems in the plan are the reasons that prevent its execution.
+    The ``problems`` of the plan are the reasons that prevent the execution.
     """
     strangers, problems, notes = _find_obstacles(configuration, scan)
     ids = scan.ids()
@@ -277,8 +277,8 @@ def _configure_steps(
 ) -> list[ConfigureStep]:
     """Returns the steps that write object values to the nodes with differing values.
 
-    ``ids`` contains the scanned node ids.  ``ids_then`` contains the node ids at the time of the
-    steps.
+    ``ids`` contains the scanned node ids.  ``ids_then`` contains the node ids at the time when the
+    values are written.
     """
     steps = []
     for node in nodes:

@@ -68,7 +68,7 @@ Progress = Callable[[str, int, int], None]
 
 
 class Scanner:
-    """Finds the devices on a bus and compares them with the required configuration."""
+    """Scanner that compares the devices on a bus with the required configuration."""
 
     def __init__(
         self, master: BusMaster, configuration: BusConfiguration, progress: Progress | None = None
@@ -324,7 +324,7 @@ class Scanner:
             elif active and entry.verdict in (OK, WRONG_IDENTITY, WITHOUT_ID):
                 enabled += [(node.name, reason) for reason in self._enabled(node, node_id)]
         evidence = self._findings.evidence
-        # Surplus responses that arrived while values were read are added here.
+        # Surplus SDO responses that arrived while values were read are added as duplicates.
         late = [(i, SURPLUS) for i in sorted(self.master.surplus) if i not in evidence]
         return ScanResult(
             active,

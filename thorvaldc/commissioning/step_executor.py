@@ -1,7 +1,7 @@
 """Executes the steps of a plan.
 
-Each step checks its precondition, writes to the node, and reads the result back.  The sequence of
-an address step, with its entries in the journal:
+Each step of a plan checks a precondition, writes to the node, and reads the result back.  The
+sequence of an address step, with its entries in the journal:
 
     check      no node answers SDO at the new id
     journal    begin
@@ -12,8 +12,8 @@ an address step, with its entries in the journal:
     journal    done
 
 The reset verifies that the node id is stored.  After a power cut before "store" the node has the
-old node id.  After a power cut after "store" the node has the new node id.  The plan contains both
-node ids, so ``--resume`` can continue in both cases.
+old node id.  After a power cut after "store" the node has the new node id.  The plan contains the
+old and the new node id, so ``--resume`` can continue after every power cut.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class StepFailed(Exception):
 
 
 class StepExecutor:
-    """Executes the steps of a plan and records each step in the journal.
+    """Executor for the steps of a plan, which records each step in the journal.
 
     ``nodes_at`` is the number of nodes at each node id.
     """

@@ -1,1 +1,1 @@
-"""Controls the motors of a robot's base over its CAN buses."""
+"""Controls the motors of a robot base over one or more CAN buses."""

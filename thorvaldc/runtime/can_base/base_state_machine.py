@@ -1,7 +1,7 @@
 """State machine of a robot base on CAN, with the conditions of each transition.
 
 The diagram shows the messages between the driver and one node during the start-up.  The node starts
-its watchdog at the first heartbeat of the driver.  The driver starts its watchdog when it has
+its own watchdog at the first heartbeat of the driver.  The driver starts its watchdog when it has
 received all reports:
 
     state    driver (master)                          node
@@ -169,7 +169,7 @@ class BaseStateMachine:
     # -- the control cycle -------------------------------------------------------------------------
 
     def update(self, now: float) -> Intent:
-        """Runs one step of the state machine and returns the request to the motor controllers.
+        """Runs one step of the state machine and returns the ``Intent`` for the motor controllers.
 
         ``update`` must be called after all received frames are decoded.
         """
@@ -226,7 +226,7 @@ class BaseStateMachine:
     def may_command(self) -> bool:
         """``True`` after all motor controllers were found to match the robot file.
 
-        Before this comparison the driver must not send commands to the motors.
+        Before ``may_command`` is ``True`` the driver must not send commands to the motors.
         """
         return self._verified
 

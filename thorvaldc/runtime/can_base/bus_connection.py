@@ -103,8 +103,8 @@ class BusConnection:
             *(pair for board in self.boards for pair in board.handlers.items()),
         ]
         self._handled: dict[int, int] = {}
-        # Only a master sends NMT, SYNC and the heartbeat of the master.  If one of these frames is
-        # received, another master is on the bus.
+        # Only a master sends NMT, SYNC and the heartbeat of the master.  If an NMT, SYNC or master
+        # heartbeat frame is received, another master is on the bus.
         self._master_names = {NMT: "NMT", SYNC: "SYNC"}
         if self._heartbeat is not None:
             self._master_names[self._heartbeat.cob_id] = "a heartbeat"
@@ -227,9 +227,9 @@ class BusConnection:
         """Yields the frames of this cycle that are not sent in every cycle.
 
         The frames of the outbox are sent first.  SDO requests are sent next, and frames of the
-        motor controllers in turn last.  The number of frames is at most ``OCCASIONAL_DRIVING`` if
-        ``driving`` is ``True``, else ``OCCASIONAL_AT_REST``.  If ``commands`` is ``False``, no
-        frames of the motor controllers are sent.
+        motor controllers in turn last.  At most ``OCCASIONAL_DRIVING`` frames are sent while the
+        robot drives (``driving``), else at most ``OCCASIONAL_AT_REST`` frames.  If ``commands`` is
+        ``False``, no frames of the motor controllers are sent.
         """
         room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
         while room > 0 and self.outbox:

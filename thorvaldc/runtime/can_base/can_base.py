@@ -19,8 +19,8 @@ cycle.
 
 No frame is sent by a timer.  If the control loop hangs or a cycle cannot be sent, the heartbeat of
 the master is missing.  Without the heartbeat of the master each node stops its motors with its own
-watchdog.  The watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The Roboteq script stops the motors 0.5 s
-after the last new sequence number.
+watchdog.  The watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The Roboteq
+script stops the motors 0.5 s after the last new sequence number.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ _STEPS_TO_ENABLED = {
 
 
 class _AxisStateMachine:
-    """Steps the power state machine of one motor through control word and status word.
+    """Power state machine of one motor, controlled by control word and status word.
 
     - ``mode``: mode of operation in which the motor follows its target;
     - ``reported_mode``: mode of operation in the newest report of the drive (object 0x6061).
@@ -93,7 +93,7 @@ class _AxisStateMachine:
             self.axis.target = self.axis.position
 
     def command(self, intent: Intent) -> tuple[int, int]:
-        """Returns the control word and the mode of operation to send in this cycle."""
+        """Returns the control word and the mode of operation to send to the drive."""
         homes = intent is Intent.HOME and not self.axis.homed
         mode = Mode.HOMING if homes else self.mode
         if not homes:
@@ -139,10 +139,10 @@ class Cia402Controller(MotorController):
     """Driver of a CiA 402 motor controller with one or more channels.
 
     The name of each signal is the name of the channel, an underscore and the name of the object.
-    The command signals are ``<channel>_controlword``, ``<channel>_mode_of_operation``, and
-    ``<channel>_target_velocity`` or ``<channel>_target_position``.  The report signals are
-    ``<channel>_statusword``, ``<channel>_mode_of_operation_display``, ``<channel>_velocity`` and
-    ``<channel>_position``.
+    The command signals of a channel are ``<channel>_controlword``, ``<channel>_mode_of_operation``,
+    and ``<channel>_target_velocity`` or ``<channel>_target_position``.  The report signals of a
+    channel are ``<channel>_statusword``, ``<channel>_mode_of_operation_display``,
+    ``<channel>_velocity`` and ``<channel>_position``.
     """
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:

@@ -58,7 +58,7 @@ class _Report(NamedTuple):
 
 
 class NodeWatchdog:
-    """Supervises the motor controllers of one bus.
+    """Watchdog for the motor controllers of one CAN bus.
 
     The parameter ``latest`` contains the newest frame of each identifier.  Heartbeats and boot-up
     messages are always evaluated.  Missing heartbeats and missing reports are detected only between

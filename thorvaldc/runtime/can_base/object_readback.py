@@ -58,7 +58,7 @@ class ObjectReadback:
     def take_response(self, data: bytes) -> None:
         """Compares the value in an SDO response with the expected value.
 
-        A response for any other object is ignored.
+        A response for an object that was not requested is ignored.
         """
         if self.finished or self._requested_at is None or len(data) < 8:
             return

@@ -22,15 +22,14 @@ _FORMATS = {
 
 
 class FrameCodec:
-    """Encodes and decodes the signals of one frame definition.
+    """Encoder and decoder for the signals of one frame definition.
 
     All signals are little endian.  The value of a signal is the physical value
     ``raw * scale + offset``.  The values of a frame are in the order of ``frame.signals``.  A
     signal with scale 1 and offset 0 has integer values.
 
-    For speed, a frame whose signals all start and end at byte boundaries is converted by one call
-    of ``struct``.  A frame with any other signal is converted with shifts
-    and masks.
+    A frame whose signals start and end at byte boundaries is converted by one call of ``struct``,
+    which is fast.  A frame with a signal across byte boundaries is converted with shifts and masks.
     """
 
     def __init__(self, frame: FrameDefinition) -> None:

@@ -41,7 +41,7 @@ def control_path(name: str) -> Path:
 
 
 class _Client:
-    """Connection of a client, with its received bytes and its unsent answers."""
+    """Connection to a client, with received bytes and unsent answers."""
 
     def __init__(self, stream: socket.socket) -> None:
         self.stream = stream

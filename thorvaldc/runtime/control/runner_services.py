@@ -147,7 +147,8 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
     """Returns the state of a robot with CAN buses as JSON values.
 
     The result contains the state of the driver, base, batteries, IO boards and control loop.  The
-    key ``supervisor`` is the state of the base.  The key ``fault`` is the reason of FAULT or ESTOP.
+    key ``supervisor`` is the state of the base.  The key ``fault`` is the reason for the state
+    FAULT or ESTOP.
     """
     state = driver_state(runner.driver, multiplexer, now)
     reason = runner.base.state_machine.reason

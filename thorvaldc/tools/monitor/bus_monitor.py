@@ -88,7 +88,7 @@ class _FrameRecord:
 
 
 class BusMonitor:
-    """Evaluates the received frames of one bus.
+    """Monitor that evaluates the received frames of one CAN bus.
 
     All times are in seconds on the clock of the CAN interface.
     """
