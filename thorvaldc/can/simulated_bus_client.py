@@ -25,10 +25,10 @@ LOCKSTEP_POLL = 0.0001
 class SimulatedBusClient:
     """A CAN interface to a simulated bus, connected over a local socket.
 
-    All methods are thread-safe.  Without ``lockstep`` the simulated bus runs in real time.  With
-    ``lockstep`` the simulated time advances only while every lockstep client waits in ``receive``,
-    ``sleep`` or ``send``.  The computing time of a lockstep client does not advance the
-    simulated time.
+    Any thread may call the methods.  Without ``lockstep`` the simulated bus runs in real time.
+    With ``lockstep`` the simulated time advances only while every lockstep client waits in
+    ``receive``, ``sleep`` or ``send``.  The computing time of a lockstep client does not advance
+    the simulated time.
     """
 
     def __init__(
