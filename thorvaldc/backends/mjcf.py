@@ -4,8 +4,8 @@ The file ``robot.xml`` contains only the robot and can be included in other mode
 ``scene.xml`` adds the ground, the light and the key frame ``home``.
 
 The settings of contacts and servos are chosen for wheeled robots of 100 to 400 kg and time steps of
-1 to 5 ms. With these settings, a simulated robot slides, rolls and stands on slopes like a real
-robot:
+1 to 5 ms. A simulated robot slides, rolls and stands on slopes like a real robot for
+three reasons:
 
 - The friction cones are elliptic.
 - The first value of ``solimp`` is near zero.

@@ -12,12 +12,12 @@ from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF
 TIMESTEP = 0.005  # s
 # Largest d h / I of a servo for which the model uses MuJoCo's explicit integrator. The implicit
 # integrators apply the damping of the motor joints after the contact forces. With an
-# implicit integrator, an accelerating robot is ahead of its wheels by 5 ms. The explicit integrator
-# has no such delay between the robot and its wheels. For a joint with the inertia I and the damping
+# implicit integrator, an accelerating robot is ahead of its wheels by 5 ms. With the explicit
+# integrator, the robot is not ahead of its wheels. For a joint with the inertia I and the damping
 # d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit integrator is
 # therefore stable for d h / I < 2. Robots with wheels that must slide get an implicit integrator.
-# Sliding wheels have no load except friction, so they would chatter with the explicit integrator if
-# d h / I is above 1.
+# Sliding wheels have no load except friction, so the wheels would chatter with the explicit
+# integrator if d h / I is above 1.
 EXPLICIT_DAMPING = 1.5
 SAME_AXLE = 1e-3  # m and rad, largest distance and angle between two wheels on the same axle
 

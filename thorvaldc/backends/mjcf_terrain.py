@@ -45,8 +45,8 @@ def relief(zone: Zone) -> tuple[list[list[float]], float]:
     """Return the relative heights of a zone as a grid, and the largest height in m.
 
     The grid has one row for each y coordinate. The relative heights are heights divided by the
-    largest height, so they are between 0 and 1. The sides of the zone rise from its edge. At half a
-    wavelength from the edge, the bumps reach their full height.
+    largest height, and are therefore between 0 and 1. The sides of the zone rise from its edge. At
+    half a wavelength from the edge, the bumps reach their full height.
     """
     cell = min(_CELL, min(zone.size) / 10)
     if zone.amplitude:

@@ -25,7 +25,7 @@ _PLAIN_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WORDS = frozenset(
     ["y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf", "infinity"]
 )
-# Characters that end a line or are not allowed in YAML. JSON does not escape these characters.
+# Characters that end a line or are not allowed in YAML, although JSON does not escape them.
 _UNSAFE = re.compile("[\x7f-\xa0\u2028\u2029\ufeff\ufffe\uffff]")
 _INT64 = 1 << 63
 

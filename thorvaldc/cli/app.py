@@ -36,8 +36,8 @@ CAN = (
         "Show frames, bus load and node states; sends nothing.",
     ),
 )
-# Options of the commands `scenario`, `batch` and `replay`. The command `sim` still accepts these
-# options, because `scenario`, `batch` and `replay` were parts of `sim` in the past.
+# The command `sim` also accepts the options of `scenario`, `batch` and `replay`, because the three
+# commands were parts of `sim` in the past.
 OLD_SIM_OPTIONS = (
     *("--scenario", "--junit", "--replay", "--set", "--variations"),
     *("--draws", "--seed", "--jobs", "--output"),

@@ -51,7 +51,7 @@ from thorvaldc.model.bus import Bus, FrameDefinition
 MASTER = "master"
 _SECOND = 10**12  # ps
 _LONGEST = 100 * _SECOND  # a longer response time counts as no bound
-_ROUNDS = 100  # limit of the iteration over jitters; a bus that works takes two or three
+_ROUNDS = 100  # limit of the iterations over jitters; a working bus needs two or three
 _REQUEST, _ANSWER, _EMERGENCY = "request", "answer", "emergency"
 
 
@@ -136,7 +136,7 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
 
 
 _Other = tuple[int, int, int, int]
-"""A more urgent frame: (period, lead, length, most), the first three in ps.
+"""A more urgent frame: (period, lead, length, most). Period, lead and length are in ps.
 
 Instance n of a more urgent frame, counted from 0, is due at ``n * period - lead``. If this time is
 negative, instance n is due at 0. At most ``most + k`` instances of the more urgent frame are sent

@@ -222,7 +222,7 @@ class Inertial:
         The largest principal moment of a body is at most the sum of the other two principal
         moments. For a flat plate, the largest principal moment is equal to the sum. Rounding may
         make the largest moment slightly larger than the sum, and simulators reject such an inertia.
-        The function then increases all three moments by the same value, at most 1e-6 of the largest
+        ``clean`` then increases all three moments by the same value, at most 1e-6 of the largest
         moment.
         """
         low, middle, high = self.principal_moments()

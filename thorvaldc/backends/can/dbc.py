@@ -53,7 +53,7 @@ def dbc_text(bus: Bus) -> str:
         """
 
         def __deepcopy__(self, memo: dict[int, Any]) -> Message:
-            return self  # cantools copies messages to change names; here nothing else uses them
+            return self  # cantools copies a message to change names; the copy is not needed
 
         def refresh(self, strict: bool | None = None) -> None:
             """Skip the codecs and the check of the layout.

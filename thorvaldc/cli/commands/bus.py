@@ -37,7 +37,7 @@ from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 REPORTED_DELAY = 50_000_000
-"""ns that the simulation may fall behind the clock before the command reports it."""
+"""Longest delay of the simulation behind the clock, in ns, that the command does not report."""
 
 
 def bus(

@@ -1,4 +1,4 @@
-"""The command ``thorvaldc calibrate``: computes wheel radii and steering offsets from a log."""
+"""The command ``thorvaldc calibrate``: finds wheel radii and steering offsets from a joint log."""
 
 from __future__ import annotations
 

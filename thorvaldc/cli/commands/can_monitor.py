@@ -27,7 +27,7 @@ from thorvaldc.tools.monitor.monitor_text import monitor_lines
 LIVE_INTERVAL = 0.25
 INTERVAL = 1.0
 SHORTEST = 0.05
-"""s between two views."""
+"""Time in s between two views."""
 
 
 def monitor(

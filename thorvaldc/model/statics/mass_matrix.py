@@ -157,18 +157,16 @@ def inverse_weights(
 ) -> tuple[list[float], dict[str, float]]:
     """Return the inverse weights of ``links`` in 1/kg, and the inertia on each movable joint.
 
-    The inverse weight of a body is MuJoCo's translational ``body_invweight0``. MuJoCo applies a
-    unit force at the centre of mass of the body in each of three directions. The inverse weight is
-    the mean of the three accelerations: trace(J M^-1 J^T) / 3. J is the Jacobian of the centre of
-    mass.
+    The inverse weight of a body is MuJoCo's translational ``body_invweight0``. A unit force acts at
+    the centre of mass of the body in each of three directions. The inverse weight is the mean of
+    the three accelerations: trace(J M^-1 J^T) / 3. J is the Jacobian of the centre of mass.
 
-    The second returned value maps the name of a movable joint to an inertia in kg m^2. The inertia
-    contains all links that the joint carries, about the joint axis. For a prismatic joint, the
-    second value maps the name to the carried mass in kg.
+    The inertia on a joint is the inertia of all links that the joint carries, about the joint axis,
+    in kg m^2. For a prismatic joint, the inertia on the joint is the carried mass in kg. The second
+    returned value maps the name of each movable joint to the inertia on the joint.
 
     - ``tree``: joint tree with every joint at position 0.
-    - ``origin``: common origin of all spatial inertias. The rounding errors are smallest near the
-      centre of mass of the robot.
+    - ``origin``: common origin of all spatial inertias, best near the centre of mass of the robot.
     """
     parent_of = tree.moving_parent
     count = len(tree.moving)

@@ -32,8 +32,8 @@ def operate(
 ) -> None:
     """Drives the vehicle until the operator finishes or ``ended`` returns true.
 
-    ``source`` is the name of the twist source of the operator. The loop always ends with zero
-    commands, even after an exception. If the base driver runs in this process, control cycles run
+    ``source`` is the name of the twist source of the operator. At the end, even after an exception,
+    the loop commands the robot to stop. If the base driver runs in this process, control cycles run
     until the robot is at rest.
     """
     last_draw = message_time = clock() - DRAW_PERIOD
