@@ -1,4 +1,4 @@
-"""Simulation of robots: runs and scenarios, and their results.
+"""Simulates runs and scenarios of robots and computes the results.
 
 The subpackages:
 

@@ -20,11 +20,11 @@ from thorvaldc.simulation.run_result import RobotResult
 TIPPED = math.cos(math.radians(60.0))
 """Cosine of the tilt from which a robot counts as fallen over."""
 NEGLIGIBLE_TWIST = 0.01
-"""Infeasible or unreachable motion (m/s, rad/s) that is too small to be reported."""
+"""Largest infeasible or unreachable motion (m/s, rad/s) that is not reported."""
 
 
 def largest_component(twist: Twist) -> float:
-    """Returns the largest absolute component of a twist, m/s or rad/s."""
+    """Returns the largest absolute value of the components of a twist (m/s, rad/s)."""
     return max(abs(twist.vx), abs(twist.vy), abs(twist.wz))
 
 
@@ -97,7 +97,7 @@ class ControlLoop:
 
     @property
     def scene(self) -> MujocoScene | None:
-        """The MuJoCo scene of the robot; ``None`` with ideal joints."""
+        """MuJoCo scene of the robot, or ``None`` for a robot with ideal joints."""
         return self.base.scene if isinstance(self.base, MujocoBase) else None
 
     @property

@@ -1,4 +1,4 @@
-"""Manoeuvres: commanded twists over time, and default manoeuvres that suit a robot or a fleet."""
+"""Defines manoeuvres (commanded twists over time) and creates default manoeuvres for robots."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ PARTS = (
 )
 """The default manoeuvre: durations (s) and names of its parts."""
 STOP = 2.0
-"""Duration (s) of the standstill at the end."""
+"""Duration (s) of the standstill at the end of the default manoeuvre."""
 _TIME_STEP = 0.1
 """Time step (s) of the predicted paths of a fleet."""
 

@@ -11,7 +11,7 @@ from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
 from thorvaldc.simulation.run_result import SimulationResult
 
 _START_DURATION = 0.5
-"""Time (s) before which a fall comes from the start position, not from the motion."""
+"""Time (s) before which the cause of a fall is the start position and not the motion."""
 
 
 def report_run(

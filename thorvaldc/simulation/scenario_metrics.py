@@ -24,7 +24,7 @@ UNITS = {
     "collisions": "",
     "energy": "J",
 }
-"""The metrics of every robot in the order of the output, with their units."""
+"""Names and units of all metrics, in the order of the output."""
 _LIMIT_TOLERANCE = math.radians(0.2)
 """Distance (rad) from a steering limit within which the joint counts as at the limit."""
 _LEAST_PATH = 1e-3

@@ -64,7 +64,7 @@ class KcBattery(SimulatedDevice):
         batteries = specification.robot.batteries
         battery = next((battery for battery in batteries if battery.node == node.name), None)
         properties = dict(battery.properties) if battery is not None else {}
-        capacity = properties.get("capacity")  # A s in the model
+        capacity = properties.get("capacity")  # the model has the capacity in A s
         return cls(
             specification.name,
             specification.wire,

@@ -30,11 +30,11 @@ from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
 
 LONGEST_WAIT = 0.5
-"""s: longest wait for a client, so that ``stop`` takes effect."""
+"""Longest time (s) to wait for a client, so that ``stop`` takes effect."""
 LONGEST_WORK = 20_000_000
-"""ns of simulation after which the server serves its clients, even if time lags behind."""
+"""Simulated time (ns) after which the server handles clients, even if the simulation lags."""
 BACKLOG = 1 << 20
-"""Bytes that may wait for a client that does not read; then the server drops frames."""
+"""Number of bytes that may wait for a client.  The server drops messages beyond this number."""
 _MAXIMUM_RATE = 10_000_000
 
 
@@ -52,7 +52,7 @@ class _Connection:
         self.has_frame = False
         self.lost = 0
         self.pending = 0
-        """Frames in the controller's send queue, as the client knows them."""
+        """Number of frames of the client that were not yet reported as sent or dropped."""
 
     def send_state(self) -> None:
         """Sends the error state of the controller to the client.

@@ -29,11 +29,11 @@ from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.simulation.bus.timeline import Event, Timeline
 
 SUSPEND_BITS = 8
-"""Suspend transmission: an error-passive controller waits this much longer after its own frame."""
+"""Additional bit times that an error-passive controller waits after a sent frame."""
 JOIN_BITS = 11
-"""Recessive bits that a controller must see before it takes part in the traffic."""
+"""Number of recessive bits that a controller must detect before it sends or receives frames."""
 RECOVERY_BITS = 128 * 11
-"""Time in bus-off before automatic recovery."""
+"""Number of bit times in bus-off before the automatic recovery."""
 QUEUE_LIMIT = 32
 
 
@@ -62,7 +62,7 @@ class Medium(Protocol):
         """
 
     def dropped(self, controller: CanController) -> None:
-        """Handles a controller that stops to send and receive.
+        """Handles a controller that stops sending and receiving.
 
         If no other controller sends the current frame, the frame ends.
         """
@@ -76,7 +76,7 @@ class CanController:
     Bus-off empties the send queue.  With ``auto_recovery`` the controller leaves bus-off after
     128 x 11 bit times.
 
-    Attributes that the owner of the controller may set:
+    The owner of the controller may set these attributes:
 
     * ``on_frame``: function that the controller calls for each received frame.
     * ``on_sent``: function that the controller calls after a frame was sent.

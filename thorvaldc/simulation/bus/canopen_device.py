@@ -44,13 +44,13 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 BOOT_TIME = 0.1
-"""s from power-on to the boot-up message; up to a tenth is added at random."""
+"""Time (s) from power-on to the boot-up message.  A random time of up to 10 % is added."""
 SAVE, LOAD = 0x65766173, 0x64616F6C
-"""ASCII `save` and `load`: signatures of objects 0x1010 and 0x1011."""
+"""Signatures of objects 0x1010 and 0x1011: the ASCII texts `save` and `load`."""
 CONSUMERS = 4
-"""Entries of object 0x1016."""
+"""Number of entries of object 0x1016 (consumer heartbeat time)."""
 HISTORY = 8
-"""Entries of object 0x1003."""
+"""Number of entries of object 0x1003 (error history)."""
 EMCY_HEARTBEAT, EMCY_PASSIVE, EMCY_RECOVERED = 0x8130, 0x8120, 0x8140
 GENERIC_ERROR, COMMUNICATION_ERROR = 0x01, 0x10
 """Bits of the error register (0x1001)."""

@@ -24,23 +24,23 @@ from thorvaldc.simulation.bus.setpoint_trajectory import ramp
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 
 BRAKE_TIME = 0.02
-"""s that a brake takes to open."""
+"""Time (s) that a brake requires to open."""
 NO_WINDOW = 0xFFFFFFFF
-"""Value of object 0x6065 that switches the supervision off."""
+"""Value of object 0x6065 that disables the supervision of the position."""
 SERVO_LAG = 0.15
-"""s: accepted delay of a loaded motor behind its ramp."""
+"""Accepted delay (s) of the speed of a loaded motor behind the commanded ramp."""
 VELOCITY_ERROR_TIME = 0.3
-"""s for which the speed may differ from its set-point by a tenth of the top speed."""
+"""Time (s) for which the speed may differ from the set-point by more than 10 % of the top speed."""
 _MODES = tuple(Mode)
 STANDING = 1e-3
-"""rad/s: a slower motor reports the speed zero."""
+"""Speed (rad/s) below which a motor reports the speed zero."""
 INTERNAL_LIMIT, MODE_BIT = 1 << 11, 1 << 12
 FOLLOWING_ERROR_BIT = 1 << 13
 """Bits of the status word.  Bit 12: set-point acknowledged, speed is zero, or target is used,
 depending on the mode."""
 
 FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_FAILED, CONNECTION_ERROR = 0x8611, 0x8400, 0xFF01, 0x8130
-"""Error codes of EMCY and object 0x603F."""
+"""Error codes in EMCY messages and in object 0x603F."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 CONTROL_PERIOD = 0.002
-"""s"""
+"""Period of the control loop (s)."""
 STRIDE = 0x800
-"""Distance from the objects of one motor to those of the next (CiA 402)."""
+"""Difference between the object indices of two successive motors (CiA 402)."""
 DEVICE_TYPE = 0x00020192
-"""Object 0x1000 of a servo drive: profile 402."""
+"""Value of object 0x1000 for a servo drive with the device profile 402."""
 MOTION_ERROR = 0x20
-"""Bit of the error register (0x1001)."""
+"""Bit of the error register (object 0x1001) for a motion error."""
 _UNUSED_CHANNEL = AxisSettings(1.0, 1024, 652.0, 652.0, 1.0, 1.0)
 
 

@@ -37,7 +37,7 @@ PRESENT_POSITION = (35, 37)
 SEARCH = 2.5 * math.pi
 """rad: the search for the home position fails after twice this distance."""
 STALL_TIME = 0.1
-"""s at rest after which the drive assumes a mechanical stop."""
+"""Time (s) at rest after which the drive assumes a mechanical stop."""
 
 
 class Bounds(NamedTuple):
@@ -76,7 +76,7 @@ class Motion:
         self._goal = 0.0
         self._next_goal: float | None = None
         self._settled = 0.0
-        """s for which the position has been in the window."""
+        """Time (s) for which the position has been in the window around the target."""
         self._target = math.nan
         self._rate = 0.0
 
@@ -213,9 +213,9 @@ class Homing:
         self._backing = False
         """True after the motor has reached the limit switch and moves off the switch."""
         self._stalled = 0.0
-        """s at rest."""
+        """Time (s) for which the motor has been at rest."""
         self._distance = 0.0
-        """rad of commanded motion."""
+        """Distance (rad) of the commanded motion since the start of the search."""
 
     def speed(
         self, switches: tuple[bool, bool], velocity: float, fast: float, slow: float, dt: float

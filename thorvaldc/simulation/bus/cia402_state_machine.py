@@ -15,7 +15,7 @@ from thorvaldc.can.cia402 import REMOTE, VOLTAGE_ENABLED, DriveState
 
 SWITCH_ON, ENABLE_VOLTAGE, QUICK_STOP, ENABLE_OPERATION, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
 QUICK_STOP_INACTIVE = 1 << 5
-"""Bit of the status word; part of the pattern of the powered states."""
+"""Bit 5 of the status word, which is 0 while a quick stop is commanded."""
 
 
 class Reaction(NamedTuple):

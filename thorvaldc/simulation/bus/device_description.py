@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 NODE_ID, PARAMETERS = "node_id", "parameters"
-"""Keys of non-volatile memory."""
+"""Keys of the values in non-volatile memory."""
 
 
 @dataclass(frozen=True, slots=True)

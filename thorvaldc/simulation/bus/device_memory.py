@@ -9,7 +9,7 @@ from typing import Any
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 Memory = dict[str, dict[str, Any]]
-"""Stored values by device."""
+"""Stored values by device name and key."""
 
 
 def read_memory(path: Path) -> Memory:

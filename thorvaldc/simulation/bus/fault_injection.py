@@ -15,7 +15,9 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
 
 Listener = Callable[[float, BusFault, bool], None]
-"""Called at the beginning (``True``) and the end of each fault, with the time (s)."""
+"""Function with the arguments time (s), injected fault, and ``True`` at the start of the fault.
+
+The function is called at the start and at the end of an injected fault."""
 
 
 class FaultInjector:

@@ -21,7 +21,7 @@ _FORMATS = {
 
 
 DelayedWrite = Callable[[Callable[[], None]], None]
-"""A write that takes time, such as storing; called with the function to run at its end."""
+"""A write that takes time.  The argument is a function that is called at the end of the write."""
 
 
 class SdoAbort(Exception):

@@ -1,6 +1,7 @@
 """The process data objects (PDOs) of a simulated CANopen device (CiA 301).
 
-PDO number n has these objects.  The base is 0x1400 for an RPDO and 0x1800 for a TPDO:
+The configuration of PDO number n is in these objects of the object dictionary.  The base index is
+0x1400 for an RPDO and 0x1800 for a TPDO:
 
     base + n - 1           sub 1 COB-ID (bit 31: switched off), sub 2 transmission type,
                            sub 5 event timer in ms
@@ -16,8 +17,9 @@ A master must change the mapping of a PDO in this order:
 
 The device aborts the SDO transfers of a master that uses another order.
 
-The transmission type defines when a TPDO is sent.  Type 0: at SYNC if the data changed.  Types 1 to
-240: at every n-th SYNC.  Higher types: after an event or at the event timer.
+The transmission type defines when a TPDO is sent.  A TPDO with type 0 is sent at SYNC if the data
+changed.  A TPDO with a type n from 1 to 240 is sent at every n-th SYNC.  A TPDO with a higher type
+is sent after an event or when the event timer ends.
 """
 
 from __future__ import annotations
@@ -37,10 +39,10 @@ from thorvaldc.simulation.bus.object_dictionary import (
 
 INVALID = 1 << 31
 SYNCHRONOUS = 240
-"""Highest transmission type that is synchronous."""
+"""Highest synchronous transmission type."""
 EVENT_DRIVEN = 255
 _SLOTS = 8
-"""Entries that a mapping can hold."""
+"""Largest number of mapped entries of a PDO."""
 
 
 class Pdo(NamedTuple):

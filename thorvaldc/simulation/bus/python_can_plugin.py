@@ -30,7 +30,7 @@ from thorvaldc.simulation.bus.wire import Wire
 
 NAME = "thorvaldc_sim"
 SEND_TIMEOUT = 1.0
-"""s: default time-out of ``send``; the scanner of canopen sends 127 frames in a row."""
+"""Default time-out of ``send`` (s), long enough for the canopen scanner, which sends 127 frames."""
 _STATES = {
     ErrorState.ACTIVE: can.BusState.ACTIVE,
     ErrorState.PASSIVE: can.BusState.PASSIVE,
@@ -41,7 +41,7 @@ _STATES = {
 def register() -> None:
     """Registers the interface ``thorvaldc_sim`` in python-can.
 
-    The call is necessary only if thorvaldc is not installed.
+    A program must call this function only if thorvaldc is not installed as a package.
     """
     can.interfaces.BACKENDS[NAME] = (__name__, SimulatedBus.__name__)
     known = frozenset((*can.interfaces.VALID_INTERFACES, NAME))
@@ -78,7 +78,7 @@ class SimulatedBus(can.BusABC):
     ) -> None:
         """Opens the connection to a simulated bus.
 
-        ``bitrate`` is the bitrate of the CAN controller (bit/s).  The default is the bitrate of the
+        ``bitrate`` is the bitrate of the CAN controller (bit/s), by default the bitrate of the
         simulated bus.  Raises ``can.CanInitializationError`` if the simulated bus does not exist.
         """
         options: dict[str, Any] = {
@@ -119,9 +119,9 @@ class SimulatedBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Sends a message.
 
-        ``timeout`` is the longest time (s) to wait for space in the send queue.  The default is
-        ``SEND_TIMEOUT``.  Raises ``can.CanOperationError`` if the CAN controller is in bus-off, or
-        if the send queue is still full after the time-out.
+        ``timeout`` is the longest time (s) to wait for space in the send queue.  The default
+        time-out is ``SEND_TIMEOUT``.  Raises ``can.CanOperationError`` if the CAN controller is in
+        bus-off, or if the send queue is still full after the time-out.
         """
         if msg.is_fd or msg.is_error_frame:
             raise can.CanOperationError("the simulated bus takes classical data and remote frames")

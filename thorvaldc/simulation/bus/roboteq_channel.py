@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel, MotorState
 
 STALL_TIME = 0.5
-"""s at rest, despite a commanded speed, after which the channel reports a stall."""
+"""Time (s) at rest with a commanded speed after which the channel reports a stall."""
 STALL_RPM = 30.0
-"""Commanded speed below which a motor at rest is not stalled."""
+"""Commanded speed (rpm) below which a motor at rest does not count as stalled."""
 DRIVE = 0
 """Mode of a channel after power-on."""
 
@@ -52,9 +52,9 @@ class Channel:
         self.encoder_error = False
         self._still_since: float | None = None
         self.setpoint = 0.0
-        """Motor rpm."""
+        """Commanded motor speed (rpm)."""
         self.acceleration = 0.0
-        """Motor rpm per s; 0: as fast as the motor can."""
+        """Acceleration limit (rpm per s), or 0 for the largest acceleration of the motor."""
 
     @property
     def radians_per_rpm(self) -> float:

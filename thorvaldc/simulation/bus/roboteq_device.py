@@ -44,34 +44,34 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 LOOP_PERIOD = 0.005
-"""s of the script's loop."""
+"""Period (s) of the loop of the script."""
 COMMAND_TIMEOUT = 0.5
-"""s without a new sequence number after which the script stops the propulsion."""
+"""Time (s) without a new sequence number after which the script stops the propulsion motors."""
 HOME, DECOUPLED = 1, 2
-"""Modes of a channel, as RPDO3 sets them."""
+"""Modes of a channel that RPDO3 can set."""
 MODES = (DRIVE, HOME, DECOUPLED)
 
 PROPULSION_ENCODER, STEERING_ENCODER, ALIGNMENT, POWER_STAGE_OFF = 0x80, 0x40, 0x20, 0x10
 STALL, HOMING_AT_MAXIMUM, ILLEGAL_COMMAND, NOT_OK = 0x08, 0x04, 0x02, 0x01
 """Flags in byte 0 of TPDO3."""
 CONFIGURATION, VERSION, ENCODER = 1, 2, 3
-"""Contents of TPDO4, selected by its byte 3; the script sends them in turn."""
+"""Kinds of TPDO4, distinguished by byte 3.  The script sends all kinds in turn."""
 HOMED, HOMING = 0x01, 0x02
-"""Bits of the configuration in TPDO4."""
+"""Bits of the configuration byte in TPDO4."""
 
 SETTINGS = {1: "direction", 2: "home_count", 3: "home_speed"}
 """Setup ids of values in non-volatile memory."""
 APPROACH_GAIN = 8.0
-"""1/s: speed of a steering near its goal, per rad of distance."""
+"""Speed of a steering motor near the goal, divided by the distance from the goal (1/s)."""
 SEARCH = 2.2 * math.pi
-"""rad: the search for the home switch ends after this distance."""
+"""Distance (rad) after which the search for the home switch ends without success."""
 EMCY_STALL, EMCY_ENCODER = 0x7121, 0x7305
 MOTOR_ERROR = 0x81
-"""Error register: generic and manufacturer-specific."""
+"""Value of the error register with the bits "generic" and "manufacturer-specific"."""
 
 VENDOR = 0x469
 _STATIC_POWER = 24.0
-"""W at rest."""
+"""Electric power (W) of the controller at rest."""
 
 
 class RoboteqController(CanopenDevice):

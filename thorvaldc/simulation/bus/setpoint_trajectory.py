@@ -12,7 +12,7 @@ speed v and with equal acceleration and deceleration a:
 The speed limit s in a step is the highest speed from which the drive can still stop at the goal.
 The speed changes in time steps of dt, so that the braking distance is the sum
 s dt + (s - a dt) dt + ... = s^2 / (2 a) + s dt/2.  The braking distance must be equal to the
-distance d to the goal.  The speed limit is then:
+distance d to the goal.  The solution of the quadratic equation for s is:
 
     s = sqrt((a dt/2)^2 + 2 a d) - a dt/2
 """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 LATENCY = 100e-6
-"""Shortest time (s) from the end of a frame to a device's reaction; up to half of it is added."""
+"""Shortest reaction time (s) of a device to a frame.  A random time of up to 50 % is added."""
 WRITE_TIME = 20e-3
 """Duration (s) of a write to non-volatile memory."""
 BITRATE = "bitrate"
@@ -65,7 +65,7 @@ class SimulatedDevice:
         self.nonvolatile: dict[str, Any] = {BITRATE: bitrate, **(nonvolatile or {})}
         self.write_time = WRITE_TIME
         self.torn_writes = False
-        """A loss of power during a write destroys the values being written."""
+        """True if a loss of power during a write destroys the values of the write."""
         self.muted = False
         self.powered = False
         self.handlers: dict[int, Callable[[CanFrame], None]] = {}
@@ -73,7 +73,7 @@ class SimulatedDevice:
         self.controller.on_frame = self._schedule_handler
         wire.attach(self.controller)
         self._life = 0
-        """Counts starts; timers of an earlier one do nothing."""
+        """Number of starts of the device.  Timers from before the last start have no effect."""
         self._handled_until = 0
         self._writing: dict[str, Any] = {}
 

@@ -10,12 +10,12 @@ from thorvaldc.model import Actuator, Joint, Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 
 POSITION_GAIN = 10.0
-"""1/s: speed of a speed-controlled joint, per rad of distance from a commanded position."""
+"""Speed of a joint divided by the distance from the commanded position (1/s)."""
 
 LEAD = 0.2
-"""rad: greatest distance of a moving commanded position from a joint that lags behind."""
+"""Largest distance (rad) between a moving commanded position and a joint that lags behind."""
 STOP = math.pi
-"""rad: mechanical stops to either side of a joint whose limits are smaller."""
+"""Angle (rad) of the mechanical stops of a joint with smaller limits."""
 
 
 class MotorState(NamedTuple):

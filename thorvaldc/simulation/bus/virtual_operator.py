@@ -6,7 +6,7 @@ from thorvaldc.commissioning.plan import AttachStep
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 SETTLING_TIME = 0.3
-"""s of simulated time in which devices boot or store their id."""
+"""Simulated time (s) that devices require to boot or to store the node id."""
 
 
 class VirtualOperator:

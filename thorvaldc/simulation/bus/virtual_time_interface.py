@@ -22,7 +22,7 @@ class VirtualTimeInterface:
     """
 
     epoch = 0.0
-    """s: zero of the interface's times."""
+    """Offset (s) between timestamps and the times of the CAN interface."""
 
     def __init__(
         self,

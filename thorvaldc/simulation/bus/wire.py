@@ -54,7 +54,7 @@ from thorvaldc.simulation.bus.timeline import Event, Timeline
 FLAG_BITS = 6
 DELIMITER_BITS = 8
 MISMATCH_BIT = 13
-"""Bit of a frame at which a controller with another bitrate detects its first error (assumed)."""
+"""Assumed bit of a frame at which a controller with another bitrate detects the first error."""
 
 
 class _Transmission:
@@ -89,7 +89,7 @@ class _Transmission:
 
 
 Observer = Callable[[int, CanFrame, Sequence[CanController]], None]
-"""Called with the time (ns), the frame and the senders of each valid frame."""
+"""Function that is called with the time (ns), the frame and the senders of each valid frame."""
 
 
 class Wire:
@@ -288,7 +288,7 @@ class Wire:
                 listener.count_errors(receive=9 if listener in first else 1)
 
     def dropped(self, controller: CanController) -> None:
-        """Handles a controller that stops to send and receive.
+        """Handles a controller that stops sending and receiving.
 
         If the controller is the only sender of the current frame, the frame is aborted.
         """

@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 
 ACTIONS = ("twist", "joints")
 LARGEST = 1e6
-"""Bound of every observation, in SI; larger values are clipped, nan becomes 0."""
+"""Largest observation value in SI units.  Larger values are clipped, and nan is replaced by 0."""
 DURATION = 20.0
-"""Duration of an episode (s), unless a scenario or the caller sets it."""
+"""Default duration of an episode (s)."""
 
 Array = NDArray[np.float64]
 

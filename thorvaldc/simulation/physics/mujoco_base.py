@@ -13,7 +13,7 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
 LONGEST_STEP = 0.2
-"""Largest time (s) between two commands for which ``write`` computes their rate of change."""
+"""Largest time (s) between two commands for which ``write`` adds the feed-forward term."""
 
 
 class MujocoBase(GroundTruthBase):

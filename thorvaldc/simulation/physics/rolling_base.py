@@ -24,7 +24,7 @@ from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
 _LEAST_SPEED = 1e-3
-"""Ground speed (m/s) of a wheel below which its direction of motion is not defined."""
+"""Ground speed (m/s) of a wheel below which the direction of motion of the wheel is undefined."""
 
 
 class RollingBase(SimBase, GroundTruthBase):

@@ -7,7 +7,9 @@ from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointSta
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 
 MAX_STEP = 0.5
-"""Time (s) between two reads beyond which the base does not move (the driver was suspended)."""
+"""Longest time (s) between two reads in which the base moves.
+
+After a longer time, the base assumes that the driver was suspended."""
 
 
 class SimBase(BaseHandle):

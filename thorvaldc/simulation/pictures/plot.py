@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FORMATS = ("png", "svg", "pdf")
 TRUE, ESTIMATED, COMMANDED, LIMITED = "#1b7837", "#d95f02", "#9a9a9a", "#4575b4"
 MOST_ROBOTS = 6
-"""Largest number of robots whose velocities are drawn; paths are drawn for all robots."""
+"""Largest number of robots whose velocities are drawn.  Paths are drawn for all robots."""
 _DIRECTIONS = 48
 _OUT_OF_RANGE = 1e6  # m, m/s: the plot ends before the first larger value (divergence)
 

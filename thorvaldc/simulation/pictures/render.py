@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.pictures.surfaces import Points
 
 SAMPLING = 2
-"""A single picture is drawn larger by this factor and scaled down, for smooth edges."""
+"""Factor by which a single picture is drawn larger and then scaled down, for smooth edges."""
 LARGEST = 8000
 """Largest width and height of a picture in pixels."""
 FIELD_OF_VIEW = math.radians(28.0)

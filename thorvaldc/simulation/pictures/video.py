@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("mp4", "gif")
 RATES = {"mp4": 25.0, "gif": 12.5}
-"""Pictures per second; the duration of a GIF picture is a multiple of 1/100 s."""
+"""Pictures per second.  The duration of a GIF picture must be a multiple of 1/100 s."""
 SIZES = {"mp4": (960, 540), "gif": (640, 360)}
 
 

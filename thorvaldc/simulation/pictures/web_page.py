@@ -20,7 +20,7 @@ from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.simulation.pictures.surfaces import surface
 
 PLACEHOLDER = "/*DATA*/"
-"""The text of the template that the data replaces."""
+"""Placeholder in the template that the data of the model replaces."""
 
 
 def robot_page(model: Robot | Fleet, template: str) -> str:

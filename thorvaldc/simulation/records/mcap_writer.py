@@ -66,9 +66,9 @@ _GROUPS = {
     "joints": (JOINTS, COMMANDS),
 }
 OURS = "thorvaldc"
-"""The key in a bag's custom data that marks a record of this program."""
+"""Key in the custom data of a bag that marks a record of thorvaldc."""
 _NAME = "record"
-"""Name of the file in the bag: the same for all files, so that equal runs give equal bytes."""
+"""File name in the bag, equal for all files, so that equal runs give equal bytes."""
 _BATCH = 500
 """Number of messages per write."""
 
