@@ -110,9 +110,9 @@ class ScenarioSimulation(Simulation):
     def _change_parameters(self, loop: ControlLoop) -> None:
         """Switches the driver to another parameter set at the times of the script.
 
-        The driver applies a parameter change at the next tick.  For this reason the function
-        requests the change after the last tick before the time of the change.  A change at time 0
-        is requested after the first tick.
+        The driver applies a requested parameter change at the next tick.  The function requests a
+        parameter change after the last tick before the time of the change, so that the change takes
+        effect in time.  A parameter change at time 0 is requested after the first tick.
         """
         previous, following = loop.driver.state.time, loop.next_time
         for start, parameters in self._parameter_changes.get(loop.name, ()):

@@ -101,8 +101,8 @@ class Replay:
     def times(self, rate: float) -> Iterator[float]:
         """Replays the record with ``rate`` steps per second.
 
-        Before the method yields the time (s) of a step, it moves the robots to the samples at the
-        time of the step.
+        In each step, the method moves the robots to the recorded samples at the time of the step
+        and then yields the time (s).
         """
         for number in range(int(self.end * rate + 1e-6) + 1):
             self.show(number / rate)
@@ -134,8 +134,8 @@ class _ReplayedRobot:
 
     def show(self, time: float) -> None:
         samples = self._samples
-        # The times of successive calls usually increase.  For this reason the search starts at the
-        # sample of the last call.
+        # The search starts at the sample of the last call, because the times of successive calls
+        # usually increase.
         if self._index and samples[self._index].time > time + 1e-9:
             self._index = 0
         while self._index + 1 < len(samples) and samples[self._index + 1].time <= time + 1e-9:

@@ -210,9 +210,9 @@ class _Job:
 def _ignored_interrupts() -> Iterator[None]:
     """Makes all child processes ignore Ctrl-C that start in the ``with`` block.
 
-    A terminal sends Ctrl-C to the parent process and to all child processes.  Without this
-    function, each child process would print a traceback.  The parent process terminates the child
-    processes.
+    A terminal sends Ctrl-C to the parent process and to all child processes.  A child process that
+    does not ignore Ctrl-C would print a traceback.  The parent process terminates the child
+    processes after Ctrl-C.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

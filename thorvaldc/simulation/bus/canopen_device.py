@@ -114,26 +114,26 @@ class CanopenDevice(SimulatedDevice):
     def add_objects(self, objects: ObjectDictionary) -> None:
         """Adds the objects of the subclass to the object dictionary.
 
-        The base class calls this method at every start of the device.
+        The base class calls ``add_objects`` at every start of the device.
         """
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet | None:
         """Returns the PDOs of the device.
 
-        The base class calls this method after ``add_objects``.
+        The base class calls ``make_pdos`` after ``add_objects``.
         """
         return None
 
     def initialised(self) -> None:
         """Starts the timers of the application.
 
-        The base class calls this method after the boot-up message.
+        The base class calls ``initialised`` after the boot-up message.
         """
 
     def nmt_state_changed(self, state: NmtState) -> None:
         """Reacts to a change of the NMT state.
 
-        The base class calls this method after each change of the NMT state.
+        The base class calls ``nmt_state_changed`` after each change of the NMT state.
         """
 
     def communication_error(self) -> None:

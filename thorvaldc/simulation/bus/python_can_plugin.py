@@ -41,7 +41,7 @@ _STATES = {
 def register() -> None:
     """Registers the interface ``thorvaldc_sim`` in python-can.
 
-    A program must call this function only if thorvaldc is not installed as a package.
+    A program must call ``register`` only if thorvaldc is not installed as a package.
     """
     can.interfaces.BACKENDS[NAME] = (__name__, SimulatedBus.__name__)
     known = frozenset((*can.interfaces.VALID_INTERFACES, NAME))
@@ -95,7 +95,7 @@ class SimulatedBus(can.BusABC):
                     str(channel), name, bitrate, lockstep=lockstep, **options
                 )
         except OSError as error:
-            # Without this line, BusABC warns that the bus was not shut down.
+            # The class BusABC warns of a bus that is not marked as shut down.
             self._is_shutdown = True
             raise can.CanInitializationError(str(error)) from None
         self.channel_info = f"{NAME} {channel if isinstance(channel, str) else name}"

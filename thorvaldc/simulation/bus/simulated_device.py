@@ -122,13 +122,13 @@ class SimulatedDevice:
     def start(self) -> None:
         """Adds the frame handlers and starts the timers of the device.
 
-        The base class calls this method after power-on.
+        The base class calls ``start`` after power-on.
         """
 
     def stop(self) -> None:
         """Switches the motors and outputs of the device off.
 
-        The base class calls this method after a loss of power.
+        The base class calls ``stop`` after a loss of power.
         """
 
     def channel_motor(self, index: int) -> tuple[Encoder | None, MotorModel | None]:

@@ -83,7 +83,7 @@ class Timeline:
 
         The function ``stop`` is called after each event.  If ``stop`` returns true, the method ends
         early and returns true.  If no call of ``stop`` returns true, the method sets ``now`` to
-        ``time`` and returns false.  Raises ``RuntimeError`` if an event calls this method.
+        ``time`` and returns false.  Raises ``RuntimeError`` if an event calls ``run_until``.
         """
         if self._running:
             raise RuntimeError("an event of the simulation cannot wait for the simulation")

@@ -31,7 +31,7 @@ destroyed.
 
 An error increases the transmit error counter of a sender by 8 and the receive error counter of a
 receiver by 1.  The receive error counter of the receiver that sent the first error flag increases
-by 9, because this receiver also detects the dominant bits of the other error flags.
+by 9, because the receiver also detects the dominant bits of the other error flags.
 
 A receiver receives a frame at the end of the frame, before the interframe space.  A sender repeats
 a frame that no controller acknowledges.  A missing acknowledgement does not increase the transmit

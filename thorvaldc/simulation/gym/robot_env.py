@@ -153,8 +153,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
         if render_mode is not None:
-            # MuJoCo reads the name of the OpenGL backend only during its import.  For this reason
-            # the backend is chosen before MuJoCo is imported.
+            # The OpenGL backend must be chosen before MuJoCo is imported, because MuJoCo reads the
+            # name of the backend only during the import.
             from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 
             choose_opengl_backend()

@@ -31,8 +31,8 @@ class CollisionCounter:
         for name, robot in robots.items():
             prefix = robot.prefix
             owners[scene.index("body", prefix + robot.links[0].name, robot)] = name
-            # MuJoCo may have fused the link of the wheel into another body.  For this reason the
-            # body is found by the spin joint of the wheel.
+            # The body of a wheel is found by the spin joint, because MuJoCo may have fused the
+            # wheel link into another body.
             joints = (scene.index("joint", prefix + w.spin_joint, robot) for w in robot.wheels)
             wheel_bodies |= {int(model.jnt_bodyid[joint]) for joint in joints}
         # The lists have one item for each geom of the scene.  ``_owner`` is the name of the robot

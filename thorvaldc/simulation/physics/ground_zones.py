@@ -89,8 +89,8 @@ class _WheelGround:
         wheel = robot.wheels[number]
         joint = scene.index("joint", robot.prefix + wheel.spin_joint, robot)
         model = scene.model
-        # MuJoCo may have fused the link of the wheel into another body.  For this reason the body
-        # is found by the spin joint of the wheel.
+        # The body of the wheel is found by the spin joint, because MuJoCo may have fused the wheel
+        # link into another body.
         self._body = int(model.jnt_bodyid[joint])
         self._dof = int(model.jnt_dofadr[joint])
         first = int(model.body_geomadr[self._body])

@@ -22,8 +22,8 @@ class MujocoBase(GroundTruthBase):
     Wheel errors: the scene contains the wheels without errors.  The errors are applied to the
     values that the driver writes and reads.  A wheel with the true radius ratio * R, where R is
     the radius in the model, rolls ratio * R * w at the wheel speed w.  A wheel with the radius R
-    rolls the same distance at the wheel speed ratio * w.  For this reason a commanded wheel speed
-    is multiplied by the ratio, and a measured wheel speed is divided by the ratio.
+    rolls the same distance at the wheel speed ratio * w.  The base thus multiplies a commanded
+    wheel speed by the ratio, and divides a measured wheel speed by the ratio.
 
     Open loop: with ``open_loop`` the drive motors apply a voltage without speed control.  The
     torque of a DC motor at constant voltage falls linearly from the stall torque to zero at the

@@ -171,9 +171,9 @@ def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
 def _load_from_memory(
     files: Mapping[str, bytes], scene: str, visuals: bool, prepare: Prepare
 ) -> Any:
-    # MuJoCo identifies files in memory only by the last part of the file path.  The robots of a
-    # fleet have files with equal last parts.  For this reason the files are written to a temporary
-    # folder.
+    # MuJoCo identifies files in memory only by the last part of the file path, and the robots of a
+    # fleet have files with equal last parts.  The function writes the files to a temporary folder,
+    # because MuJoCo identifies files on disk by the whole path.
     with tempfile.TemporaryDirectory(prefix="thorvaldc_") as folder:
         for name, data in files.items():
             parts = PurePosixPath(name).parts

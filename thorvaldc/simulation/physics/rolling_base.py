@@ -4,7 +4,7 @@ The commanded joint motions of several wheels rarely fit to one motion of the ro
 if the wheel radii in the model are wrong.  In each step, the true twist (vx, vy, wz) of the robot
 is the least-squares solution of the rolling and no-slip conditions of all wheels.  The base then
 sets each joint to the motion that the true twist requires.  The encoder readings thus agree
-exactly with the true motion and with the true wheels.  A calibration assumes this agreement.
+exactly with the true motion and with the true wheels, as a calibration assumes.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ The offset of a value, counted from the end of the header, is a multiple of the 
 A string consists of the length, the characters and a final zero byte.  The length of a string
 includes the zero byte.  A sequence consists of the number of items and the items.
 
-Two messages of the same topic differ only in the times and the numbers.  For this reason a
-``MessageTemplate`` writes all other bytes only once.  The serialiser of rosbags has the same output
-but encodes the whole message every time.  A recorded run of the 77 s mission in
-``bench/records.py`` takes 1.02 s with the serialiser of rosbags, and 0.77 s with message templates.
-The same run without a record takes 0.53 s.
+Two messages of the same topic differ only in the times and the numbers.  A ``MessageTemplate``
+thus writes all other bytes only once.  The serialiser of rosbags has the same output as a
+``MessageTemplate``, but encodes the whole message every time.  A recorded run of the 77 s mission
+in ``bench/records.py`` takes 1.02 s with the serialiser of rosbags, and 0.77 s with message
+templates.  The same run without a record takes 0.53 s.
 """
 
 from __future__ import annotations
