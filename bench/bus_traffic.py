@@ -19,8 +19,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
-from thorvaldc.can.frame import INTERFRAME_BITS, CanFrame
-from thorvaldc.can.frame import frame_bits as exact_bits
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import INTERFRAME_BITS
+from thorvaldc.can.frame_bits import frame_bits as exact_bits
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, FrameDefinition

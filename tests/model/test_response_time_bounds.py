@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from bench.bus_traffic import random_bus, reached, worst_payload
-from thorvaldc.can.frame import frame_bits
+from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.model.bus_timing import frame_bits as worst_bits
 
 

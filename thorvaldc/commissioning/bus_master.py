@@ -20,7 +20,8 @@ from thorvaldc.can.canopen import (
     nmt_message,
 )
 from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame, worst_case_bits
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import worst_case_bits
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
-from thorvaldc.runtime.driver_parameters import Parameters
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
+from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import Ramp
 

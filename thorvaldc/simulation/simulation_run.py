@@ -14,7 +14,7 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
-from thorvaldc.runtime.driver_parameters import Parameters
+from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment, default_manoeuvre, fleet_manoeuvres

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame, frame_bits
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface

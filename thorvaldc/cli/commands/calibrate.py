@@ -15,7 +15,7 @@ from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.runtime.driver_parameters import Parameters as DriverParameters
+from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
 from thorvaldc.simulation.records.joint_csv import read_log
 
 

@@ -12,13 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
-from thorvaldc.compiler.bus.bus_checks import (
-    LOAD_WARNING,
-    check_bus,
-    check_serials,
-    check_wiring,
-    late_frames,
-)
+from thorvaldc.compiler.bus.bus_checks import LOAD_WARNING, check_bus, late_frames
 from thorvaldc.compiler.bus.device_frames import heartbeat
 from thorvaldc.compiler.bus.device_sections import (
     CANOPEN,
@@ -31,8 +25,10 @@ from thorvaldc.compiler.bus.device_sections import (
     Wire,
 )
 from thorvaldc.compiler.bus.foreign_devices import foreign_devices
+from thorvaldc.compiler.bus.id_checks import check_serials
 from thorvaldc.compiler.bus.lock_file import Lock
 from thorvaldc.compiler.bus.node_ids import assign_ids
+from thorvaldc.compiler.bus.wiring_checks import check_wiring
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.bus_timing import bus_load, frame_response_times

@@ -1,192 +1,39 @@
-"""Checks the CAN buses of a robot.
+"""Checks the CAN buses of a robot: bitrates, heartbeats, bus load and deadlines.
 
-The checks cover node ids, bitrates, COB-IDs, names, heartbeats, bus load and deadlines.
-A diagnostic about two devices contains the source spans of both devices.
+``check_bus`` also runs the checks of ``id_checks``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
-from thorvaldc.can.canopen import TIME_STAMP
-from thorvaldc.can.lss import REQUEST as LSS_REQUEST
-from thorvaldc.can.lss import RESPONSE as LSS_RESPONSE
 from thorvaldc.compiler.bus.device_sections import (
-    MASTER,
     MASTER_HEARTBEAT_PERIOD,
-    Device,
     Placed,
-    Wire,
-    entries,
-    listed,
 )
-from thorvaldc.compiler.bus.node_objects import serial_number
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, Bus, FrameDefinition
+from thorvaldc.compiler.bus.id_checks import (
+    check_cob_ids,
+    check_ids,
+    check_names,
+    check_restricted,
+)
+from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.robot import Bus, FrameDefinition
 
-# First and last identifier of the ranges that CiA 301 reserves for its own services (table
-# "restricted CAN-IDs").
-RESTRICTED = (
-    (0x000, 0x07F),
-    (0x101, 0x180),
-    (0x581, 0x5FF),
-    (0x601, 0x67F),
-    (0x6E0, 0x6FF),
-    (0x701, 0x7FF),
-)
-# COB-IDs of the CANopen services that exist on every bus, although no module declares the service.
-STANDARD = (
-    (TIME_STAMP, "TIME"),
-    (LSS_RESPONSE, "LSS response"),
-    (LSS_REQUEST, "LSS request"),
-)
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
-
-
-# -- wiring -------------------------------------------------------------------------
-
-
-def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
-    """Checks the connections between motors and motor controllers.
-
-    A motor can be connected to only one channel, and the channel must have the role of the motor.
-    Reports motors without a controller and controllers without a motor.
-    """
-    owners: dict[str, tuple[Device, Wire]] = {}
-    for device in devices:
-        roles = _roles(device)
-        for wire in device.wires:
-            motor = wire.actuator
-            if wire.channel not in roles:
-                report.add(
-                    "channel-unknown",
-                    f"`{device.path}` has no channel `{wire.channel}`",
-                    wire.span,
-                    hint=did_you_mean(wire.channel, roles, listed(roles)),
-                )
-                continue
-            if motor.name in owners:
-                other, first = owners[motor.name]
-                report.add(
-                    "motor-conflict",
-                    f"the motor `{motor.name}` is on two channels, `{first.channel}` of "
-                    f"`{other.path}` and `{wire.channel}` of `{device.path}`",
-                    wire.span,
-                    labels=[Label(first.span, "first used here")],
-                    hint="give each motor one channel",
-                )
-                continue
-            owners[motor.name] = (device, wire)
-            if roles[wire.channel] != motor.role:
-                report.add(
-                    "channel-role",
-                    f"the channel `{wire.channel}` of `{device.path}` is for "
-                    f"{roles[wire.channel]}, the motor `{motor.name}` for {motor.role}",
-                    wire.span,
-                    labels=[Label(motor.span, "the motor")],
-                )
-        if roles and not device.wires:
-            report.add(
-                "controller-without-motor",
-                f"`{device.path}` drives no motor",
-                device.span,
-                hint="connect one: `channels: {" + next(iter(roles)) + ": <module>.<motor>}`",
-            )
-    if not any(_roles(device) for device in devices):
-        if actuators:
-            report.add(
-                "robot-without-controller",
-                f"none of the {len(actuators)} motors has a controller: "
-                "the robot can be simulated, but not driven on a bus",
-                actuators[0].span,
-            )
-        return
-    for motor in actuators:
-        if motor.name not in owners:
-            report.add(
-                "motor-without-controller",
-                f"the motor `{motor.name}` is on no controller's channel: "
-                "it moves in simulation, but not on the bus",
-                motor.span,
-                hint="add a controller, or connect one that has a free channel",
-            )
-
-
-def _roles(device: Device) -> dict[str, str]:
-    return {n: device.scope.text(node.get("role")) for n, node in entries(device.channels)}
-
-
-# -- one bus --------------------------------------------------------------------------
 
 
 def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     """Runs all checks of one bus."""
-    same = _check_ids(bus, placed, report)
+    same = check_ids(bus, placed, report)
     _check_bitrate(bus, placed, report)
-    _check_restricted(placed, report)
-    _check_cob_ids(bus, placed, same, report)
-    _check_names(bus, placed, report)
+    check_restricted(placed, report)
+    check_cob_ids(bus, placed, same, report)
+    check_names(bus, placed, report)
     _check_heartbeats(bus, placed, report)
     _check_load(bus, report)
     _check_deadlines(bus, placed, report)
-
-
-def _check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
-    """Reports node ids that two devices of a bus use.
-
-    Returns the name of the second device with each duplicate id.
-    """
-    first: dict[tuple[str, int], Placed] = {}
-    duplicates: dict[str, None] = {}
-    for device in placed:
-        key = (device.node.id_space, device.node.id)
-        if not device.node.id_space:
-            continue
-        other = first.setdefault(key, device)
-        if other is device:
-            continue
-        duplicates[device.node.name] = None
-        report.add(
-            "can-id-duplicate",
-            f"`{device.path}` and `{other.path}` both have the id "
-            f"{device.node.id} on the bus `{bus.name}`",
-            device.span,
-            labels=[Label(other.span, "first used here")],
-            hint="give each device its own id, or leave `can` out for an automatic id",
-        )
-    return duplicates
-
-
-def check_serials(placed: Sequence[Placed], report: Report) -> None:
-    """Checks that all devices of a vendor have different serial numbers, on all buses."""
-    first: dict[tuple[int | None, int | str], Placed] = {}
-    for device in placed:
-        serial = device.node.serial
-        if serial is None:
-            continue
-        number = serial_number(serial)
-        if device.node.lss and number is None:
-            report.add(
-                "can-serial-format",
-                f"the serial number of `{device.path}` is `{serial}`; LSS identifies a "
-                "device by a number of 32 bits",
-                device.serial_span,
-                labels=[Label(device.module_span, "LSS is stated here")],
-                hint='write it as in "0x12ab34cd"',
-            )
-        key = (device.node.vendor_id, serial if number is None else number)
-        other = first.setdefault(key, device)
-        if other is not device:
-            report.add(
-                "can-serial-duplicate",
-                f"`{device.path}` and `{other.path}` both have the serial number {serial}",
-                device.serial_span,
-                labels=[Label(other.serial_span, "first used here")],
-                hint="read each device's own serial number from its label",
-            )
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
@@ -216,126 +63,6 @@ def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
         if rates
         else "no bitrate suits all devices: put some of them on another bus",
     )
-
-
-def _check_restricted(placed: Sequence[Placed], report: Report) -> None:
-    for device in placed:
-        for frame in device.frames:
-            if frame.kind not in ("pdo", "broadcast", "relay"):
-                continue
-            for low, high in RESTRICTED:
-                if low <= frame.cob_id <= high:
-                    report.add(
-                        "can-cob-id-restricted",
-                        f"the frame `{frame.name}` has the COB-ID {frame.cob_id:#05x}; "
-                        f"CANopen reserves {low:#05x} to {high:#05x}",
-                        frame.span,
-                        labels=[Label(device.span, "of this device")],
-                    )
-
-
-class _Claim(NamedTuple):
-    cob_id: int
-    what: str
-    owner: str
-    span: Span
-    device: Placed | None
-
-
-def _check_cob_ids(
-    bus: Bus, placed: Sequence[Placed], skipped: dict[str, None], report: Report
-) -> None:
-    """Reports COB-IDs that two CAN frames of a bus use.
-
-    The frames of the master and of the CANopen standard services are included.
-
-    - ``skipped``: names of nodes with a duplicate node id, whose frames are not checked.
-    """
-    first: dict[int, _Claim] = {}
-    conflicts: dict[tuple[str, str], list[tuple[_Claim, _Claim]]] = {}
-    for claim in _claims(bus, placed, skipped):
-        other = first.setdefault(claim.cob_id, claim)
-        if other is not claim:
-            conflicts.setdefault((other.owner, claim.owner), []).append((other, claim))
-    for pairs in conflicts.values():
-        other, claim = pairs[0]
-        named = ", ".join(f"{c.cob_id:#05x} ({o.what}, {c.what})" for o, c in pairs)
-        labels = [Label(other.span, "first used here")] if other.device is not None else []
-        who = f"`{claim.owner}`"
-        if claim.owner == other.owner:
-            message = f"two frames of {who} have one COB-ID on the bus `{bus.name}`: {named}"
-        else:
-            message = (
-                f"`{other.owner}` and {who} both have frames with the COB-ID {named} "
-                f"on the bus `{bus.name}`"
-            )
-        report.add(
-            "can-cob-id-conflict",
-            message,
-            claim.span,
-            labels=labels,
-            hint="change the id of one of them, or put one on another bus"
-            if labels
-            else "give it another id; this one is for the bus's master, the base driver",
-        )
-
-
-def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Iterator[_Claim]:
-    own = {frame.name for device in placed for frame in device.frames}
-    canopen = False
-    for frame in bus.frames:
-        if frame.name not in own:
-            canopen = True
-            what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
-            yield _Claim(frame.cob_id, what, MASTER, bus.span, None)
-    if canopen:
-        for cob_id, service in STANDARD:
-            yield _Claim(cob_id, service, MASTER, bus.span, None)
-    for device in placed:
-        if device.node.name in skipped:
-            continue
-        prefix = f"{device.node.name}_"
-        for frame in device.frames:
-            what = frame.name.removeprefix(prefix)
-            yield _Claim(frame.cob_id, what, device.path, device.span, device)
-
-
-def _check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Checks that the names of the nodes and of the CAN frames on a bus are unique.
-
-    The DBC file and the base driver identify nodes and CAN frames by name.
-    """
-    spans = {frame.name: device.span for device in placed for frame in device.frames}
-    seen: dict[str, FrameDefinition] = {}
-    named: dict[str, Placed] = {}
-    for device in placed:
-        twin = named.setdefault(device.node.name, device)
-        if twin is not device:
-            report.add(
-                "can-name-conflict",
-                f"`{twin.path}` and `{device.path}` are both named `{device.node.name}` on the "
-                f"bus `{bus.name}`",
-                device.span,
-                labels=[Label(twin.span, "the first")],
-                hint="give one of them another name",
-            )
-        if device.node.name == MASTER:
-            report.add(
-                "can-name-conflict",
-                f"a device has the name `{MASTER}`, which is that of the bus's master",
-                device.span,
-                hint="give the module another name",
-            )
-    for frame in bus.frames:
-        other = seen.setdefault(frame.name, frame)
-        if other is not frame:
-            report.add(
-                "can-name-conflict",
-                f"two frames on the bus `{bus.name}` are named `{frame.name}`",
-                spans.get(frame.name, frame.span),
-                labels=[Label(other.span, "the first")],
-                hint="give one of the modules another name",
-            )
 
 
 def _check_load(bus: Bus, report: Report) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.driver_parameters import LIMITS
 from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import Twist
 
 SAFETY_STOP = "safety_stop"

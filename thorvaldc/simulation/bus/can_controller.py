@@ -24,7 +24,8 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import INTERFRAME_BITS, CanFrame
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import INTERFRAME_BITS
 from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.simulation.bus.timeline import Event, Timeline
 

@@ -46,7 +46,8 @@ import random
 from collections.abc import Callable, Iterable, Sequence
 
 from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import INTERFRAME_BITS, CanFrame, first_difference, frame_bits
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import INTERFRAME_BITS, first_difference, frame_bits
 from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.simulation.bus.can_controller import CanController, QueuedFrame
 from thorvaldc.simulation.bus.timeline import Event, Timeline

@@ -22,7 +22,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.driver_parameters import Parameters
+from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.gym.joint_actions import DirectCommands, JointActions

@@ -40,7 +40,7 @@ import numpy as np
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
-from thorvaldc.runtime.driver_parameters import Parameters
+from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.simulation.records.joint_csv import JointLog
 from thorvaldc.tools.calibration.calibration_solver import (
     MAX_OFFSET_ERROR,

@@ -13,7 +13,8 @@ from typing import Any
 
 from thorvaldc.can.canopen import Emergency, heartbeat_state, nmt_state_text
 from thorvaldc.can.cia402 import DriveState
-from thorvaldc.can.frame import CanFrame, ReceivedFrame, frame_bits
+from thorvaldc.can.frame import CanFrame, ReceivedFrame
+from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.model import Robot

@@ -14,8 +14,8 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import PLUGINS, BaseGeometry, Noise, calculator_class
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.driver_parameters import Parameters
 from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 

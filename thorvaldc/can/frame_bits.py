@@ -1,0 +1,131 @@
+"""Length of CAN frames in bits on the bus, with stuff bits and CRC (ISO 11898-1).
+
+After five equal bits the sender inserts a stuff bit of the opposite value.  Bit stuffing covers the
+bits from the start of frame to the end of the CRC, so the length of a frame depends on its content.
+The fields of a standard and of an extended frame, with their lengths in bits:
+
+    standard   SOF  id 11  RTR  IDE  r0  length 4  data  CRC 15 | delimiter 1  ACK 2  EOF 7  IFS 3
+    extended   SOF  id 11  SRR  IDE  id 18  RTR  r1  r0  length 4  data  CRC 15 | the same tail
+               '---------------- stuffed ----------------------------------'
+
+A simulated bus calls ``frame_bits`` for every frame.  Lookup tables for whole bytes make
+``frame_bits`` fast.
+"""
+
+from __future__ import annotations
+
+from thorvaldc.can.frame import CanFrame
+
+INTERFRAME_BITS = 3
+TAIL_BITS = 10
+"""Bits after the stuffed part: CRC delimiter, ACK slot and delimiter, 7 bits of end of frame."""
+
+_POLYNOMIAL = 0x4599
+"""Polynomial of the 15-bit CRC without x^15: x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1."""
+
+
+def worst_case_bits(length: int, extended: bool = False) -> int:
+    """Returns the largest number of bits of a frame with ``length`` data bytes.
+
+    The interframe space is included.  In the worst case the first stuff bit follows five
+    bits, and each further stuff bit follows four bits.
+    """
+    stuffed = (54 if extended else 34) + 8 * length
+    return stuffed + (stuffed - 1) // 4 + TAIL_BITS + INTERFRAME_BITS
+
+
+def frame_bits(frame: CanFrame) -> int:
+    """Returns the exact number of bits of a frame, including stuff bits and interframe space.
+
+    The function computes the CRC of the frame, because bit stuffing covers the CRC too.
+    """
+    length = frame.length
+    data = b"" if frame.remote else frame.data
+    if frame.extended:
+        # Header of an extended frame: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, length.
+        head = (frame.id >> 18) << 27 | 0b11 << 25 | (frame.id & 0x3FFFF) << 7
+        head |= int(frame.remote) << 6 | length
+        width = 39
+    else:
+        # Header of a standard frame: SOF, 11 bits, RTR, IDE, r0, length.
+        head = frame.id << 7 | int(frame.remote) << 6 | length
+        width = 19
+    # Leading zero bits do not change the CRC, so the header is padded to whole bytes.
+    crc = 0
+    for byte in head.to_bytes(5, "big"):
+        crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7 ^ byte]
+    for byte in data:
+        crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7 ^ byte]
+    state, stuffed = _START, 0
+    odd = width % 8  # the bits before the first whole byte are counted one by one
+    for shift in range(width - 1, width - 1 - odd, -1):
+        state, added = _STUFF_BIT[state][head >> shift & 1]
+        stuffed += added
+    for byte in (head & (1 << (width - odd)) - 1).to_bytes(width // 8, "big"):
+        state, added = _STUFF_BYTE[state][byte]
+        stuffed += added
+    for byte in data:
+        state, added = _STUFF_BYTE[state][byte]
+        stuffed += added
+    state, added = _STUFF_BYTE[state][crc >> 7]
+    stuffed += added
+    for shift in range(6, -1, -1):
+        state, added = _STUFF_BIT[state][crc >> shift & 1]
+        stuffed += added
+    return width + 8 * len(data) + 15 + stuffed + TAIL_BITS + INTERFRAME_BITS
+
+
+def first_difference(a: CanFrame, b: CanFrame) -> int:
+    """Returns the number of equal bits at the start of two frames with the same identifier.
+
+    Only the bits of header and data are counted, without stuff bits.  If two nodes send the two
+    frames at the same time, one node detects a bit error at the first bit that differs.
+    """
+    header = 39 if a.extended else 19
+    if a.length != b.length:
+        return header - (a.length ^ b.length).bit_length()
+    for index, (byte_a, byte_b) in enumerate(zip(a.data, b.data, strict=True)):
+        if byte_a != byte_b:
+            return header + 8 * index + 8 - (byte_a ^ byte_b).bit_length()
+    return header + 8 * len(a.data)
+
+
+# -- tables -------------------------------------------------------------------------------
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        crc = byte << 7
+        for _ in range(8):
+            crc = (crc << 1 ^ _POLYNOMIAL) if crc & 0x4000 else crc << 1
+        table.append(crc & 0x7FFF)
+    return tuple(table)
+
+
+# The state of the bit stuffing is the number 2 * (run - 1) + bit.  The last sent bit is `bit`, and
+# `run` (1 to 4) is the number of equal bits at the end.  The fifth equal bit adds a stuff bit, and
+# the stuff bit starts the next run.  The state `_START` means that no bit was sent yet.
+_START = 8
+
+
+def _next(state: int, bit: int) -> tuple[int, int]:
+    """Returns the next state of the bit stuffing and the number of inserted stuff bits (0 or 1)."""
+    last, run = (None, 0) if state == _START else (state & 1, (state >> 1) + 1)
+    run = run + 1 if bit == last else 1
+    if run == 5:
+        return 1 - bit, 1  # the stuff bit is the first bit of the next run
+    return 2 * (run - 1) + bit, 0
+
+
+def _byte_step(state: int, byte: int) -> tuple[int, int]:
+    stuffed = 0
+    for shift in range(7, -1, -1):
+        state, added = _next(state, byte >> shift & 1)
+        stuffed += added
+    return state, stuffed
+
+
+_CRC = _crc_table()
+_STUFF_BIT = tuple(tuple(_next(state, bit) for bit in (0, 1)) for state in range(9))
+_STUFF_BYTE = tuple(tuple(_byte_step(state, byte) for byte in range(256)) for state in range(9))
