@@ -2,8 +2,8 @@
 
 The CAN master, the commissioning and the simulated CANopen devices use these constants.
 
-In the predefined connection set of CANopen, a COB-ID is the base of a service plus the node id
-(1 to 127).  SYNC and EMCY have the same base: 0x080 is SYNC, and 0x081 to 0x0FF are EMCY.
+In CANopen the default COB-ID of a message is the base COB-ID of its service plus the node id (1 to
+127).  The COB-ID 0x080 is used for SYNC, and the COB-IDs 0x081 to 0x0FF are used for EMCY messages.
 
     0x000  NMT            master -> nodes   command, node id (0: every node)
     0x080  SYNC           master -> nodes   no data
@@ -14,8 +14,9 @@ In the predefined connection set of CANopen, a COB-ID is the base of a service p
     0x600  SDO      + id  master -> node    request
     0x700  heartbeat + id node -> all       NMT state (bits 0 to 6)
 
-The module ``sdo`` contains the SDO messages.  The module ``lss`` contains the layer setting
-services.  The module ``cia402`` contains the drive profile.
+The module ``thorvaldc.can.sdo`` encodes and decodes SDO messages.  The module ``thorvaldc.can.lss``
+defines the constants of the layer setting services (LSS).  The module ``thorvaldc.can.cia402``
+defines the constants of the drive profile CiA 402.
 """
 
 from __future__ import annotations
@@ -74,8 +75,9 @@ def nmt_message(command: NmtCommand, node_id: int) -> bytes:
 def heartbeat_state(data: bytes) -> int:
     """Returns the NMT state in the data of a heartbeat message.
 
-    Bit 7 is masked out, because node guarding uses bit 7 as a toggle bit.  The returned number is
-    not always a member of ``NmtState``.  ``data`` must not be empty.
+    Bit 7 of the heartbeat byte is ignored, because the CANopen node guarding protocol uses bit 7 as
+    a toggle bit.  The NMT state is returned as a number, because a device may report a state that
+    ``NmtState`` does not define.  Raises ``IndexError`` if the heartbeat has no data bytes.
     """
     return data[0] & 0x7F
 

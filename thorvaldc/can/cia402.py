@@ -1,7 +1,7 @@
 """Drive profile CiA 402 (IEC 61800-7-201): power states, status word, control word, modes.
 
 The master writes the control word (object 0x6040) to change the power state of a drive.  The master
-reads the power state from the status word (object 0x6041).  The power state machine of a drive:
+reads the power state from the status word (object 0x6041).  Power states of a CiA 402 drive:
 
     NOT_READY --> SWITCH_ON_DISABLED --shutdown--> READY_TO_SWITCH_ON --switch on--> SWITCHED_ON
                         ^  ^                                                            |
@@ -61,8 +61,8 @@ _STATES = {
     for word in range(0x70)
 }
 
-# Bits of the status word that are not part of the power state.  Bits 12 and 13 mean "homing
-# attained" and "homing error" in the homing mode only.
+# Bits of the CiA 402 status word that do not encode the power state.  In the homing mode, bit 12 of
+# the status word means "homing attained" and bit 13 means "homing error".
 VOLTAGE_ENABLED = 1 << 4
 REMOTE = 1 << 9
 TARGET_REACHED = 1 << 10
@@ -71,9 +71,10 @@ HOMING_ERROR = 1 << 13
 
 
 class ControlWord(enum.IntEnum):
-    """Commands that the master writes to the control word.
+    """Commands to a CiA 402 drive, which the master writes to the control word (object 0x6040).
 
-    A rising edge of bit 7 (``FAULT_RESET``) resets a fault.
+    A drive in the power state FAULT is reset by a rising edge of bit 7 (``FAULT_RESET``) of the
+    control word.
     """
 
     DISABLE_VOLTAGE = 0x00
@@ -84,7 +85,7 @@ class ControlWord(enum.IntEnum):
     FAULT_RESET = 0x80
 
 
-# Bits of the control word that depend on the mode of operation.
+# Bits of the CiA 402 control word whose meaning depends on the mode of operation.
 NEW_SET_POINT, CHANGE_IMMEDIATELY = 1 << 4, 1 << 5
 START_HOMING = 1 << 4
 

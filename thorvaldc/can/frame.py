@@ -1,4 +1,4 @@
-"""Classical CAN frames (ISO 11898-1), and the default sizes of queues of frames."""
+"""Classical CAN frames (ISO 11898-1), and the default sizes of the send and receive queues."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RECEIVE_LIMIT = 1024
 class CanFrame(NamedTuple):
     """A CAN data frame or a CAN remote frame.
 
-    ``requested`` is the data length (bytes) that a remote frame requests.
+    ``requested``: number of data bytes that a CAN remote frame requests.
     """
 
     id: int
@@ -24,16 +24,19 @@ class CanFrame(NamedTuple):
 
     @property
     def length(self) -> int:
-        """Data length code of the frame, 0 to 8."""
+        """Data length code (DLC) of the CAN frame, 0 to 8."""
         return self.requested if self.remote else len(self.data)
 
     @property
     def arbitration(self) -> int:
-        """Arbitration field as a number; the frame with the lowest number wins the arbitration.
+        """Arbitration field of the CAN frame as a number.
 
-        The arbitration field of a standard frame is the identifier, RTR and IDE = 0.  The
-        arbitration field of an extended frame is the upper 11 bits of the identifier, SRR = 1,
-        IDE = 1, the lower 18 bits of the identifier, and RTR.
+        The CAN frame with the lowest number wins the arbitration.
+
+        The arbitration field of a standard CAN frame contains the 11-bit identifier, the RTR bit
+        and the IDE bit (0).  The arbitration field of an extended CAN frame contains the upper 11
+        bits of the identifier, the SRR bit (1), the IDE bit (1), the lower 18 bits of the
+        identifier, and the RTR bit.
         """
         if self.extended:
             return (self.id >> 18) << 21 | 0b11 << 19 | (self.id & 0x3FFFF) << 1 | int(self.remote)

@@ -1,15 +1,16 @@
 """Length of CAN frames in bits on the bus, with stuff bits and CRC (ISO 11898-1).
 
-After five equal bits the sender inserts a stuff bit of the opposite value.  Bit stuffing covers the
-bits from the start of frame to the end of the CRC, so the length of a frame depends on its content.
-The fields of a standard and of an extended frame, with their lengths in bits:
+The sender of a CAN frame inserts a stuff bit of the opposite value after five equal bits.  The
+length of a CAN frame depends on its content, because stuff bits are inserted between the start of
+the frame and the end of the CRC.  Fields of standard and extended CAN frames, with the length of
+each field in bits:
 
     standard   SOF  id 11  RTR  IDE  r0  length 4  data  CRC 15 | delimiter 1  ACK 2  EOF 7  IFS 3
     extended   SOF  id 11  SRR  IDE  id 18  RTR  r1  r0  length 4  data  CRC 15 | the same tail
                '---------------- stuffed ----------------------------------'
 
-A simulated bus calls ``frame_bits`` for every frame.  Lookup tables for whole bytes make
-``frame_bits`` fast.
+The function ``frame_bits`` processes whole bytes with lookup tables, because a simulated bus calls
+the function for every CAN frame.
 """
 
 from __future__ import annotations
@@ -25,32 +26,34 @@ _POLYNOMIAL = 0x4599
 
 
 def worst_case_bits(length: int, extended: bool = False) -> int:
-    """Returns the largest number of bits of a frame with ``length`` data bytes.
+    """Returns the maximum number of bits of a CAN frame with ``length`` data bytes.
 
-    The interframe space is included.  In the worst case the first stuff bit follows five
-    bits, and each further stuff bit follows four bits.
+    The interframe space after the CAN frame is included.  A CAN frame has the most stuff bits if
+    the first stuff bit follows five bits and each further stuff bit follows four bits.
     """
     stuffed = (54 if extended else 34) + 8 * length
     return stuffed + (stuffed - 1) // 4 + TAIL_BITS + INTERFRAME_BITS
 
 
 def frame_bits(frame: CanFrame) -> int:
-    """Returns the exact number of bits of a frame, including stuff bits and interframe space.
+    """Returns the exact number of bits of a CAN frame, including stuff bits and interframe space.
 
-    The function computes the CRC of the frame, because bit stuffing covers the CRC too.
+    The CRC of the CAN frame is computed, because the CRC may also contain stuff bits.
     """
     length = frame.length
     data = b"" if frame.remote else frame.data
     if frame.extended:
-        # Header of an extended frame: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, length.
+        # Header of an extended CAN frame: SOF, upper 11 bits of the identifier, SRR, IDE, lower 18
+        # bits of the identifier, RTR, r1, r0, data length code.
         head = (frame.id >> 18) << 27 | 0b11 << 25 | (frame.id & 0x3FFFF) << 7
         head |= int(frame.remote) << 6 | length
         width = 39
     else:
-        # Header of a standard frame: SOF, 11 bits, RTR, IDE, r0, length.
+        # Header of a standard CAN frame: SOF, 11 bits of the identifier, RTR, IDE, r0, data length
+        # code.
         head = frame.id << 7 | int(frame.remote) << 6 | length
         width = 19
-    # Leading zero bits do not change the CRC, so the header is padded to whole bytes.
+    # The CAN header is padded to whole bytes with leading zero bits, which do not change the CRC.
     crc = 0
     for byte in head.to_bytes(5, "big"):
         crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7 ^ byte]
@@ -76,10 +79,11 @@ def frame_bits(frame: CanFrame) -> int:
 
 
 def first_difference(a: CanFrame, b: CanFrame) -> int:
-    """Returns the number of equal bits at the start of two frames with the same identifier.
+    """Returns the number of equal bits at the start of two CAN frames with the same identifier.
 
-    Only the bits of header and data are counted, without stuff bits.  If two nodes send the two
-    frames at the same time, one node detects a bit error at the first bit that differs.
+    Only the bits of the CAN header and the data are counted, without stuff bits.  If two nodes send
+    CAN frames with the same identifier at the same time, one node detects a bit error at the first
+    bit that differs.
     """
     header = 39 if a.extended else 19
     if a.length != b.length:
@@ -103,9 +107,10 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-# The state of the bit stuffing is the number 2 * (run - 1) + bit.  The last sent bit is `bit`, and
-# `run` (1 to 4) is the number of equal bits at the end.  The fifth equal bit adds a stuff bit, and
-# the stuff bit starts the next run.  The state `_START` means that no bit was sent yet.
+# The state of the bit stuffing is stored as the number 2 * (run - 1) + bit: `bit` is the last sent
+# bit, and `run` (1 to 4) is the number of equal bits up to the last sent bit.  After the fifth
+# equal bit the sender inserts a stuff bit, from which equal bits are counted again.  The bit
+# stuffing state `_START` means that no bit of the CAN frame was sent yet.
 _START = 8
 
 

@@ -1,6 +1,6 @@
 """Protocol ``CanInterface``: a program's access to a simulated or real CAN bus.
 
-Implementations of the protocol ``CanInterface``:
+Classes that implement the protocol ``CanInterface``:
 
 - ``PythonCanInterface``: hardware and UDP, through python-can;
 - ``SimulatedBusClient``: a simulated bus that another process runs (``sim:NAME``);
@@ -19,37 +19,43 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 class CanInterface(Protocol):
     """Interface to send and receive CAN frames.
 
-    All times are in seconds on the monotonic clock of the interface.  ``send`` and ``receive``
+    All times are in seconds on the monotonic clock of the CAN interface.  ``send`` and ``receive``
     raise ``ConnectionError`` if the CAN adapter is unplugged or the process of the bus has ended.
     """
 
     @property
     def now(self) -> float:
-        """Current time (s) on the clock of the interface.
+        """Current time (s) on the clock of the CAN interface.
 
-        ``ReceivedFrame.time`` (ns) and ``sleep_until`` use the same clock.
+        The reception time ``ReceivedFrame.time`` (ns) and the method ``sleep_until`` use the clock
+        of the CAN interface.
         """
 
     @property
     def state(self) -> ErrorState:
-        """Error state of the CAN controller; ``ACTIVE`` if the interface reports no error state."""
+        """Error state of the CAN controller.
+
+        The state is ``ACTIVE`` if the CAN interface does not report error states.
+        """
 
     @property
     def overruns(self) -> int:
-        """Number of received frames that were lost because the receive queue was full."""
+        """Number of received CAN frames that were lost because the receive queue was full."""
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Puts a frame into the send queue.
+        """Puts a CAN frame into the send queue.
 
         Waits at most ``timeout`` seconds while the send queue is full.  Returns ``False`` if the
-        frame was not put into the send queue.
+        CAN frame was not put into the send queue.
         """
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """Returns the oldest frame in the receive queue, and waits for a frame if there is none.
+        """Returns the oldest CAN frame in the receive queue.
 
-        Returns ``None`` if no frame arrives within ``timeout`` seconds.  If ``timeout`` is
-        ``None``, the waiting time has no limit.
+        Waits for a CAN frame if the receive queue is empty.
+
+        Returns ``None`` if no CAN frame arrives within ``timeout`` seconds.  If ``timeout`` is
+        ``None``, ``receive`` waits without a time limit.
         """
 
     def sleep(self, seconds: float) -> None: ...

@@ -19,10 +19,10 @@ LONGEST_PATH = 100
 
 
 def socket_path(name: str) -> Path:
-    """Returns the path of the socket ``name``.
+    """Returns the path of the local socket with the given name.
 
-    A name with a slash is used as the path.  A name without a slash becomes the file ``name.sock``
-    in the runtime directory of the user.
+    A socket name that contains a slash is used as the path.  The socket of a name without a slash
+    is the file ``name.sock`` in the runtime directory of the user.
 
     Raises ``OSError`` if the path is too long for a socket, or if the runtime directory belongs to
     another user.
@@ -34,10 +34,10 @@ def socket_path(name: str) -> Path:
 
 
 def remove_stale_socket(path: Path, program: str) -> None:
-    """Removes a socket file that a killed process has left at ``path``.
+    """Removes the socket file at ``path`` if the process that created the socket has been killed.
 
-    ``program`` is the name of the program in the error message.  Raises ``OSError`` if a program
-    still accepts connections at ``path``, or if ``path`` is not a socket.
+    ``program``: name of the program, for the error message.  Raises ``OSError`` if a program still
+    accepts connections at ``path``, or if ``path`` is not a socket.
     """
     try:
         mode = path.lstat().st_mode
@@ -55,10 +55,12 @@ def remove_stale_socket(path: Path, program: str) -> None:
 
 
 def runtime_directory() -> Path:
-    """Returns the directory of the user's sockets and locks, and creates a missing directory.
+    """Returns the directory for the user's local sockets and lock files.
 
-    Raises ``PermissionError`` if the directory belongs to another user.  The owner is checked
-    because every user can create a directory in /tmp.
+    Creates the directory if it does not exist.
+
+    Raises ``PermissionError`` if the directory of the sockets belongs to another user.  The owner
+    of the directory is checked, because every user can create a directory in /tmp.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
@@ -81,23 +83,29 @@ _HEADER = struct.Struct("<Hc")
 
 
 def pack(kind: bytes, body: bytes = b"") -> bytes:
-    """Returns the bytes of a message; ``kind`` is the single byte that names the message type."""
+    """Returns a message as bytes.  ``kind``: message type, one byte."""
     return _HEADER.pack(len(body), kind) + body
 
 
 def pack_json(kind: bytes, value: Any) -> bytes:
-    """Returns the bytes of a message whose body is ``value`` as JSON."""
+    """Returns a message as bytes, with ``value`` encoded as JSON in the message body."""
     return pack(kind, json.dumps(value).encode())
 
 
 class Unpacker:
-    """Splits a byte stream into messages, and keeps the bytes of an incomplete message."""
+    """Splits a byte stream into messages.
+
+    The bytes of an incomplete message are kept until the rest of the message arrives.
+    """
 
     def __init__(self) -> None:
         self._incomplete = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[bytes, bytes]]:
-        """Appends ``data`` to the stream and yields the kind and body of each complete message."""
+        """Appends ``data`` to the byte stream.
+
+        Yields the message type and the message body of each complete message.
+        """
         data = self._incomplete + data
         start = 0
         while len(data) - start >= _HEADER.size:

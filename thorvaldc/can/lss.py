@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-# COB-IDs of LSS: requests of the master, and responses of the slaves.
+# COB-ID of the requests of the LSS master, and COB-ID of the responses of the LSS slaves.
 REQUEST, RESPONSE = 0x7E5, 0x7E4
 
-# LSS command specifiers.  The response to a configuration service has the specifier of the request.
+# LSS command specifiers.  The response of an LSS slave to a configuration request has the same
+# command specifier as the request.
 SWITCH_STATE_GLOBAL = 0x04
 """Sets the state of all slaves to byte 1, ``WAITING`` or ``CONFIGURATION``; has no response."""
 WAITING, CONFIGURATION = 0, 1
@@ -56,7 +57,7 @@ BITRATES = {
 class Identity(NamedTuple):
     """Identity of a CANopen device (object 0x1018), which LSS uses as its address.
 
-    The combination of vendor, product, revision and serial number is unique for each device.
+    The vendor, product, revision and serial number together identify one device uniquely.
     """
 
     vendor: int

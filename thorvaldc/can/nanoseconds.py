@@ -1,4 +1,4 @@
-"""Times in whole nanoseconds, which keep simulated time free of rounding errors."""
+"""Converts times to whole nanoseconds, so that the simulated time has no rounding errors."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Opens a CAN interface by its name, such as ``sim:NAME``, ``slcan:PORT`` or ``socketcan:can0``.
 
 python-can reports a wrong interface name or a missing permission late, and with an error text of
-its backend.  This module checks for the common user errors before the interface is opened, and
-reports each error with a hint.
+its backend.  Common user errors, such as a missing serial port, are detected before the CAN
+interface is opened and are reported with a hint.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     - ``udp`` or ``udp:GROUP``: frames in UDP multicast, between programs without hardware;
     - ``INTERFACE:CHANNEL``: any other interface that python-can knows.
 
-    If ``listen_only`` is ``True``, the interface sends neither frames nor acknowledgements.  Only
-    the interfaces ``sim`` and ``slcan`` support ``listen_only``.
+    If ``listen_only`` is ``True``, the CAN interface sends neither CAN frames nor acknowledgements.
+    Only the CAN interfaces ``sim`` and ``slcan`` support ``listen_only``.
 
-    Raises ``DiagnosticError`` (``bus-interface``) if the interface does not exist, is not set up,
-    or may not be used by this user.
+    Raises ``DiagnosticError`` (``bus-interface``) if the CAN interface does not exist or is not set
+    up, or if the user has no permission to use the CAN interface.
     """
     name, _, channel = spec.partition(":")
     if name == "sim":
@@ -67,7 +67,8 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     options: dict[str, Any] = {}
     import can.interfaces
 
-    # The diagnostics of this module report the errors, so the log output of python-can is dropped.
+    # The log output of python-can is dropped, because this module reports the errors as
+    # diagnostics.
     logging.getLogger("can").addHandler(logging.NullHandler())
     if backend not in can.interfaces.BACKENDS:
         raise _interface_error(
@@ -100,11 +101,13 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
 
 
 def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
-    """Opens a CAN interface for each bus of the robot; the keys are the names of the buses.
+    """Opens a CAN interface for each CAN bus of the robot.
 
-    For a robot with several buses ``spec`` names an interface for each bus, such as
-    ``left=socketcan:can0,right=socketcan:can1``.  ``sim:NAME`` opens the simulated buses
-    ``NAME.left`` and ``NAME.right``.
+    Returns a dictionary of the CAN interfaces by bus name.
+
+    If the robot has several CAN buses, ``spec`` contains a CAN interface for each bus, such as
+    ``left=socketcan:can0,right=socketcan:can1``.  With ``sim:NAME`` a robot with the buses ``left``
+    and ``right`` uses the simulated buses ``NAME.left`` and ``NAME.right``.
     """
     require_bus(robot)
     names = [bus.name for bus in robot.buses]
@@ -121,7 +124,7 @@ def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
 
 
 def _split_spec(spec: str, names: list[str]) -> Mapping[str, str]:
-    """Returns the name of the CAN interface for each bus in ``names``."""
+    """Returns the name of the CAN interface for each CAN bus in ``names``."""
     if len(names) == 1:
         return {names[0]: spec.removeprefix(f"{names[0]}=")}
     if spec.startswith("sim:") and "=" not in spec:
@@ -145,8 +148,9 @@ def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> Can
         hint = "`thorvaldc bus FILE` prints the name"
         raise _interface_error(spec, "`sim` needs the name of a bus", hint)
     try:
-        # The send queue must be first in, first out, like the queue of a real interface.  SYNC has
-        # a higher priority than the commands, but must be sent after the commands.
+        # The send queue must send CAN frames in the order in which they were queued (first in,
+        # first out).  The SYNC frame has a higher bus priority than the motor commands, but must be
+        # sent after the motor commands.
         return SimulatedBusClient(
             channel, "master", bus.bitrate, listen_only=listen_only, fifo=True
         )
@@ -163,9 +167,10 @@ def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, A
         bus_class = getattr(importlib.import_module(module), class_name)
     except ImportError as error:
         raise _package_error(spec, backend, one_line(error)) from None
-    # `__new__` and `__init__` are called separately.  The destructor of a python-can bus calls
-    # `shutdown`, and `shutdown` prints errors if `__init__` has failed.  If `_is_shutdown` is set,
-    # the destructor does not call `shutdown`.
+    # The python-can bus object is created with separate calls of `__new__` and `__init__`.  The
+    # destructor of a python-can bus calls `shutdown`, and `shutdown` prints errors if `__init__`
+    # has failed.  The destructor of a python-can bus does not call `shutdown` if the attribute
+    # `_is_shutdown` is `True`.
     bus: can.BusABC = bus_class.__new__(bus_class, channel, **options)
     try:
         type(bus).__init__(bus, channel, **options)
@@ -181,7 +186,7 @@ def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, A
 def _check_serial_port(spec: str, path: str) -> None:
     """Checks that ``path`` is a serial port that this user may read and write.
 
-    A port name without leading slash is not checked.
+    A serial port name without leading slash, such as ``COM3``, is not checked.
     """
     if not path.startswith("/"):
         return
@@ -233,7 +238,7 @@ def _package_error(spec: str, backend: str, text: str) -> DiagnosticError:
 
 
 def _open_error(spec: str, error: BaseException, channel: str) -> DiagnosticError:
-    """Returns the error for an interface that python-can or the operating system cannot open."""
+    """Returns the error for a CAN interface that python-can or the operating system cannot open."""
     causes = (error, error.__cause__, error.__context__)
     codes = [cause.errno for cause in causes if isinstance(cause, OSError)]
     codes.append(getattr(error, "error_code", None))

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 MAXIMUM_AGE = 1.0
 """Largest age (s) of a usable time stamp, and longest time (s) to wait for an echo."""
 
-# Constants of linux/can/error.h.  The identifier of an error frame contains the class bits.  Data
-# byte 1 contains the bits that report the state of the CAN controller.
+# Constants of linux/can/error.h.  The identifier of a socketcan error frame contains the bits of
+# the error class.  Data byte 1 of a socketcan error frame contains the error state of the CAN
+# controller.
 _ERR_CONTROLLER, _ERR_BUS_OFF, _ERR_RESTARTED = 0x04, 0x40, 0x100
 _ERR_CONTROLLER_PASSIVE, _ERR_CONTROLLER_ACTIVE = 0x30, 0x40
 
@@ -31,32 +32,36 @@ _LOST = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
 class PythonCanInterface:
     """A CAN interface that sends and receives through a bus of python-can (``can.BusABC``).
 
-    The clock of this interface is ``time.monotonic``.  The time stamps of python-can come from the
-    wall clock, which may jump.  The age of each frame is computed from its time stamp and
-    subtracted from the current monotonic time.  A time stamp that is in the future or older than
-    ``MAXIMUM_AGE`` is ignored.  One thread may send while another thread receives.
+    The clock of the CAN interface is ``time.monotonic``.  The time stamps of python-can come from
+    the wall clock, which jumps when the time of the computer is set.  The age of each CAN frame is
+    computed from its time stamp and subtracted from the current monotonic time.  The time stamp of
+    a CAN frame is ignored if it is in the future or older than ``MAXIMUM_AGE``.  One thread may
+    send CAN frames while another thread receives CAN frames.
 
     Most interfaces of python-can do not report the error states error-passive and bus-off.  The
-    interface socketcan sends error frames, from which ``receive`` reads the state.  No interface
-    of python-can reports the number of lost frames, so ``overruns`` is always 0.
+    socketcan interface delivers error frames, from which ``receive`` reads the error state of the
+    CAN controller.  The property ``overruns`` is always 0, because python-can does not report the
+    number of lost CAN frames.
 
-    Echo removal (``echoes``).  UDP multicast also delivers a program's own frames to the program,
-    without marking the frames as own.  ``send`` counts the sent frames by identifier and data.
-    ``receive`` drops one equal frame for each sent frame.  If another node sends an equal frame,
-    ``receive`` returns one of the two equal frames, so no content is lost.
+    Echo removal (``echoes``).  With UDP multicast a program also receives the CAN frames that the
+    program has sent (echoes), and python-can does not mark the echoes.  To detect the echoes,
+    ``send`` counts the sent CAN frames by identifier and data.  For each sent CAN frame,
+    ``receive`` drops one received CAN frame with the same identifier and data.  If another node
+    sends a CAN frame with the same identifier and data, ``receive`` drops one of the two CAN frames
+    and returns the other.
 
         send     701#05
         receive           701#05    701#05    701#7f
                           echo      kept      kept
         expected    1       0          0
 
-    An echo that does not arrive within ``MAXIMUM_AGE`` seconds is no longer expected.
+    The echo of a sent CAN frame is expected for at most ``MAXIMUM_AGE`` seconds.
     """
 
     overruns = 0
 
     def __init__(self, bus: can.BusABC, *, echoes: bool = False, write_time: float = 0.0) -> None:
-        """Wraps the python-can bus ``bus``.
+        """Creates a CAN interface that uses the python-can bus ``bus``.
 
         - ``echoes``: ``True`` if ``bus`` also delivers the program's own frames;
         - ``write_time``: shortest write time-out (s) with which ``bus`` sends whole frames.
@@ -144,16 +149,16 @@ class PythonCanInterface:
         self.sleep(time - self.now)
 
     def restart(self) -> None:
-        """Restarts the CAN controller after bus-off, if the interface supports a restart.
+        """Restarts the CAN controller after bus-off, if the CAN interface supports a restart.
 
-        A socketcan interface can only be restarted with the command ``ip link``.  After the
-        restart the socketcan interface sends an error frame.
+        A socketcan interface can only be restarted by the operating system, with the command ``ip
+        link``.  After the restart the socketcan interface sends an error frame.
         """
         with contextlib.suppress(NotImplementedError, AttributeError):
             self.bus.state = self._can.BusState.ACTIVE
 
     def close(self) -> None:
-        # Closing an unplugged interface raises an exception.
+        # Closing the CAN interface raises an exception if the CAN adapter is unplugged.
         with contextlib.suppress(self._can.CanError, OSError):
             self.bus.shutdown()
 
@@ -162,7 +167,7 @@ class PythonCanInterface:
     def _monotonic_time(self, stamp: float) -> int:
         """Converts a wall clock time stamp (s) to monotonic time (ns).
 
-        The returned times never decrease.
+        The converted time is never earlier than the time of the previous CAN frame.
         """
         age = time.time() - stamp
         arrival = time.monotonic_ns()

@@ -1,8 +1,8 @@
 """SDO messages (CiA 301), with which a client reads and writes the object dictionary of a node.
 
-An SDO message has 8 bytes: command, index (u16), subindex and 4 bytes of data.  Bits 5 to 7 of the
-command are the command specifier.  An expedited transfer moves up to 4 data bytes with one request
-and one response:
+An SDO message has 8 bytes: the command byte, the index of the object (2 bytes), the subindex of the
+object, and 4 data bytes.  Bits 5 to 7 of the SDO command byte are the command specifier.  An
+expedited SDO transfer moves a value of up to 4 bytes with one request and one response:
 
     upload    client   40 index sub 00 00 00 00
               server   43 index sub data           4 bytes; 47: 3, 4B: 2, 4F: 1
@@ -10,7 +10,7 @@ and one response:
               server   60 index sub 00 00 00 00
     abort     either   80 index sub abort code (u32)
 
-A value of more than 4 bytes is transferred in segments of up to 7 bytes:
+A segmented SDO transfer moves a value of more than 4 bytes in segments of up to 7 bytes:
 
     client                                   server
     40 index sub 00 00 00 00  ----------->
@@ -20,8 +20,8 @@ A value of more than 4 bytes is transferred in segments of up to 7 bytes:
     70 00 00 00 00 00 00 00   ----------->                                  toggle 1
                               <-----------   1B two bytes                   5 unused, last segment
 
-In byte 0 of a segment, bit 4 is the toggle bit, bits 3 to 1 are the number of unused bytes, and
-bit 0 marks the last segment.
+Byte 0 of an SDO segment contains the toggle bit (bit 4), the number of unused bytes (bits 3 to 1),
+and a flag for the last segment (bit 0).
 """
 
 from __future__ import annotations
@@ -63,13 +63,19 @@ def number_length(type_name: str) -> int:
 
 
 def encode_number(type_name: str, value: int) -> bytes:
-    """Returns a number as little-endian bytes; negative numbers in two's complement."""
+    """Returns an integer as little-endian bytes.
+
+    Negative integers are encoded in two's complement.
+    """
     length = number_length(type_name)
     return (value & (1 << 8 * length) - 1).to_bytes(length, "little")
 
 
 def decode_number(type_name: str, data: bytes) -> int:
-    """Returns the number in the first bytes of ``data``; missing bytes are read as 0."""
+    """Returns the integer in the first bytes of ``data`` (little endian).
+
+    Missing bytes are read as 0.
+    """
     length = number_length(type_name)
     signed = type_name.startswith("integer")
     return int.from_bytes(data[:length].ljust(length, b"\0"), "little", signed=signed)
@@ -79,33 +85,34 @@ def decode_number(type_name: str, data: bytes) -> int:
 
 
 def upload_request(index: int, subindex: int) -> bytes:
-    """Returns the SDO request to read an object."""
+    """Returns the SDO request to read an object of a node."""
     return HEADER.pack(ClientCommand.INITIATE_UPLOAD << 5, index, subindex) + bytes(4)
 
 
 def download_request(index: int, subindex: int, data: bytes) -> bytes:
-    """Returns the SDO request to write 1 to 4 bytes to an object."""
+    """Returns the SDO request to write 1 to 4 bytes to an object of a node."""
     command = ClientCommand.INITIATE_DOWNLOAD << 5 | _expedited(data)
     return HEADER.pack(command, index, subindex) + data.ljust(4, b"\0")
 
 
 def upload_segment_request(toggle: int) -> bytes:
-    """Returns the request for the next segment of an upload.
+    """Returns the SDO request for the next segment of an upload.
 
-    ``toggle`` is 0 for the first segment and alternates with each segment.
+    ``toggle``: toggle bit, which is 0 for the first segment of an SDO transfer and changes with
+    each segment.
     """
     return bytes([ClientCommand.UPLOAD_SEGMENT << 5 | toggle << _TOGGLE_BIT]) + bytes(7)
 
 
 def is_expedited(response: bytes) -> bool:
-    """Returns ``True`` if an upload response contains the value (expedited transfer)."""
+    """Returns ``True`` if an SDO upload response contains the value of the object."""
     return bool(response[0] & EXPEDITED)
 
 
 def expedited_data(message: bytes) -> bytes:
-    """Returns the value in an expedited message.
+    """Returns the value of the object in an expedited SDO message, as bytes.
 
-    If the message states no data size, all 4 data bytes are returned.
+    If the SDO message does not state the data size, all 4 data bytes are returned.
     """
     unused = message[0] >> 2 & 3 if message[0] & SIZE_INDICATED else 0
     return message[4 : 8 - unused]
@@ -115,7 +122,7 @@ def expedited_data(message: bytes) -> bytes:
 
 
 def segment_data(message: bytes) -> bytes:
-    """Returns the data bytes of a segment."""
+    """Returns the data bytes of an SDO segment."""
     return message[1 : 8 - (message[0] >> 1 & 7)]
 
 
@@ -148,15 +155,15 @@ def abort_code(message: bytes) -> int | None:
 
 
 def download_response(index: int, subindex: int) -> bytes:
-    """Returns the response of the server to a download request."""
+    """Returns the response of an SDO server to a download request."""
     return HEADER.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4)
 
 
 def upload_response(index: int, subindex: int, value: bytes) -> bytes:
-    """Returns the response of the server to an upload request.
+    """Returns the response of an SDO server to an upload request.
 
-    A value of 1 to 4 bytes is contained in the response.  For any other length the response
-    contains only the number of bytes, and the value follows in segments.
+    The SDO response contains an object value of 1 to 4 bytes.  If the object value has another
+    length, the SDO response contains only the number of bytes, and the value is sent in segments.
     """
     if 1 <= len(value) <= 4:
         command = _UPLOAD_RESPONSE | _expedited(value)
@@ -166,13 +173,13 @@ def upload_response(index: int, subindex: int, value: bytes) -> bytes:
 
 
 def upload_segment_response(toggle: int, data: bytes, last: bool) -> bytes:
-    """Returns the upload segment with up to 7 bytes of data."""
+    """Returns an SDO upload segment with up to 7 data bytes."""
     command = toggle << _TOGGLE_BIT | (SEGMENT_LENGTH - len(data)) << 1 | int(last)
     return bytes([command]) + data.ljust(SEGMENT_LENGTH, b"\0")
 
 
 def download_segment_response(toggle: int) -> bytes:
-    """Returns the response of the server to a download segment."""
+    """Returns the response of an SDO server to a download segment."""
     return bytes([0x20 | toggle << _TOGGLE_BIT]) + bytes(7)
 
 
@@ -180,9 +187,9 @@ def download_segment_response(toggle: int) -> bytes:
 
 
 class AbortCode(enum.IntEnum):
-    """Abort codes of CiA 301 that this package sends or explains.
+    """SDO abort codes of CiA 301 that this package sends or explains.
 
-    A device may send other abort codes.
+    A device may send SDO abort codes that this table does not contain.
     """
 
     TOGGLE_NOT_ALTERNATED = 0x05030000
@@ -220,5 +227,5 @@ _ABORT_TEXTS: dict[int, str] = {
 
 
 def abort_text(code: int) -> str:
-    """Returns the meaning and the number of an abort code, for messages to the user."""
+    """Returns the meaning and the number of an SDO abort code, for messages to the user."""
     return f"{_ABORT_TEXTS.get(code, 'aborted')} (SDO abort {code:#010x})"

@@ -25,10 +25,10 @@ LOCKSTEP_POLL = 0.0001
 class SimulatedBusClient:
     """A CAN interface to a simulated bus, connected over a local socket.
 
-    Any thread may call the methods.  Without ``lockstep`` the simulated bus runs in real time.
-    With ``lockstep`` the simulated time advances only while every lockstep client waits in
-    ``receive``, ``sleep`` or ``send``.  The computing time of a lockstep client does not advance
-    the simulated time.
+    All methods of the simulated CAN interface are thread-safe.  Without ``lockstep`` the simulated
+    bus runs in real time.  With ``lockstep`` the simulated time advances only while every lockstep
+    client waits in ``receive``, ``sleep`` or ``send``.  The simulated time does not advance while a
+    lockstep client computes.
     """
 
     def __init__(
@@ -54,7 +54,8 @@ class SimulatedBusClient:
         - ``listen_only``: the client sends neither frames nor acknowledgements;
         - ``fifo``: frames are sent in the order of the calls of ``send``, not by priority.
 
-        Raises ``OSError`` if no bus ``channel`` runs, or if its server refuses this client.
+        Raises ``OSError`` if the simulated bus ``channel`` does not run, or if the server of the
+        bus refuses the connection.
         """
         self.channel = channel
         self.name = name
@@ -106,14 +107,20 @@ class SimulatedBusClient:
 
     @property
     def now(self) -> float:
-        """Time (s) since the start of the bus: simulated time in lockstep mode, else real time."""
+        """Time (s) since the start of the simulated bus.
+
+        The time is simulated time in lockstep mode, else real time.
+        """
         now = self._now if self.lockstep else time.monotonic_ns() - self._clock_offset
         return now / NANOSECONDS
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Puts a frame into the send queue; waits at most ``timeout`` s while the queue is full.
+        """Puts a CAN frame into the send queue.
 
-        Returns ``False`` if the send queue is still full, or if the controller is in bus-off.
+        Waits at most ``timeout`` seconds while the send queue is full.
+
+        Returns ``False`` if the send queue is still full after ``timeout``, or if the CAN
+        controller is in bus-off.
         """
         with self._changed:
             if self._unsent >= self.send_limit and timeout > 0.0:
@@ -125,10 +132,12 @@ class SimulatedBusClient:
         return True
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """Returns the oldest frame in the receive queue, and waits for a frame if there is none.
+        """Returns the oldest CAN frame in the receive queue.
 
-        Returns ``None`` if no frame arrives within ``timeout`` seconds.  Raises ``ConnectionError``
-        if the bus has stopped.
+        Waits for a CAN frame if the receive queue is empty.
+
+        Returns ``None`` if no CAN frame arrives within ``timeout`` seconds.  Raises
+        ``ConnectionError`` if the simulated bus has stopped.
         """
         with self._changed:
             if not self._received and timeout != 0.0:
@@ -140,7 +149,10 @@ class SimulatedBusClient:
             return None
 
     def sleep(self, seconds: float) -> None:
-        """Waits for ``seconds``; frames that arrive meanwhile stay in the receive queue."""
+        """Waits for ``seconds``.
+
+        CAN frames that arrive during the wait stay in the receive queue.
+        """
         with self._changed:
             self._wait(seconds, stop_at_frame=False)
 
@@ -216,7 +228,7 @@ class SimulatedBusClient:
             self._socket.settimeout(None)
 
     def _read(self) -> None:
-        """Receives and processes the messages of the server, in a separate thread."""
+        """Receives and processes the messages of the simulated bus server, in a separate thread."""
         reason = "the bus has stopped"
         try:
             while data := self._socket.recv(65536):
@@ -245,7 +257,8 @@ class SimulatedBusClient:
         elif kind == protocol.STATE:
             state = json.loads(body)
             self._state = ErrorState(state["state"])
-            # The simulated controller drops its send queue in bus-off and when it restarts.
+            # The simulated CAN controller clears its send queue when it enters bus-off and when it
+            # restarts.
             self._unsent = max(self._unsent - state["dropped"], 0)
         elif kind == protocol.TIME:
             self._now = self._waited_until = protocol.unpack_time(body)

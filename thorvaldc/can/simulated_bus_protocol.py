@@ -1,8 +1,10 @@
 """Messages between the server of a simulated bus and its clients, over a local socket.
 
-The module ``local_socket`` defines the framing of the messages.  All numbers are little endian.
-The first message of a client is HELLO.  The server answers with WELCOME, or with CLOSED and the
-reason for the refusal.  After WELCOME the client and the server may send messages at any time:
+The module ``thorvaldc.can.local_socket`` defines how messages are separated in the byte stream of
+the socket.  All numbers in the messages are little endian.  A client first sends the message HELLO
+to the server of the simulated bus.  The server answers HELLO with the message WELCOME, or refuses
+the client with the message CLOSED and the reason.  Messages that client and server may send at any
+time after WELCOME:
 
     client                          server
     HELLO  version, name, ... --->
@@ -27,11 +29,11 @@ from thorvaldc.can.local_socket import pack
 
 VERSION = 1
 
-# Kinds of messages from client to server.  The body of HELLO is JSON; the body of WAIT is a time
-# (ns).
+# Types of messages from a client to the server of a simulated bus.  The body of a HELLO message is
+# JSON.  The body of a WAIT message is a time (ns).
 HELLO, SEND, WAIT, RESTART = b"H", b"S", b"W", b"A"
-# Kinds of messages from server to client.  The bodies of WELCOME, STATE and CLOSED are JSON; the
-# body of TIME is a time (ns).
+# Types of messages from the server of a simulated bus to a client.  The bodies of WELCOME, STATE
+# and CLOSED messages are JSON.  The body of a TIME message is a time (ns).
 WELCOME, FRAME, SENT, REFUSED, STATE, TIME, CLOSED = b"w", b"F", b"D", b"R", b"s", b"T", b"C"
 
 _FRAME = struct.Struct("<qIBB")
@@ -51,10 +53,10 @@ def pack_frame(kind: bytes, frame: CanFrame, time: int = 0, own: bool = False) -
 
 
 def unpack_frame(body: bytes) -> tuple[int, CanFrame, bool]:
-    """Decodes the body of a SEND or FRAME message.
+    """Decodes the body of a SEND or FRAME message, which contains a CAN frame.
 
-    Returns the time (ns), the CAN frame, and ``True`` if the client has sent the frame itself.
-    Raises ``ValueError`` if the body is not a valid CAN frame.
+    Returns the time (ns), the CAN frame, and ``True`` if the receiving client has sent the CAN
+    frame itself.  Raises ``ValueError`` if the message body is not a valid CAN frame.
     """
     if len(body) < _FRAME.size:
         raise ValueError("a frame is incomplete")
@@ -74,7 +76,7 @@ def pack_time(kind: bytes, time: int) -> bytes:
 def unpack_time(body: bytes) -> int:
     """Decodes the body of a WAIT or TIME message and returns the time (ns).
 
-    Raises ``ValueError`` if the body does not have 8 bytes.
+    Raises ``ValueError`` if the message body does not have 8 bytes.
     """
     if len(body) != _TIME.size:
         raise ValueError("a time is incomplete")
