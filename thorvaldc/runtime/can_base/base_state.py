@@ -30,10 +30,12 @@ class BaseState(enum.Enum):
 
     @property
     def drives(self) -> bool:
-        """``True`` in READY, ACTIVE and STOPPING, in which the wheels follow commands."""
+        """``True`` if the state of the base is READY, ACTIVE or STOPPING, so that the wheels follow
+        commands."""
         return self in (BaseState.READY, BaseState.ACTIVE, BaseState.STOPPING)
 
     @property
     def starts(self) -> bool:
-        """``True`` in the start-up states INIT, PREOP, CONFIG and HOMING."""
+        """``True`` if the state of the base is one of the start-up states INIT, PREOP, CONFIG and
+        HOMING."""
         return self in (BaseState.INIT, BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING)

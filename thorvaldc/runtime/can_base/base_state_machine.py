@@ -1,8 +1,8 @@
 """State machine of a robot base on CAN, with the conditions of each transition.
 
-The diagram shows the messages between the driver and one node during the start-up.  The node starts
-its own watchdog at the first heartbeat of the driver.  The driver starts its watchdog when it has
-received all reports:
+A motor controller node starts its own watchdog when it receives the first heartbeat of the base
+driver.  The base driver starts its watchdog when it has received all reports of the motor
+controllers.  Messages between the base driver and a motor controller node during the start-up:
 
     state    driver (master)                          node
     INIT     listens 0.25 s; sends nothing      <---  heartbeat 05, if it was running
@@ -24,8 +24,9 @@ received all reports:
                                                 <---  enabled, in position
     READY    PDO: speed 0                       --->
 
-The base can enter the states FAULT and ESTOP from every state.  Only ``reset`` leaves FAULT and
-ESTOP.  After ``reset`` the base enters PREOP, so that all start-up checks are repeated.
+The base can enter the states FAULT and ESTOP from every state.  The base leaves the states FAULT
+and ESTOP only when ``reset`` is called.  After ``reset`` the base enters the state PREOP, so that
+all start-up checks are repeated.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Times and time limits (s) of the state machine.
+    """Times and time limits (s) of the state machine of the base.
 
     - ``listen``: duration of INIT;
     - ``gather``: longest duration of PREOP;
@@ -104,7 +105,8 @@ class BaseStateMachine:
     def safety_stop(self, engaged: bool) -> None:
         """Engages or releases the safety stop.
 
-        After the release of the safety stop, the base stays in ESTOP until ``reset`` is called.
+        After the release of the safety stop, the base stays in the state ESTOP until ``reset`` is
+        called.
         """
         self.stop_engaged = engaged
 
@@ -113,10 +115,11 @@ class BaseStateMachine:
         self._reported_problem = self._reported_problem or reason
 
     def reset(self, now: float, commanded: bool) -> str:
-        """Leaves FAULT or ESTOP and restarts the start-up at PREOP.
+        """Leaves the state FAULT or ESTOP, and restarts the start-up of the base at the state
+        PREOP.
 
-        ``commanded`` is ``True`` if a motion is commanded; the reset is then refused.  Returns the
-        reason for a refusal, or an empty text if the start-up begins.
+        ``commanded``: ``True`` if a motion of the robot is commanded, so that the reset is refused.
+        Returns the reason if the reset is refused, or an empty text if the start-up begins.
         """
         if self.state not in (BaseState.FAULT, BaseState.ESTOP):
             return "there is nothing to reset"
@@ -145,7 +148,7 @@ class BaseStateMachine:
     def home(self, now: float) -> str:
         """Starts a new homing of all steering motors.
 
-        Returns the reason for a refusal, or an empty text if the homing starts.
+        Returns the reason if the homing is refused, or an empty text if the homing starts.
         """
         if self.state is not BaseState.READY:
             return f"the base is {self.state.value}, not ready"
@@ -155,9 +158,10 @@ class BaseStateMachine:
         return ""
 
     def end(self) -> None:
-        """Starts the shutdown: a quick stop of all motors, then no torque.
+        """Starts the shutdown of the base: first a quick stop of all motors, then switching off the
+        motor torque.
 
-        The property ``ended`` becomes ``True`` at the end of the shutdown.
+        The property ``ended`` becomes ``True`` at the end of the shutdown of the base.
         """
         self.ending = True
 
@@ -171,7 +175,7 @@ class BaseStateMachine:
     def update(self, now: float) -> Intent:
         """Runs one step of the state machine and returns the ``Intent`` for the motor controllers.
 
-        ``update`` must be called after all received frames are decoded.
+        ``update`` must be called in each control cycle, after all received CAN frames are decoded.
         """
         if self.since == -math.inf:
             self._enter(BaseState.INIT, now)
@@ -187,7 +191,7 @@ class BaseStateMachine:
         return self.intent
 
     def note_motion(self, now: float, moves: bool, stale: bool) -> None:
-        """Changes between the states READY, ACTIVE and STOPPING.
+        """Changes between the base states READY, ACTIVE and STOPPING.
 
         - ``moves``: ``True`` if the robot moves or a motion is commanded;
         - ``stale``: ``True`` if the commanded twist is too old.
@@ -211,22 +215,23 @@ class BaseStateMachine:
 
     @property
     def may_send(self) -> bool:
-        """``True`` after INIT has detected no other master on the bus.
+        """``True`` if no other CANopen master was detected on the bus during the state INIT.
 
-        During INIT the driver must not send any frame.
+        The base driver sends no CAN frames in the state INIT.
         """
         return self._may_send
 
     @property
     def operational(self) -> bool:
-        """``True`` after the NMT start command: the driver sends SYNC and the nodes accept PDOs."""
+        """``True`` after the NMT start command, when the base driver sends SYNC and the nodes
+        accept PDOs."""
         return self._operational
 
     @property
     def may_command(self) -> bool:
-        """``True`` after all motor controllers were found to match the robot file.
+        """``True`` after the check that all motor controllers match the robot file.
 
-        Before ``may_command`` is ``True`` the driver must not send commands to the motors.
+        The base driver must not send motor commands before ``may_command`` is ``True``.
         """
         return self._verified
 
@@ -253,7 +258,8 @@ class BaseStateMachine:
             self.changed(now, state, reason)
 
     def _check_problems(self, now: float) -> None:
-        """Enters ESTOP or FAULT if the safety stop is engaged or a problem was detected."""
+        """Enters the state ESTOP if the safety stop is engaged, or the state FAULT if a problem was
+        detected."""
         if self.stop_engaged:
             if self.state is not BaseState.ESTOP:
                 self._enter(BaseState.ESTOP, now, "the safety stop is engaged")
@@ -283,7 +289,8 @@ class BaseStateMachine:
                 return
 
     def _longer_than(self, limit: float, now: float) -> bool:
-        """Returns ``True`` if the present state has lasted longer than ``limit`` seconds."""
+        """Returns ``True`` if the base has been in the present state for more than ``limit``
+        seconds."""
         return now - self.since > limit
 
     def _step_init(self, now: float) -> None:
@@ -291,11 +298,11 @@ class BaseStateMachine:
             self._enter(BaseState.PREOP, now)
 
     def _step_preop(self, now: float) -> None:
-        """Sends NMT commands until every motor controller is pre-operational."""
+        """Sends NMT commands until every motor controller is in the NMT state pre-operational."""
         restarting, self._to_restart = self._to_restart, []
         for connection, controller in restarting:
             connection.queue_nmt(NmtCommand.RESET_NODE, [controller])
-            # A node does not receive commands while it boots.
+            # A motor controller node does not receive commands while it boots.
             self._repeat_at = now + 4.0 * self.times.repeat
             self._nmt_sent_at = now
         missing = [
@@ -324,10 +331,11 @@ class BaseStateMachine:
             self._enter(BaseState.FAULT, now, reason)
 
     def _step_config(self, now: float) -> None:
-        """Compares the objects and identities of the nodes with the robot file.
+        """Compares the object dictionaries and identities of the motor controllers with the robot
+        file.
 
-        After the comparison of the objects the NMT start command is sent to the nodes.  CONFIG ends
-        when all nodes have sent all reports.
+        Sends the NMT start command to the motor controllers after the comparison with the robot
+        file.  The state CONFIG ends when all motor controllers have sent all reports.
         """
         readbacks = [(n, r) for c in self.connections for n, r in c.readbacks.items()]
         for name, readback in readbacks:
@@ -375,7 +383,8 @@ class BaseStateMachine:
         self._enter(BaseState.FAULT, now, reason)
 
     def _step_homing(self, now: float) -> None:
-        """Homes the steering, enables all motors and waits until the steering is in position."""
+        """Homes the steering motors, enables all motors, and waits until all steering joints have
+        reached their target angles."""
         unhomed = [c.node.name for c in self.controllers if not c.homed]
         if unhomed:
             self._homed_now = True

@@ -20,7 +20,9 @@ _KC_TEMPERATURES = 6
 
 @dataclass(slots=True)
 class BatteryState:
-    """State of a battery in its newest reports; NaN means that no value was reported yet.
+    """Newest reported state of a battery.
+
+    The value NaN means that the battery has not reported the quantity yet.
 
     - ``time``: time (s) of the newest report;
     - ``voltage``: voltage in V;
@@ -46,7 +48,7 @@ class BatteryState:
 
 
 class BatteryDriver(abc.ABC):
-    """Decodes the reports of a battery.
+    """Decodes the CAN frames that a battery sends.
 
     A Python package can add a battery driver with the entry-point group ``thorvaldc.batteries``.
     """
@@ -61,7 +63,7 @@ class BatteryDriver(abc.ABC):
     @property
     @abc.abstractmethod
     def warning(self) -> str:
-        """Warning for the operator, or an empty text."""
+        """Warning about the battery for the operator, or an empty text."""
 
 
 class KcBatteryDriver(BatteryDriver):
@@ -109,7 +111,8 @@ class KcBatteryDriver(BatteryDriver):
 
 
 class IoBoardDriver:
-    """Driver of an IO board: switches the outputs by name and decodes the reports."""
+    """Driver of an IO board, which switches outputs by name and decodes the reports of the IO
+    board."""
 
     def __init__(self, bus: Bus, node: Node) -> None:
         self.node = node
@@ -153,7 +156,8 @@ class IoBoardDriver:
         return int(self.reported.get("inputs", 0))
 
     def reported_output(self, name: str) -> bool | None:
-        """Returns the reported state of an output, or ``None`` if it was not reported yet."""
+        """Returns the reported state of an output of the IO board, or ``None`` if the IO board has
+        not reported the output yet."""
         state = self.reported.get(f"{name}_state")
         return None if state is None else bool(state)
 
@@ -172,6 +176,7 @@ PLUGINS: PluginTable[BatteryDriver] = PluginTable(
 
 
 def battery_driver(bus: Bus, node: Node) -> BatteryDriver | None:
-    """Returns the battery driver for a node, or ``None`` if no driver supports its protocol."""
+    """Returns the battery driver for a node, or ``None`` if no battery driver supports the protocol
+    of the node."""
     battery = driver_class(PLUGINS, node)
     return None if battery is None else battery(bus, node)

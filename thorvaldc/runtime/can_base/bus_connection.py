@@ -1,4 +1,4 @@
-"""Receives and sends all frames of one CAN bus in the control cycle."""
+"""Receives and sends all CAN frames of one bus in the control cycle."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _ROUNDING = 1e-6
 class BusConnection:
     """One CAN bus with the drivers of its nodes.
 
-    Only the thread of the control loop may call the methods.
+    Only the thread of the control loop may call the methods of a ``BusConnection``.
 
     - ``outbox``: frames that are sent once, when a cycle has room for the frame;
     - ``not_sent``: number of frames that the CAN interface did not accept;
@@ -60,7 +60,7 @@ class BusConnection:
     def __init__(self, robot: Robot, bus: Bus, interface: CanInterface, *, threaded: bool) -> None:
         """Creates a driver for each node on the bus.
 
-        If ``threaded`` is ``True``, frames are received in a separate thread.  Raises
+        If ``threaded`` is ``True``, CAN frames are received in a separate thread.  Raises
         ``DiagnosticError`` (``bus-driver-unknown``) if a motor controller has no driver.
         """
         self.robot = robot
@@ -132,10 +132,10 @@ class BusConnection:
     # -- receiving ---------------------------------------------------------------------------------
 
     def receive(self, now: float) -> None:
-        """Decodes all received frames.
+        """Decodes all CAN frames that were received since the last control cycle.
 
-        The events are decoded first, in the order of their reception.  Only the newest
-        frame of each report is decoded.
+        Heartbeats, EMCY messages and other events are decoded first, in the order of their
+        reception.  Of each periodic report only the newest CAN frame is decoded.
         """
         self.watchdog.begin_cycle(now)
         for event in self.receiver.drain():
@@ -198,16 +198,19 @@ class BusConnection:
     def queue_nmt(
         self, command: NmtCommand, controllers: Sequence[MotorController] | None = None
     ) -> None:
-        """Queues an NMT command for each motor controller in ``controllers`` (``None``: for all).
+        """Queues an NMT command for each motor controller in ``controllers``.
 
-        The command is not broadcast, because foreign devices on the bus may belong to another
+        If ``controllers`` is ``None``, the command is queued for all motor controllers.
+
+        The NMT command is not broadcast, because foreign devices on the bus may belong to another
         master.
         """
         for controller in controllers if controllers is not None else self.controllers:
             self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
 
     def start_readback(self) -> None:
-        """Starts the comparison of the objects of all motor controllers with the robot file."""
+        """Starts the comparison of the object dictionaries of all motor controllers with the robot
+        file."""
         self.readbacks = {
             c.node.name: ObjectReadback(*self._sdo[c.node.name], c.expected_objects())
             for c in self.controllers
@@ -215,21 +218,23 @@ class BusConnection:
         }
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
-        """Returns the motor commands of a cycle in the order of their identifiers.
+        """Returns the motor command frames of a control cycle in the order of their CAN
+        identifiers.
 
-        Raises ``ValueError`` if a target value is not finite.
+        Raises ``ValueError`` if a target speed or a target angle is not finite.
         """
         return sorted(frame for c in self.controllers for frame in c.cyclic_frames(intent, now))
 
     def occasional_frames(
         self, intent: Intent, now: float, commands: bool, driving: bool
     ) -> Iterator[CanFrame]:
-        """Yields the frames of this cycle that are not sent in every cycle.
+        """Yields the CAN frames of this control cycle that are not sent in every cycle.
 
-        The frames of the outbox are sent first.  SDO requests are sent next, and frames of the
-        motor controllers in turn last.  At most ``OCCASIONAL_DRIVING`` frames are sent while the
-        robot drives (``driving``), else at most ``OCCASIONAL_AT_REST`` frames.  If ``commands`` is
-        ``False``, no frames of the motor controllers are sent.
+        NMT commands and other queued CAN frames are sent first.  After the queued CAN frames, SDO
+        requests are sent, and then occasional frames of the motor controllers in turn.  At most
+        ``OCCASIONAL_DRIVING`` CAN frames are yielded if ``driving`` is ``True``, else at most
+        ``OCCASIONAL_AT_REST`` CAN frames.  If ``commands`` is ``False``, no occasional frames of
+        the motor controllers are yielded.
         """
         room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
         while room > 0 and self.outbox:
@@ -252,10 +257,10 @@ class BusConnection:
                 yield frame
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Puts a frame into the send queue of the CAN interface.
+        """Puts a CAN frame into the send queue of the CAN interface.
 
-        Waits at most ``timeout`` seconds while the send queue is full.  Returns ``True`` if the
-        frame is queued.
+        Waits at most ``timeout`` seconds while the send queue is full.  Returns ``True`` if the CAN
+        frame was put into the send queue.
         """
         queued = False
         if not self.receiver.lost:
@@ -277,7 +282,7 @@ class BusConnection:
             self.relay.count_sent(frame, self.send(CanFrame(frame.id, frame.data)))
 
     def send_heartbeat(self, now: float, operational: bool) -> None:
-        """Sends the heartbeat of the master if the heartbeat period has passed.
+        """Sends the CANopen heartbeat of the master if the heartbeat period has passed.
 
         The heartbeat reports the NMT state operational if ``operational`` is ``True``, else
         pre-operational.
@@ -286,8 +291,8 @@ class BusConnection:
         if frame is None or now < self._heartbeat_due - _ROUNDING:
             return
         period = frame.period or 0.1
-        # For the first heartbeat and after a gap, the period starts at `now`.  Missed heartbeats
-        # are not sent later.
+        # The heartbeat period starts at `now` for the first heartbeat and after missed heartbeats.
+        # Missed heartbeats of the master are not sent later.
         restart = now - self._heartbeat_due > period / 2.0
         self._heartbeat_due = (now if restart else self._heartbeat_due) + period
         state = NmtState.OPERATIONAL if operational else NmtState.PRE_OPERATIONAL
@@ -299,6 +304,6 @@ class BusConnection:
 
 
 def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:
-    """Returns the definitions of the SDO request and the SDO response of a node."""
+    """Returns the frame definitions of the SDO requests and the SDO responses of a node."""
     frames = [f for f in bus.frames if f.kind == "sdo" and node in (f.producer, *f.consumers)]
     return sorted(frames, key=lambda f: f.producer != MASTER)

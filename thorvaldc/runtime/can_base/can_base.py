@@ -1,6 +1,7 @@
 """Reads and commands the joints of a robot base over CAN.
 
-The control cycle lasts 20 ms (the sync period).  The diagram shows one control cycle on the bus:
+The control cycle lasts 20 ms, which is the period of the SYNC message.  CAN frames of one control
+cycle on the bus:
 
     0 ms                                                                              20 ms
     |-----------------------------------------------------------------------------------|
@@ -11,16 +12,18 @@ The control cycle lasts 20 ms (the sync period).  The diagram shows one control 
     (driver) ramps and calculator turn the twist into joint commands
     write    the frames are sent
 
-The driver sends the commands in the order of their identifiers, which is also the order of the bus
-arbitration.  SYNC follows the last command.  CiA 402 drives apply all commands together at SYNC,
-and send their reports after SYNC.  The Roboteq script applies each command on arrival, and sends
-its reports with its own period.  The driver sends the heartbeat of the master only after a complete
-cycle.
+The base driver sends the motor commands in the order of their CAN identifiers, which is also the
+order of the bus arbitration.  The SYNC frame is sent after the last motor command of the control
+cycle.  CiA 402 drives apply all motor commands when they receive SYNC, and send their reports after
+SYNC.  Roboteq controllers apply each motor command on arrival, and send their reports with a period
+of their own.  The base driver sends the heartbeat of the master only after a control cycle in which
+all CAN frames were sent.
 
-No frame is sent by a timer.  If the control loop hangs or a cycle cannot be sent, the heartbeat of
-the master is missing.  Without the heartbeat of the master each node stops its motors with its own
-watchdog.  The watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The Roboteq
-script stops the motors 0.5 s after the last new sequence number.
+The control loop sends all CAN frames; no CAN frame is sent by a timer.  The heartbeat of the master
+stops if the control loop hangs or if the CAN frames of a cycle cannot be sent.  Each motor
+controller has a watchdog that stops the motors if the heartbeat of the master is missing.  The
+watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The script on a Roboteq
+controller stops the motors 0.5 s after the last motor command with a new sequence number.
 """
 
 from __future__ import annotations
@@ -46,9 +49,9 @@ SEND_TIME = 0.25
 class CanBase(BaseHandle):
     """A robot base whose joints are measured and commanded over CAN.
 
-    ``read`` decodes the received frames, and ``write`` sends the frames of a cycle.  The state
-    machine of the base decides whether the motors follow the commands.  A software stop is not a
-    safety function.
+    The method ``read`` decodes the received CAN frames, and the method ``write`` sends the CAN
+    frames of a control cycle.  The state machine of the base decides whether the motors follow the
+    commands.  The stop of the base by software is not a safety function.
     """
 
     def __init__(
@@ -115,10 +118,11 @@ class CanBase(BaseHandle):
         return not self._turning and all(c.standing for c in self.state_machine.controllers)
 
     def read(self, now: float) -> JointStates:
-        """Decodes the received frames and returns the measured joint states.
+        """Decodes the received CAN frames and returns the measured positions and velocities of the
+        joints.
 
-        The value of a joint is NaN if the newest report of its motor is too old.  The time of the
-        joint states is the mean measurement time of all motors.
+        The position and the velocity of a joint are NaN if the newest report of the motor is too
+        old.  The time of the joint states is the mean measurement time of all motors.
         """
         for connection in self.connections:
             connection.receive(now)
@@ -140,7 +144,8 @@ class CanBase(BaseHandle):
         return JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
 
     def arm(self, commanded: bool) -> None:
-        """Allows motion if the base is ready and no motion is commanded (``commanded`` ``False``).
+        """Allows motion of the robot if the base is ready and if ``commanded`` is ``False`` (no
+        motion is commanded).
 
         A joystick that is deflected during the start-up cannot move the robot.
         """
@@ -177,9 +182,9 @@ class CanBase(BaseHandle):
     # -- inside --------------------------------------------------------------------------------
 
     def _set_targets(self, commands: JointCommands) -> bool:
-        """Sets the target values of all motors.
+        """Sets the target wheel speeds and target steering angles of all motors.
 
-        Returns ``False`` and changes no target if a command is not a finite number.
+        Returns ``False`` and keeps all previous targets if a joint command is not a finite number.
         """
         targets = [
             (commands.angles if axis.steering else commands.speeds)[axis.wheel]
@@ -192,7 +197,10 @@ class CanBase(BaseHandle):
         return True
 
     def _send_cycle(self, connection: BusConnection, intent: Intent, now: float) -> bool:
-        """Sends the frames of a cycle on one bus and returns ``True`` if all frames were sent."""
+        """Sends the CAN frames of a control cycle on one bus.
+
+        Returns ``True`` if all CAN frames were sent.
+        """
         state_machine = self.state_machine
         complete = True
         if state_machine.operational:
@@ -207,8 +215,8 @@ class CanBase(BaseHandle):
                 if not connection.send(frame, self._send_timeout):
                     complete = False
                     break
-            # SYNC is omitted if a command is missing, so that no drive applies an incomplete set of
-            # commands.
+            # The SYNC frame is not sent if a motor command could not be sent, so that the drives do
+            # not apply an incomplete set of commands.
             complete = complete and connection.send_sync(self._send_timeout)
         driving = state_machine.state.drives
         for frame in connection.occasional_frames(intent, now, state_machine.may_command, driving):

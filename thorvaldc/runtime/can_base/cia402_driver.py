@@ -40,7 +40,7 @@ _STEPS_TO_ENABLED = {
 
 
 class _AxisStateMachine:
-    """Power state machine of one motor, controlled by control word and status word.
+    """CiA 402 power state machine of one motor, which uses the control word and the status word.
 
     - ``mode``: mode of operation in which the motor follows its target;
     - ``reported_mode``: mode of operation in the newest report of the drive (object 0x6061).
@@ -71,7 +71,7 @@ class _AxisStateMachine:
 
     @property
     def may_recover(self) -> bool:
-        """``True`` if a fault reset is still allowed or in progress."""
+        """``True`` if a fault reset of the drive is allowed or in progress."""
         return self.reset_allowed or self.reset_cycles > 0
 
     def update(self, status_word: int, mode: int | None) -> None:
@@ -115,18 +115,21 @@ class _AxisStateMachine:
                 word |= START_HOMING
                 self.homing_cycles += 1
         elif mode == Mode.PROFILE_POSITION and self.reported_mode == mode:
-            # The drive accepts a new set-point at the rising edge of the bit NEW_SET_POINT.  The
-            # master sends a rising edge with the latest target in every second cycle, so one lost
-            # frame only delays the target.
+            # A CiA 402 drive accepts a new target position at a rising edge of the bit
+            # NEW_SET_POINT in the control word.  The bit NEW_SET_POINT rises in every second
+            # control cycle with the latest target position, so a lost CAN frame only delays the
+            # target position.
             self.set_point_bit = not self.set_point_bit
             word |= CHANGE_IMMEDIATELY | (NEW_SET_POINT if self.set_point_bit else 0)
         return word, mode
 
     def _reset_once(self) -> ControlWord:
-        """Returns the control word of a drive in FAULT: ``FAULT_RESET`` or ``DISABLE_VOLTAGE``.
+        """Returns the control word for a drive in the power state FAULT: ``FAULT_RESET`` or
+        ``DISABLE_VOLTAGE``.
 
-        The drive resets a fault at a rising edge of the bit FAULT_RESET.  One reset is allowed at
-        the start-up and one for each ``reset`` by the operator.
+        A CiA 402 drive resets a fault at a rising edge of the bit FAULT_RESET in the control word.
+        One fault reset of the drive is allowed at the start-up, and one for each ``reset`` by the
+        operator.
         """
         if self.reset_allowed:
             self.reset_allowed, self.reset_cycles = False, RESET_CYCLES
@@ -138,11 +141,12 @@ class _AxisStateMachine:
 class Cia402Controller(MotorController):
     """Driver of a CiA 402 motor controller with one or more channels.
 
-    The name of each signal is the name of the channel, an underscore and the name of the object.
-    The command signals of a channel are ``<channel>_controlword``, ``<channel>_mode_of_operation``,
-    and ``<channel>_target_velocity`` or ``<channel>_target_position``.  The report signals of a
-    channel are ``<channel>_statusword``, ``<channel>_mode_of_operation_display``,
-    ``<channel>_velocity`` and ``<channel>_position``.
+    The name of each CAN signal consists of the name of the channel, an underscore and the name of
+    the object.  The CAN signals that command a motor channel are ``<channel>_controlword``,
+    ``<channel>_mode_of_operation``, and ``<channel>_target_velocity`` or
+    ``<channel>_target_position``.  The CAN signals that a motor channel reports are
+    ``<channel>_statusword``, ``<channel>_mode_of_operation_display``, ``<channel>_velocity`` and
+    ``<channel>_position``.
     """
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
@@ -169,7 +173,7 @@ class Cia402Controller(MotorController):
     def _add_handler(self, codec: FrameCodec) -> None:
         """Adds a handler for the reports in the frame of ``codec``.
 
-        The signal indices are looked up here, not in every control cycle.
+        The indices of the CAN signals are looked up once, not in every control cycle.
         """
         readers = []
         for machine in self._machines:
@@ -257,8 +261,9 @@ class Cia402Controller(MotorController):
             axis = machine.axis
             follows = intent is Intent.FOLLOW and machine.enabled
             if axis.steering and not follows and math.isfinite(axis.position):
-                # While the drive is not enabled, the steering target is the measured angle.  When
-                # the drive is enabled, the steering does not jump to an old target.
+                # The target steering angle is the measured angle while the drive is not enabled.
+                # The steering joint therefore does not jump to an old target angle when the drive
+                # is enabled.
                 axis.target = axis.position
             target = axis.target if axis.steering or follows else 0.0
             values = [

@@ -1,20 +1,21 @@
-"""Relays frames between other programs and foreign devices on the robot's bus.
+"""Relays CAN frames between other programs and foreign devices on the robot's bus.
 
-The relay passes only frames whose identifiers the robot file lists.  The robot file can also state
-a minimum interval between the frames of an identifier.
+Only CAN frames whose identifiers are listed in the robot file are relayed.  The robot file can
+limit the rate of a relayed CAN identifier with a minimum interval between the frames.
 
-The relay limits the rate of an identifier with the minimum interval T by a due time.  A frame is
-dropped if it arrives more than T/2 before the due time.  Each passed frame changes the due
-time to max(due time, arrival time) + T:
+For each CAN identifier with a minimum interval T, the relay stores the time at which the next frame
+is due.  A CAN frame is dropped if it arrives more than half the minimum interval before the due
+time.  After each relayed frame the due time is max(due time, arrival time) + T, where T is the
+minimum interval:
 
     due times   |                   |                   |                   |
     arrivals    x         x    -               x             -      x
 
     x: the frame passes;  -: the frame is dropped, because the due time is more than T/2 away
 
-The relay therefore tolerates a jitter of half an interval.  The mean rate never exceeds 1/T,
-because the due time after an early frame is counted from the old due time, not from the early
-arrival.
+The relay tolerates a jitter of half the minimum interval.  The mean rate of the relayed frames
+never exceeds one frame per minimum interval, because after an early frame the next due time is
+counted from the old due time, not from the early arrival.
 """
 
 from __future__ import annotations
@@ -41,11 +42,11 @@ class RelayedFrame(NamedTuple):
 
 
 class Relay:
-    """Relays frames between other programs and the foreign devices on one bus.
+    """Relays CAN frames between other programs and the foreign devices on one bus.
 
-    ``passed`` counts the relayed frames by identifier.  ``dropped`` counts the dropped frames by
-    identifier and reason: ``not allowed``, ``too often``, ``too long``, ``muted``, ``queue full``,
-    ``not sent``.
+    ``passed``: number of relayed CAN frames by identifier.  ``dropped``: number of dropped CAN
+    frames by identifier and reason, which is ``not allowed``, ``too often``, ``too long``,
+    ``muted``, ``queue full`` or ``not sent``.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -60,9 +61,9 @@ class Relay:
         self._due: dict[int, float] = {}
 
     def offer(self, frame: CanFrame, now: float) -> str:
-        """Queues a frame from another program for a foreign device.
+        """Queues a CAN frame from another program for a foreign device.
 
-        Returns the reason if the frame is dropped, or an empty text if the frame is queued.
+        Returns the reason if the CAN frame is dropped, or an empty text if the CAN frame is queued.
         """
         definition = self.to_device.get(frame.id)
         reason = ""
@@ -83,9 +84,9 @@ class Relay:
         return reason
 
     def take(self, cob_id: int, data: bytes, time: float) -> None:
-        """Queues a received frame of a foreign device for other programs.
+        """Queues a CAN frame received from a foreign device for other programs.
 
-        If the queue is full, the oldest frame in the queue is dropped.
+        If the queue is full, the oldest CAN frame in the queue is dropped.
         """
         definition = self.from_device.get(cob_id)
         if definition is None:
@@ -100,13 +101,14 @@ class Relay:
         self.passed[cob_id] += 1
 
     def next_outgoing(self) -> CanFrame | None:
-        """Removes and returns the oldest frame to send, or ``None`` if the queue is empty."""
+        """Removes and returns the oldest CAN frame in the queue of frames to send, or returns
+        ``None`` if the queue is empty."""
         return self._outgoing.popleft() if self._outgoing else None
 
     def count_sent(self, frame: CanFrame, sent: bool) -> None:
-        """Counts a frame of ``next_outgoing`` as passed or dropped.
+        """Counts a CAN frame returned by ``next_outgoing`` as relayed or dropped.
 
-        ``sent`` is ``False`` if the CAN interface did not accept the frame.
+        ``sent``: ``False`` if the CAN interface did not accept the CAN frame.
         """
         if sent:
             self.passed[frame.id] += 1
@@ -114,25 +116,27 @@ class Relay:
             self.dropped[frame.id, "not sent"] += 1
 
     def received(self) -> list[RelayedFrame]:
-        """Returns the frames received from foreign devices since the last call of ``received``."""
+        """Returns the CAN frames received from foreign devices since the last call of
+        ``received``."""
         frames = list(self._incoming)
         self._incoming.clear()
         return frames
 
     def mute(self, muted: bool) -> None:
-        """Starts or ends the muting of the relay.
+        """Mutes or unmutes the relay of CAN frames.
 
-        While the relay is muted, no frames are sent to foreign devices, and queued frames are
-        dropped.
+        A muted relay sends no CAN frames to foreign devices and drops the queued CAN frames.
         """
         self.muted = muted
         while muted and self._outgoing:
             self.dropped[self._outgoing.popleft().id, "muted"] += 1
 
     def _within_rate(self, cob_id: int, interval: float | None, now: float) -> bool:
-        """Returns ``True`` if a frame passes the rate limit, and updates the due time.
+        """Returns ``True`` if a CAN frame is within the rate limit of its identifier, and updates
+        the due time.
 
-        ``interval`` is the minimum interval (s) between two frames, or ``None`` for no limit.
+        ``interval``: minimum interval (s) between two CAN frames of the identifier, or ``None`` for
+        no limit.
         """
         if interval is None:
             return True

@@ -1,4 +1,4 @@
-"""Receives frames from a CAN interface for the control cycle."""
+"""Receives CAN frames for the control cycle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STOP_CHECK = 0.1
 
 
 class Event(NamedTuple):
-    """A received frame that must not be skipped, such as a heartbeat or an EMCY message."""
+    """A received CAN frame that must not be skipped, such as a heartbeat or an EMCY message."""
 
     time: float
     cob_id: int
@@ -26,7 +26,7 @@ class Event(NamedTuple):
 
 
 class LatestFrame(NamedTuple):
-    """The newest received frame of an identifier.
+    """The newest received CAN frame with a given identifier.
 
     - ``time``: time of reception (s);
     - ``data``: data bytes of the frame;
@@ -39,15 +39,15 @@ class LatestFrame(NamedTuple):
 
 
 class FrameReceiver:
-    """Receives frames from a CAN interface, in a separate thread or in the method ``drain``.
+    """Receives CAN frames in a separate thread or in the method ``drain``.
 
     - ``latest``: newest frame of each identifier, which is sufficient for periodic reports;
     - ``received``: number of received data frames with standard identifier;
     - ``dropped``: number of events that were lost because the event queue was full;
     - ``ignored``: number of extended and remote frames, which CANopen does not use.
 
-    Frames whose identifiers are in the parameter ``events`` are also put into the event queue.  If
-    the event queue is full, the oldest event is dropped.
+    CAN frames whose identifiers are in the parameter ``events`` are also put into the event queue.
+    If the event queue is full, the oldest CAN frame in the event queue is dropped.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class FrameReceiver:
         self._stopping = threading.Event()
 
     def start(self) -> None:
-        """Starts the thread that receives frames."""
+        """Starts the thread that receives CAN frames."""
         self._thread = threading.Thread(target=self._run, name="CAN receiver", daemon=True)
         self._thread.start()
 
@@ -79,9 +79,10 @@ class FrameReceiver:
             self._thread = None
 
     def drain(self) -> list[Event]:
-        """Returns the events since the last call of ``drain``, the oldest event first.
+        """Returns the CAN frames of the event queue since the last call of ``drain``, the oldest
+        first.
 
-        If the receiving thread was not started, ``drain`` first receives all frames from the CAN
+        If the receiving thread was not started, ``drain`` first reads all CAN frames from the CAN
         interface.
         """
         if self._thread is None and not self.lost:

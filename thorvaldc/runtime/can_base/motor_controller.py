@@ -25,7 +25,7 @@ IN_POSITION = 0.01
 
 
 class Intent(enum.Enum):
-    """Request of the base to every motor controller in a control cycle.
+    """Request of the base to all motor controllers in a control cycle.
 
     - ``OFF``: the motors have no torque;
     - ``HOME``: the steering motors search their home positions and the wheels stand;
@@ -41,7 +41,7 @@ class Intent(enum.Enum):
 
 
 class Axis:
-    """Measurement and target of one motor of the base, at its joint.
+    """Measured position and velocity and the target of one motor of the base.
 
     - ``wheel``: index of the wheel in ``Robot.wheels``;
     - ``channel``: name of the motor controller's channel;
@@ -66,9 +66,10 @@ class Axis:
         self.homed = not self.steering
 
     def update(self, time: float, position: float, velocity: float | None = None) -> None:
-        """Stores a measurement.
+        """Stores a measured joint position (rad) and joint velocity (rad/s).
 
-        If ``velocity`` is ``None``, the velocity is computed from the last two positions.
+        If ``velocity`` is ``None``, the joint velocity is computed from the last two joint
+        positions.
         """
         if velocity is None:
             dt = time - self.time
@@ -84,12 +85,14 @@ class Axis:
 class MotorController(abc.ABC):
     """Base class of the driver of a motor controller on the CAN bus.
 
-    A driver never sends frames.  The methods of a driver return the frames to send, and ``CanBase``
-    sends the frames in the control cycle.  Received frames are passed to the functions in
-    ``handlers``.  All times are in seconds.
+    A motor controller driver never sends CAN frames.  The methods of a motor controller driver
+    return the CAN frames to send, and ``CanBase`` sends the CAN frames in the control cycle.
+    Received CAN frames are passed to the functions in the dictionary ``handlers``.  All times are
+    in seconds.
 
-    A Python package can add a driver with the entry-point group ``thorvaldc.motor_controllers``.
-    The name of the entry point is the protocol of the node.
+    A Python package can add a motor controller driver with the entry-point group
+    ``thorvaldc.motor_controllers``.  The name of the Python entry point is the protocol of the
+    motor controller node.
     """
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
@@ -106,15 +109,15 @@ class MotorController(abc.ABC):
 
     @abc.abstractmethod
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
-        """Returns the frames that are sent in every control cycle.
+        """Returns the CAN frames that are sent in every control cycle.
 
-        Raises ``ValueError`` if a target value is not finite.
+        Raises ``ValueError`` if a target speed or a target angle is not finite.
         """
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
-        """Returns a frame that is not sent in every cycle, or ``None``.
+        """Returns a CAN frame that is not sent in every control cycle, or ``None``.
 
-        A control cycle has room for only a few occasional frames on each bus.
+        Only a few occasional CAN frames can be sent on each bus in a control cycle.
         """
         return None
 
@@ -131,35 +134,37 @@ class MotorController(abc.ABC):
     @property
     @abc.abstractmethod
     def problem(self) -> str:
-        """Device errors that must stop the robot, or an empty text."""
+        """Device errors of the motor controller that must stop the robot, or an empty text."""
 
     @property
     def power_loss(self) -> str:
-        """Reason why the power stage is off, or an empty text if the power stage is on.
+        """Reason why the power stage of the motor controller is off, or an empty text if it is on.
 
-        The most common reason is a pressed emergency stop button.
+        The most common reason for a power stage that is off is a pressed emergency stop button.
         """
         return ""
 
     def identity_mismatch(self) -> str | None:
-        """Returns the mismatch between the identity of the device and the robot file.
+        """Returns a message if the identity of the device does not match the robot file.
 
-        Returns an empty text if the identity matches.  Returns ``None`` if the device has not
-        reported its identity yet.
+        Returns an empty text if the identity of the device matches the robot file.  Returns
+        ``None`` if the device has not reported its identity yet.
         """
         return ""
 
     def expected_objects(self) -> Iterator[ObjectValue]:
-        """Yields the objects whose values in the device must match the robot file."""
+        """Yields the object dictionary entries whose values in the device must match the robot
+        file."""
         return iter(())
 
     @abc.abstractmethod
     def allow_reset(self) -> None:
-        """Allows one reset of a device error, after a request of the operator."""
+        """Allows one reset of a device error of the motor controller, after a request of the
+        operator."""
 
     @property
     def needs_restart(self) -> bool:
-        """``True`` if only an NMT reset of the node clears the device error."""
+        """``True`` if the device error can be cleared only by an NMT reset of the node."""
         return False
 
     # -- common ------------------------------------------------------------------------------------
@@ -170,12 +175,15 @@ class MotorController(abc.ABC):
 
     @property
     def standing(self) -> bool:
-        """``True`` if no wheel turns faster than ``STANDING``; unmeasured wheels are ignored."""
+        """``True`` if no wheel turns faster than ``STANDING``.
+
+        Wheels without a measured speed are ignored.
+        """
         return all(not abs(axis.velocity) > STANDING for axis in self.axes if not axis.steering)
 
     @property
     def in_position(self) -> bool:
-        """``True`` if every steering joint has reached its target angle and stands."""
+        """``True`` if every steering joint has reached its target angle and does not move."""
         return all(
             abs(axis.position - axis.target) < IN_POSITION and abs(axis.velocity) < STANDING
             for axis in self.axes
@@ -183,7 +191,7 @@ class MotorController(abc.ABC):
         )
 
     def handle_restart(self) -> None:
-        """Resets the state of the driver after a boot-up message of the node."""
+        """Resets the state of the motor controller driver after a boot-up message of the node."""
         self.error_code = 0
         for axis in self.axes:
             axis.lose_reference()
@@ -209,8 +217,8 @@ class MotorController(abc.ABC):
     def setting_frame(self, name: str, value: float) -> CanFrame:
         """Returns the CAN frame that changes a setting of the motor controller.
 
-        ``value`` is in the unit that the motor controller uses for the setting.  Raises
-        ``ValueError`` if the setting ``name`` does not exist or does not accept the value.
+        ``value``: new value of the setting, in the unit that the motor controller uses.  Raises
+        ``ValueError`` if the motor controller has no setting ``name`` or does not accept the value.
         """
         raise ValueError(f"{self.node.name} has no setting `{name}`")
 
@@ -221,8 +229,8 @@ class MotorController(abc.ABC):
     def set_zero_frame(self) -> CanFrame | None:
         """Returns the CAN frame that defines the present steering angle as zero.
 
-        The new zero angle is valid after the next homing.  Returns ``None`` if the motor controller
-        does not support a change of the zero angle.
+        The new zero of the steering angle is valid after the next homing.  Returns ``None`` if the
+        motor controller cannot change the zero of the steering angle.
         """
         return None
 
@@ -231,9 +239,10 @@ class MotorController(abc.ABC):
 
 
 def node_codecs(bus: Bus, node: Node) -> dict[str, FrameCodec]:
-    """Returns the codecs of the frames from a node and of the frames to this node only.
+    """Returns the codecs of the CAN frames that a node sends, and of the CAN frames that are sent
+    to this node only.
 
-    The keys are the names of the frames without the name of the node, for example ``tpdo1``.
+    The codecs are returned by CAN frame name without the name of the node, for example ``tpdo1``.
     """
     return {
         frame.name.removeprefix(f"{node.name}_"): FrameCodec(frame)
@@ -275,7 +284,8 @@ PLUGINS: PluginTable[MotorController] = PluginTable(
 def controller_class(node: Node) -> type[MotorController]:
     """Returns the class of the motor controller driver for the protocol of a node.
 
-    Raises ``DiagnosticError`` (``bus-driver-unknown``) if there is no driver for the protocol.
+    Raises ``DiagnosticError`` (``bus-driver-unknown``) if there is no motor controller driver for
+    the protocol.
     """
     controller = driver_class(PLUGINS, node)
     if controller is None:
@@ -290,7 +300,8 @@ def controller_class(node: Node) -> type[MotorController]:
 
 
 def driver_class(plugins: PluginTable[T], node: Node) -> type[T] | None:
-    """Returns the driver class for the protocol of a node, or ``None`` if there is no driver.
+    """Returns the driver class for the protocol of a node, or ``None`` if no driver supports the
+    protocol.
 
     Raises ``DiagnosticError`` (``bus-driver-unknown``) if the driver class cannot be used.
     """

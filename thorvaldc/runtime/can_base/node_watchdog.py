@@ -1,7 +1,7 @@
 """Detects motor controllers that restart, leave OPERATIONAL, or stop sending.
 
-The watchdog reports a missing heartbeat or a missing report as a problem.  After a problem the
-state machine of the base (``base_state_machine``) enters FAULT.
+The watchdog detects missing heartbeats and missing reports of the motor controllers.  If the
+watchdog detects a problem, the state machine of the base enters the state FAULT.
 
     heartbeat   |----T----|----T----|
     received    x         x         (nothing)                   T: period of the node, 100 ms
@@ -12,8 +12,9 @@ state machine of the base (``base_state_machine``) enters FAULT.
     received    x   x   (nothing)                               T: sync period, 20 ms
     age         0   0   T   2T  2.5T --> "no tpdo1 for ... ms"
 
-The watchdog tolerates one missing report, but not two missing reports in a row.  After a late
-control cycle the watchdog does not check for silence, because received frames may still be unread.
+The watchdog tolerates one missing report of a motor controller, but not two missing reports in a
+row.  After a late control cycle the watchdog does not check for missing reports, because received
+CAN frames may not have been read yet.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Heartbeat(NamedTuple):
 
 
 class _Report(NamedTuple):
-    """A periodic PDO of a motor controller.
+    """A PDO that a motor controller sends periodically.
 
     - ``cob_id``: COB-ID of the PDO;
     - ``name``: name of the PDO, for example ``tpdo1``;
@@ -60,9 +61,9 @@ class _Report(NamedTuple):
 class NodeWatchdog:
     """Watchdog for the motor controllers of one CAN bus.
 
-    The parameter ``latest`` contains the newest frame of each identifier.  Heartbeats and boot-up
-    messages are always evaluated.  Missing heartbeats and missing reports are detected only between
-    ``start`` and ``stop``.
+    ``latest``: newest received CAN frame of each identifier.  Heartbeats and boot-up messages of
+    the nodes are always evaluated.  Missing heartbeats and missing reports are detected only after
+    ``start`` and before ``stop``.
     """
 
     def __init__(
@@ -89,13 +90,19 @@ class NodeWatchdog:
     # -- input -------------------------------------------------------------------------------------
 
     def begin_cycle(self, now: float) -> None:
-        """Measures the time since the last control cycle; called before frames are read."""
+        """Measures the time since the last control cycle.
+
+        Must be called before the received CAN frames are read.
+        """
         late = now - self._last_cycle > LATE_CYCLE * self._cycle_period
         self._late_cycles = self._late_cycles + 1 if late else 0
         self._last_cycle = now
 
     def take_heartbeat(self, cob_id: int, data: bytes, time: float) -> None:
-        """Stores a heartbeat; after a boot-up message, resets the driver of the node."""
+        """Stores a heartbeat of a node.
+
+        After a boot-up message, the driver of the node is reset.
+        """
         if not data:
             return
         name, state = self.heartbeat_frames[cob_id].producer, heartbeat_state(data)
@@ -107,7 +114,7 @@ class NodeWatchdog:
     def start(self, now: float) -> None:
         """Starts to detect missing heartbeats and reports at ``now`` (s).
 
-        Restarts of nodes before ``now`` are ignored.
+        Restarts of motor controllers before ``now`` are ignored.
         """
         self._started_at = now
         self._restarted.clear()
@@ -124,19 +131,21 @@ class NodeWatchdog:
         return controller.problem or self._silence(controller, now)
 
     def is_silent(self, controller: MotorController) -> bool:
-        """Returns ``True`` if a node with a heartbeat definition has never sent a heartbeat."""
+        """Returns ``True`` if a node that must send heartbeats has never sent a heartbeat."""
         name = controller.node.name
         return name in self._heartbeat_of and name not in self._heartbeats
 
     def has_all_reports(self, controller: MotorController) -> bool:
-        """Returns ``True`` if each periodic report of the controller was received at least once."""
+        """Returns ``True`` if each periodic report of the motor controller was received at least
+        once."""
         return all(r.cob_id in self._latest for r in self._reports[controller.node.name])
 
     def is_in_state(self, controller: MotorController, state: NmtState, since: float) -> bool:
-        """Returns ``True`` if the newest heartbeat reports ``state`` and is later than ``since``.
+        """Returns ``True`` if the newest heartbeat of a node reports the NMT state ``state`` and
+        was received after ``since``.
 
-        ``since`` is a time in seconds.  Returns ``True`` for a node without heartbeat, because the
-        NMT state of such a node cannot be checked.
+        ``since``: time (s) after which the heartbeat must be received.  Returns ``True`` for a node
+        without heartbeat, because the NMT state of such a node cannot be checked.
         """
         name = controller.node.name
         if name not in self._heartbeat_of:
@@ -149,7 +158,7 @@ class NodeWatchdog:
     def _silence(self, controller: MotorController, now: float) -> str:
         """Returns a message about a missing heartbeat or report, or about a wrong NMT state.
 
-        Returns an empty text if there is no problem.
+        Returns an empty text if the watchdog has detected no problem.
         """
         since = self._started_at
         if since == math.inf or 0 < self._late_cycles <= LATE_CYCLES:

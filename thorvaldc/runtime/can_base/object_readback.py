@@ -1,4 +1,4 @@
-"""Reads objects of a node by SDO and compares the values with the robot file."""
+"""Reads object dictionary entries of a node by SDO and compares the values with the robot file."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ TRIES = 3
 
 
 class ObjectReadback:
-    """Reads the objects of a node one after another and compares the values.
+    """Reads object dictionary entries of a node one after another, and compares the values with the
+    robot file.
 
-    All objects are numbers of up to 4 bytes, so each object needs one request and one response
-    (expedited SDO transfer).  The comparison ends at the first mismatch.  The values of
-    the objects are never changed.
+    All object dictionary entries are numbers of up to 4 bytes, so each entry is read with one
+    expedited SDO transfer.  The comparison of the object dictionary ends at the first mismatch.
+    The values in the object dictionary are never changed.
     """
 
     def __init__(self, request: int, response: int, expected: Iterable[ObjectValue]) -> None:
-        """Prepares the comparison of the ``expected`` objects.
+        """Prepares the comparison of the object dictionary entries in ``expected``.
 
-        ``request`` and ``response`` are the COB-IDs of the SDO requests and responses of the node.
+        ``request``: COB-ID of the SDO requests to the node.  ``response``: COB-ID of the SDO
+        responses of the node.
         """
         self.request = request
         self.response = response
@@ -42,7 +44,7 @@ class ObjectReadback:
     def next_request(self, now: float) -> CanFrame | None:
         """Returns the next SDO request.
 
-        Returns ``None`` while a response is awaited, and after the comparison has finished.
+        Returns ``None`` while an SDO response is awaited, and after the comparison has finished.
         """
         waiting = self._requested_at is not None and now - self._requested_at < ANSWER_TIME
         if self.finished or waiting:
@@ -58,7 +60,7 @@ class ObjectReadback:
     def take_response(self, data: bytes) -> None:
         """Compares the value in an SDO response with the expected value.
 
-        A response for an object that was not requested is ignored.
+        An SDO response for an object that was not requested is ignored.
         """
         if self.finished or self._requested_at is None or len(data) < 8:
             return

@@ -1,8 +1,8 @@
 """Driver of the Thorvald's motor controller, a Roboteq FBL2360 with the Thorvald script.
 
 The Roboteq motor controller has two channels: one propulsion and one steering motor, or two
-propulsion motors.  The script uses CANopen messages, but not the drive profile CiA 402.  The PDOs
-contain variables of the script:
+propulsion motors.  The Thorvald script on the Roboteq controller uses CANopen messages, but not the
+drive profile CiA 402.  PDOs of the Thorvald script and the script variables that each PDO contains:
 
     RPDO 1  every cycle   sequence number, speed of channel 1
     RPDO 2  on request    number of a setting, value
@@ -13,9 +13,10 @@ contain variables of the script:
     TPDO 3  100 ms        flags (device errors), temperature, voltage
     TPDO 4  slow          one of several constants in turn: configuration, version, encoders
 
-The script sends no confirmation of a command.  The script stops the wheels 0.5 s after the last new
-sequence number.  The driver compares the measured joint motion with the commands to detect a motor
-that does not follow (``_supervise``).
+The Thorvald script on the Roboteq controller does not confirm motor commands.  The Thorvald script
+stops the wheels 0.5 s after the last motor command with a new sequence number.  To detect a motor
+that does not follow its commands, the driver compares the measured joint motion with the commands
+(``_supervise``).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis, Intent, MotorController
 
-# Modes of a motor controller channel.
+# Operating modes of a channel of the Roboteq motor controller.
 DRIVE, HOME, DECOUPLED = 0, 1, 2
 # Bits of the configuration word in TPDO 4.
 HOMED, HOMING = 0x01, 0x02
@@ -89,7 +90,8 @@ class RoboteqScriptController(MotorController):
     # -- reports -------------------------------------------------------------------------------
 
     def _signals_of_axes(self) -> Iterator[tuple[Axis, int | None, int | None]]:
-        """Yields each axis with the indices of its position and velocity signals in TPDO 1."""
+        """Yields each motor axis with the indices of the position signal and the velocity signal in
+        TPDO 1."""
         frame = self.codecs["tpdo1"].frame
         for axis in self.axes:
             signals = [(i, s) for i, s in enumerate(frame.signals) if s.joint == axis.joint]
@@ -160,7 +162,8 @@ class RoboteqScriptController(MotorController):
 
     @property
     def power_loss(self) -> str:
-        # After a motor stall the power stage is off too, but a stall is a device error.
+        # The power stage is also off after a motor stall, but a motor stall is reported as a device
+        # error.
         if self._flags.get("power_stage_off") and not self._flags.get("stall"):
             return "the power stage is off"
         return ""
@@ -170,7 +173,8 @@ class RoboteqScriptController(MotorController):
         return bool(self.problem)
 
     def identity_mismatch(self) -> str | None:
-        """Compares the script version, script type and encoder pulses with the robot file."""
+        """Compares the script version, the script type and the encoder pulses with the robot
+        file."""
         reported = self._constants
         properties = dict(self.node.properties)
         if "version_major" not in reported or self._flags_at == -math.inf:
@@ -216,11 +220,12 @@ class RoboteqScriptController(MotorController):
         self._homing_failed = False
 
     def _supervise(self, follows: bool, now: float) -> None:
-        """Detects motors that deviate from their targets, and stores the start of each deviation.
+        """Detects motors that deviate from their target speeds or target angles, and stores the
+        start time of each deviation.
 
-        The wheel speed follows its target with a ramp and a delay.  Every wheel speed between
-        the lowest and the highest target of the last ``DEVIATION_TIME`` seconds is accepted.  A
-        steering joint that stands away from its target angle counts as deviating.
+        A wheel speed follows its target speed with a ramp and a delay.  A wheel speed is accepted
+        if it is between the lowest and the highest target speed of the last ``DEVIATION_TIME``
+        seconds.  A steering joint deviates if it stands still and has not reached its target angle.
         """
         for axis in self.axes:
             if not follows:
@@ -241,8 +246,8 @@ class RoboteqScriptController(MotorController):
                 lowest -= max(RELATIVE_DEVIATION * abs(lowest), SPEED_DEVIATION)
                 highest += max(RELATIVE_DEVIATION * abs(highest), SPEED_DEVIATION)
                 deviates = not lowest <= axis.velocity <= highest
-                # All targets of the last DEVIATION_TIME are accepted, so the deviation of a wheel
-                # speed may last only SPEED_DEVIATION_TIME.
+                # A deviation of a wheel speed may last only SPEED_DEVIATION_TIME, because all
+                # target speeds of the last DEVIATION_TIME seconds are already accepted.
                 since -= DEVIATION_TIME - SPEED_DEVIATION_TIME
             if deviates:
                 self._deviating_since.setdefault(axis.channel, since)
@@ -265,7 +270,8 @@ class RoboteqScriptController(MotorController):
         if second is not None and not second.steering:
             frames.append(self._speed_frame("rpdo4", second, follows))
         elif second is not None and second.homed and intent is not Intent.HOME:
-            # Before the homing the zero angle is unknown, so no steering angle is commanded.
+            # No steering angle is commanded before the homing, because the zero of the steering
+            # angle is unknown.
             if intent is Intent.OFF:
                 second.target = second.position
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
@@ -282,10 +288,12 @@ class RoboteqScriptController(MotorController):
         return CanFrame(codec.cob_id, codec.encode(values))
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
-        """Returns the frame with a new TPDO 4 period or with the channel modes, or ``None``.
+        """Returns a CAN frame with a new period of TPDO 4 or with the modes of the motor channels,
+        or ``None``.
 
-        The channel modes are sent after a change, and again after ``MODE_REPEAT`` seconds.  The
-        homing mode is not sent again, because the mode would restart the homing.
+        The modes of the motor channels are sent after a change, and again after ``MODE_REPEAT``
+        seconds.  The homing mode is sent only once, because a second frame with the homing mode
+        would restart the homing.
         """
         fast = intent in (Intent.OFF, Intent.HOME)
         if fast is not self._fast_constants and "tpdo4" in self.codecs:
@@ -300,7 +308,8 @@ class RoboteqScriptController(MotorController):
             return None
         if homing and modes != self._modes:
             self._home_commanded = True
-            # Reports in the next two periods of TPDO 4 may still describe the previous homing.
+            # After the start of a homing, reports in the next two periods of TPDO 4 may still
+            # describe the previous homing.
             self._home_reports_from = now + 2.0 * FAST_CONSTANTS / 1000.0
             self._homing_failed = False
         self._modes, self._modes_sent_at = modes, now
@@ -329,9 +338,10 @@ class RoboteqScriptController(MotorController):
     def set_zero_frame(self) -> CanFrame | None:
         """Returns the CAN frame that defines the present steering angle as zero.
 
-        The script stores the zero angle as a home count, but does not report the home count.  The
-        new home count is computed from the last home count that this driver has sent.  The
-        driver assumes that the first home count is 0.
+        The Thorvald script stores the zero of the steering angle as an encoder count (home count),
+        but does not report the home count.  The new home count of the steering encoder is computed
+        from the last home count that the driver has sent.  The driver assumes that the home count
+        of the steering encoder is 0 before the first change.
         """
         steering = next((axis for axis in self.axes if axis.steering), None)
         if steering is None or "home_count" not in self.setting_names():

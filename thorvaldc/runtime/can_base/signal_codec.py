@@ -22,14 +22,15 @@ _FORMATS = {
 
 
 class FrameCodec:
-    """Encoder and decoder for the signals of one frame definition.
+    """Encodes and decodes the signals of one CAN frame definition.
 
-    All signals are little endian.  The value of a signal is the physical value
-    ``raw * scale + offset``.  The values of a frame are in the order of ``frame.signals``.  A
-    signal with scale 1 and offset 0 has integer values.
+    All CAN signals are little endian.  The physical value of a CAN signal is ``raw * scale +
+    offset``, where ``raw`` is the integer in the data of the CAN frame.  Lists of signal values
+    have the order of ``frame.signals``.  The physical value of a CAN signal with scale 1 and offset
+    0 is an integer.
 
-    A frame whose signals start and end at byte boundaries is converted by one call of ``struct``,
-    which is fast.  A frame with a signal across byte boundaries is converted with shifts and masks.
+    A CAN frame whose signals start and end at byte boundaries is converted by one fast call of
+    ``struct``.  A CAN frame with other signals is converted with shifts and masks.
     """
 
     def __init__(self, frame: FrameDefinition) -> None:
@@ -55,10 +56,11 @@ class FrameCodec:
         self._multiplexer = next((i for i, s in enumerate(frame.signals) if s.multiplexer), None)
 
     def decode(self, data: bytes) -> list[float]:
-        """Returns the values of all signals in the data of a frame.
+        """Returns the physical values of all signals in the data of a CAN frame.
 
-        The returned list also contains the signals that the multiplexer does not select.  Surplus
-        bytes are ignored.  Raises ``ValueError`` if ``data`` is too short.
+        The returned list also contains the values of signals that the multiplexer signal does not
+        select.  Surplus bytes in the data of the CAN frame are ignored.  Raises ``ValueError`` if
+        ``data`` is shorter than the CAN frame definition.
         """
         if len(data) < self.length:
             raise ValueError(f"{self.frame.name} has {len(data)} bytes, not {self.length}")
@@ -68,18 +70,18 @@ class FrameCodec:
             values = list(raw) if self._order is None else [raw[i] for i in self._order]
         else:
             bits = int.from_bytes(data[: self.length], "little")
-            # `(x ^ sign) - sign` extends the sign bit of a signed field.  For an unsigned field
-            # `sign` is 0.
+            # The expression `(x ^ sign) - sign` extends the sign bit of a signed integer field.
+            # For an unsigned integer field `sign` is 0.
             values = [((bits >> start & mask) ^ sign) - sign for start, mask, sign in self._fields]
         for i, scale, offset in self._linear:
             values[i] = values[i] * scale + offset
         return values
 
     def decode_named(self, data: bytes) -> dict[str, float]:
-        """Returns the values of the selected signals by name.
+        """Returns the physical values of the signals in the data of a CAN frame by signal name.
 
-        If the frame has a multiplexer signal, its value selects the signals.  Raises ``ValueError``
-        if ``data`` is too short.
+        If the CAN frame has a multiplexer signal, only the signals that the multiplexer selects are
+        returned.  Raises ``ValueError`` if ``data`` is shorter than the CAN frame definition.
         """
         values = self.decode(data)
         if self._multiplexer is None:
@@ -92,11 +94,11 @@ class FrameCodec:
         }
 
     def encode(self, values: Sequence[float]) -> bytes:
-        """Returns the data of a frame with the given signal values.
+        """Returns the data of a CAN frame with the given signal values.
 
-        ``values`` contains one value for each signal, in the order of ``frame.signals``.  A value
-        outside the bounds of its signal is limited to the nearest bound.  Raises ``ValueError`` if
-        a value is NaN or infinite, because no bound is a safe replacement for such a value.
+        ``values``: one physical value for each signal, in the order of ``frame.signals``.  A value
+        outside the limits of the CAN signal is replaced by the nearest limit.  Raises
+        ``ValueError`` if a signal value is NaN or infinite, because no limit is a safe replacement.
         """
         raw = []
         for value, signal, (lowest, highest), (minimum, maximum) in zip(
@@ -109,7 +111,7 @@ class FrameCodec:
             if maximum is not None and value > maximum:
                 value = maximum
             rounded = round((value - signal.offset) / signal.scale)
-            # A conditional expression is faster than min() and max() in this innermost loop.
+            # Conditional expressions are used because min() and max() would be slower.
             raw.append(lowest if rounded < lowest else highest if rounded > highest else rounded)
         if self._struct is not None:
             if self._order is not None:
@@ -124,25 +126,26 @@ class FrameCodec:
         return bits.to_bytes(self.length, "little")
 
     def encode_named(self, values: Mapping[str, float]) -> bytes:
-        """Returns the data of a frame with the given signal values by name.
+        """Returns the data of a CAN frame with the given signal values by name.
 
-        A signal that is missing in ``values`` has the raw value 0.
+        The raw value of a CAN signal that is missing in ``values`` is 0.
         """
         return self.encode([values.get(s.name, s.offset) for s in self._signals])
 
 
 def _raw_range(signal: Signal) -> tuple[int, int]:
-    """Returns the lowest and the highest raw value that the bits of a signal can represent."""
+    """Returns the lowest and the highest integer that the bits of a CAN signal can represent."""
     if signal.signed:
         return -(1 << signal.length - 1), (1 << signal.length - 1) - 1
     return 0, (1 << signal.length) - 1
 
 
 def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
-    """Returns a ``struct`` for the frame, and the position of each signal in the ``struct``.
+    """Returns a ``struct.Struct`` for the data of a CAN frame, and the position of each signal in
+    the ``struct.Struct``.
 
-    The ``struct`` is ``None`` if a signal does not start and end at byte boundaries.  The positions
-    are ``None`` if the ``struct`` has the same order as the signals.
+    The ``struct.Struct`` is ``None`` if a signal does not start and end at byte boundaries.  The
+    positions are ``None`` if the ``struct.Struct`` has the same order as the signals.
     """
     by_start = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].start)
     text, end = "<", 0
