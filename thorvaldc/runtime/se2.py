@@ -169,15 +169,16 @@ def integrate(
     constant, the formula overestimates the variance.
     """
     dx, dy, angle = twist.vx * dt, twist.vy * dt, twist.wz * dt
+    sine = math.sin(angle)
     if abs(angle) < 1e-3:
-        p, q = angle / 6.0, 0.5
+        s, v, p, q = _sin_over(angle), _versin_over(angle), angle / 6.0, 0.5
     else:
-        p, q = (angle - math.sin(angle)) / (angle * angle), _versin_over(angle) / angle
+        v = _versin_over(angle)
+        s, p, q = sine / angle, (angle - sine) / (angle * angle), v / angle
     d2 = dt * dt
     if correlation > 0.0:
         d2 /= math.tanh(dt / (2.0 * correlation))
-    s, v = _sin_over(angle), _versin_over(angle)
-    turn = Turn(math.cos(angle), math.sin(angle), s, v, p, q)
+    turn = (math.cos(angle), sine, s, v, p, q)
     motion = Pose2(s * dx - v * dy, v * dx + s * dy, angle)
     return motion, propagated(covariance, twist_covariance, dx, dy, turn, d2)
 
@@ -196,11 +197,19 @@ class Turn(NamedTuple):
     c2: Any  # (1 - cos a) / a^2
 
 
-def propagated(covariance: Cov3, noise: Cov3, dx: Any, dy: Any, turn: Turn, d2: Any) -> Cov3:
+def propagated(
+    covariance: Cov3,
+    noise: Cov3,
+    dx: Any,
+    dy: Any,
+    turn: tuple[Any, Any, Any, Any, Any, Any],
+    d2: Any,
+) -> Cov3:
     """Computes the result of ``propagate`` for numbers or for arrays.
 
     - ``dx``, ``dy``: velocity multiplied by the time, m.
     - ``noise``: covariance Q of the twist.
+    - ``turn``: functions of the angle of the step, in the order of ``Turn``.
     - ``d2``: factor of Q, s^2.
     """
     c, s, sa, va, p, q = turn
