@@ -1,6 +1,6 @@
 """Backends write the files of a target, such as URDF, from the model of a robot.
 
-Each backend is one module and one row of the table ``TARGETS``.
+Each backend is one Python module and one row of the table ``TARGETS``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from thorvaldc.model.plugins import PluginFailure, PluginTable
 class Backend(abc.ABC):
     """A backend writes the files of one target.
 
-    A backend does not read files, the clock, random numbers or the environment. The same model
-    therefore always gives the same bytes.
+    A backend must not read files, the clock, random numbers or the environment. A backend therefore
+    always writes the same bytes for the same model.
 
     - ``name``: name of the target.
     - ``summary``: description of the target on one line.
@@ -29,12 +29,13 @@ class Backend(abc.ABC):
 
     @abc.abstractmethod
     def emit(self, robot: Robot) -> dict[str, bytes]:
-        """Return the files of one robot by their POSIX path relative to the build folder."""
+        """Return the output files of one robot by their POSIX path relative to the build folder."""
 
     def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
-        """Return the files of a fleet by their POSIX path relative to the build folder.
+        """Return the output files of a fleet by their POSIX path relative to the build folder.
 
-        By default, each robot of the fleet has its files in a folder with the name of the robot.
+        By default, the output files of each robot of the fleet are in a folder with the robot's
+        name.
         """
         return {
             f"{placement.name}/{path}": data
@@ -43,15 +44,16 @@ class Backend(abc.ABC):
         }
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        """Return a diagnostic for each property of the robot that the format cannot express."""
+        """Return a diagnostic for each property of the robot that the output format cannot
+        express."""
         return ()
 
 
 class Target(NamedTuple):
     """A built-in target.
 
-    - ``backend``: class of the backend as ``"module:class"``. The backend class contains the name
-      and the summary of the target.
+    - ``backend``: class of the backend as ``"module:class"``. The backend class has the name and a
+      summary of the target as attributes.
     - ``default``: true if ``build`` writes the target by default.
     """
 
@@ -59,7 +61,7 @@ class Target(NamedTuple):
     default: bool = True
 
 
-# All built-in targets, in the order in which ``build`` reports the targets.
+# All built-in build targets, in the order in which ``build`` prints the targets.
 TARGETS: dict[str, Target] = {
     "urdf": Target("thorvaldc.backends.urdf:Urdf"),
     "mjcf": Target("thorvaldc.backends.mjcf:Mjcf"),
@@ -73,24 +75,24 @@ PLUGINS: PluginTable[Backend] = PluginTable(
 
 
 class TargetError(KeyError):
-    """The target does not exist, or its backend cannot be used.
+    """Error: the build target does not exist, or its backend cannot be used.
 
-    The error message gives the reason.
+    The error message says why the backend cannot be used.
     """
 
     def __str__(self) -> str:
-        return str(self.args[0])  # ``KeyError`` would show the message in quotes
+        return str(self.args[0])  # The text of a ``KeyError`` would contain the message in quotes.
 
 
 def names() -> list[str]:
-    """Return the names of all built-in targets and plug-ins in alphabetical order."""
+    """Return the names of all build targets in alphabetical order."""
     return PLUGINS.names()
 
 
 def load(name: str) -> Backend:
-    """Return the backend of a target.
+    """Return the backend of the build target ``name``.
 
-    Raises ``TargetError`` if the target does not exist or if its backend cannot be used.
+    Raises ``TargetError`` if the build target does not exist or its backend cannot be used.
     """
     backend_class = PLUGINS.load(name)
     if isinstance(backend_class, PluginFailure):

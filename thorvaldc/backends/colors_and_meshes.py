@@ -1,4 +1,4 @@
-"""Names of colours and the mesh files, for both the URDF and the MJCF backend."""
+"""The names of colours and the mesh files that the URDF and MJCF backends write."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class Palette:
                     name = "color_" + "".join(
                         f"{round(255 * min(max(c, 0.0), 1.0)):02x}" for c in color[:digits]
                     )
-                    # Two colours may have the same name after rounding to 8 bits.
+                    # Different colours can have the same name, because RGBA values are rounded to 8
+                    # bits.
                     taken[name] = taken.get(name, 0) + 1
                     self._names[color] = name if taken[name] == 1 else f"{name}_{taken[name]}"
 
@@ -36,12 +37,13 @@ class Palette:
         return self._names[color]
 
     def entries(self) -> list[tuple[str, Color]]:
-        """Return the names and colours in order of first use."""
+        """Return the name and the RGBA values of each colour of the robot, in order of first
+        use."""
         return [(name, color) for color, name in self._names.items()]
 
 
 def mesh_files(robot: Robot) -> dict[str, bytes]:
-    """Return the mesh files by their path.
+    """Return the contents of the mesh files by path relative to the build folder.
 
     URDF and MJCF files refer to a mesh file as ``../meshes/<name>``.
     """

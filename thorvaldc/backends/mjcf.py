@@ -3,9 +3,9 @@
 The file ``robot.xml`` contains only the robot and can be included in other models. The file
 ``scene.xml`` adds the ground, the light and the key frame ``home``.
 
-The settings of contacts and servos are chosen for wheeled robots of 100 to 400 kg and time steps of
-1 to 5 ms. A simulated robot slides, rolls and stands on slopes like a real robot for
-three reasons:
+The MuJoCo settings of contacts and servos are chosen for wheeled robots of 100 to 400 kg and time
+steps of 1 to 5 ms. Reasons why a simulated robot slides, rolls and stands on slopes like a real
+robot:
 
 - The friction cones are elliptic.
 - The first value of ``solimp`` is near zero.
@@ -30,9 +30,9 @@ from thorvaldc.model.statics.standing_pose import Statics
 
 
 class Mjcf(StaticsBackend):
-    """Backend that writes ``robot.xml`` and ``scene.xml``.
+    """Backend of the target `mjcf`: writes ``robot.xml`` and ``scene.xml``.
 
-    For a fleet, the backend also writes one scene with all robots.
+    For a fleet, the backend also writes one MuJoCo scene with all robots.
     """
 
     name = "mjcf"

@@ -1,4 +1,4 @@
-"""One robot in MJCF: its bodies, joints, shapes, sensors and actuators."""
+"""One robot in MJCF: its bodies, joints, geoms, sensors and actuators."""
 
 from __future__ import annotations
 
@@ -28,11 +28,13 @@ from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics
 from thorvaldc.model.statics.wheel_contact import WheelContact
 
-# Ratio of the torsional friction coefficient (m) to mu times width. A contact patch as wide as the
-# tyre resists turning on the spot with the torque mu N width / 4. A rolling tyre deforms and
-# resists turning less. MuJoCo has only one coefficient for a standing and a rolling tyre, and spin
-# and slip share one friction cone. A robot with two driven wheels and casters drifts outwards by up
-# to 2.1 % of the turn with the ratio 1/4, and by 0.4 % with the ratio 1/16.
+# Torsional friction coefficient (m) of a tyre, divided by the friction coefficient mu times the
+# tyre width. A tyre that turns on the spot has the resisting torque mu N width / 4, with the
+# friction coefficient mu, the wheel load N and a contact patch as wide as the tyre. A rolling tyre
+# deforms, so it resists turning less than a standing tyre. MuJoCo has only one torsional friction
+# coefficient for standing and rolling tyres, and torsional and sliding friction share one friction
+# cone. In simulated turns, a robot with two driven wheels and casters drifts outwards by up to 2.1
+# % of the turn with the ratio 1/4, and by 0.4 % with the ratio 1/16.
 TORSION = 1 / 16
 ROLLING_FRICTION = 0.0005  # third friction coefficient of MuJoCo, not used with condim 4
 DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
@@ -41,18 +43,19 @@ FLANGE = 0.004  # m, thickness of the flange of a rail tread
 STEERING_STIFFNESS = 4000.0  # N m/rad
 WORLD = "world"  # name of the root body in MuJoCo
 
-# Robots collide with the world and with other robots. The parts of one robot do not collide with
-# each other, because the parts overlap at the joints. In MuJoCo, two geoms collide if contype1 &
-# conaffinity2 or contype2 & conaffinity1 is not 0. Robot i has the contype i and the conaffinity
-# ~i (the complement of i). Two parts of robot i do not collide, because i & ~i is 0. Parts of two
-# robots i and j collide, because i & ~j or j & ~i is not 0 for different numbers i and j. Objects
-# of the world have the contype 1 and the conaffinity 1, the default values. Each robot collides
-# with the objects of the world, because bit 0 is set in either its contype or its conaffinity.
+# In the simulation, robots collide with the world and with other robots. The parts of one robot do
+# not collide with each other, because the parts overlap at the joints. In MuJoCo, two geoms collide
+# if contype1 & conaffinity2 or contype2 & conaffinity1 is not 0. Robot number i has the contype i
+# and the conaffinity ~i (the bitwise complement of i). Two parts of robot number i do not collide,
+# because i & ~i is 0. Parts of the robots number i and j collide, because i & ~j or j & ~i is not 0
+# for different numbers i and j. Objects of the MuJoCo world have the default values contype 1 and
+# conaffinity 1. Each robot collides with the objects of the MuJoCo world, because bit 0 is set in
+# the contype or in the conaffinity of the robot.
 _ALL_BITS = 0x7FFFFFFF
 
 
 def _free(name: str, taken: Iterable[str]) -> str:
-    """Append underscores to the name until the name is not in ``taken``, and return the name."""
+    """Return the name, with underscores appended until the name is not in ``taken``."""
     names = set(taken)
     while name in names:
         name += "_"
@@ -60,9 +63,10 @@ def _free(name: str, taken: Iterable[str]) -> str:
 
 
 def body_names(robot: Robot) -> dict[str, str]:
-    """Return the MJCF body name of each link by the name of the link.
+    """Return a dictionary from link names to MJCF body names.
 
-    A body name begins with the name space of the robot. No body has the reserved name ``world``.
+    An MJCF body name begins with the name space of the robot. The body name ``world`` is reserved
+    in MJCF and is never used for a link.
     """
     prefix = robot.prefix
     names = {link.name: prefix + link.name for link in robot.links}
@@ -187,9 +191,9 @@ class RobotWriter:
         _place(geom, pose)
 
     def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
-        """Add the ellipsoid that rolls like the wheel.
+        """Add the collision ellipsoid of a wheel.
 
-        The ellipsoid replaces the collision shapes of the wheel's link.
+        The collision ellipsoid replaces the collision shapes of the wheel's link.
         """
         axis = contact.axis
         x, y, z = axis
@@ -205,9 +209,9 @@ class RobotWriter:
             self._add_ring(body, wheel, tread, contact)
 
     def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
-        """Add the ring beside the tyre that rolls on a rail.
+        """Add the collision shape of a tread: a ring beside the tyre that rolls on a rail.
 
-        The flanges of the ring guide the wheel.
+        The flanges of the ring guide the wheel on the rail.
         """
         radius = wheel.radius_named(tread.name)
         name = f"{self.prefix}{wheel.link}_{tread.name}"
@@ -236,8 +240,8 @@ class RobotWriter:
             self.sections.sensors.add("gyro", name=f"{name}_gyro", site=name)
             self.sections.sensors.add("accelerometer", name=f"{name}_accelerometer", site=name)
         elif sensor.type == "camera":
-            # An optical frame looks along z, and its y axis points down. A camera of MuJoCo looks
-            # along -z, and its y axis points up.
+            # The optical frame of a camera looks along its z axis, and its y axis points down. A
+            # MuJoCo camera looks along its -z axis, and its y axis points up.
             camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
             values = dict(sensor.properties)
             width, height = values.get("image_width"), values.get("image_height")
@@ -270,10 +274,11 @@ class RobotWriter:
         wheel = self.wheel_of_joint.get(actuator.joint)
         if wheel is not None and driven:
             inertia += self.robot.inertial.mass * wheel.radius**2 / driven
-        # A second-order servo on the inertia I has the gains kp = I w^2 and kv = 2 D I w, with the
-        # natural frequency w and the damping ratio D. MuJoCo integrates the speed set point to an
-        # angle. The servo holds the angle, so the robot stands still on a slope. The integrated
-        # angle has no limit.
+        # For a joint with the inertia I, a second-order servo with the natural frequency w and the
+        # damping ratio D has the gains kp = I w^2 and kv = 2 D I w. The speed servo of MuJoCo
+        # (``intvelocity``) integrates the speed set point to an angle. The speed servo holds the
+        # integrated angle, so the robot stands still on a slope. The integrated angle of a speed
+        # servo has no limit.
         damping = 2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY
         self._note_damping(damping, joint_inertia)
         self.sections.actuators.add(

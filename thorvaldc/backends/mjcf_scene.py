@@ -14,7 +14,8 @@ from thorvaldc.model.statics.standing_pose import Statics
 
 
 def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
-    """Return the centre of the robots and the radius of a sphere around all their wheels, in m."""
+    """Return the centre of the robots in m, and the radius in m of a sphere around all their
+    wheels."""
     points = []
     for robot, pose in zip(robots, poses, strict=True):
         points.append(pose.apply(robot.inertial.com))
@@ -28,10 +29,10 @@ def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]
 def add_surroundings(
     scene: Element, robots: list[Robot], poses: list[Pose], world: World | None = None
 ) -> None:
-    """Add the ground, the sky, the light and the camera settings of a scene."""
+    """Add the ground, the sky, the light and the camera settings to a MuJoCo scene."""
     middle, reach = _reach(robots, poses)
-    # The distance of the free camera from the centre is 1.5 times ``extent`` at the start. Shadows
-    # have a range of one ``extent``.
+    # In MuJoCo's viewer, the camera starts at a distance of 1.5 times ``extent`` from the centre of
+    # the scene. The shadows in MuJoCo's viewer have a range of one ``extent``.
     scene.add("statistic", center=middle, extent=clean(2.0 * reach))
     visual = scene.add("visual")
     visual.add(
@@ -81,7 +82,7 @@ def add_surroundings(
         specular=(0.2, 0.2, 0.2),
     )
     # The ground is level, because the standing pose of the robots is computed for level ground.
-    # The ground is a plane and not a box, because wheels roll best on a plane.
+    # The ground is a MuJoCo plane and not a box, because wheels roll most smoothly on a plane.
     below = lowest(world.ground) if world is not None else 0.0
     body.add(
         "geom",
@@ -100,9 +101,9 @@ def add_home(
     statics: Sequence[Statics],
     poses: Sequence[Pose],
 ) -> None:
-    """Add the key frame ``home``, in which every robot stands still.
+    """Add the MuJoCo key frame ``home``, in which every robot stands still.
 
-    In the key frame, every servo holds its joint at the position of the standing pose.
+    In the key frame ``home``, every servo holds its joint at the position of the standing pose.
     """
     qpos: list[float] = []
     ctrl: list[float] = []

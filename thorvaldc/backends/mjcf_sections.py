@@ -1,4 +1,5 @@
-"""The sections of an MJCF model that all its robots share: options, defaults and assets."""
+"""The sections of an MJCF model that all robots of the model share: options, defaults and
+assets."""
 
 from __future__ import annotations
 
@@ -11,13 +12,14 @@ from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF
 
 TIMESTEP = 0.005  # s
 # Largest d h / I of a servo for which the model uses MuJoCo's explicit integrator. The implicit
-# integrators apply the damping of the motor joints after the contact forces. With an
-# implicit integrator, an accelerating robot is ahead of its wheels by 5 ms. With the explicit
-# integrator, the robot is not ahead of its wheels. For a joint with the inertia I and the damping
-# d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit integrator is
-# therefore stable for d h / I < 2. Robots with wheels that must slide get an implicit integrator.
-# Sliding wheels have no load except friction, so the wheels would chatter with the explicit
-# integrator if d h / I is above 1.
+# integrators apply the damping of the motor joints after the contact forces. With MuJoCo's implicit
+# integrators, an accelerating robot is ahead of its wheels by 5 ms. With MuJoCo's explicit
+# integrator, an accelerating robot moves exactly with its wheels. For a joint with the inertia I
+# and the damping d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit
+# integrator is therefore stable for d h / I < 2, with the joint damping d, the time step h and the
+# joint inertia I. MuJoCo models of robots with wheels that must slide use an implicit integrator.
+# With the explicit integrator, sliding wheels would chatter if d h / I is above 1, because friction
+# is their only load (d: joint damping, h: time step, I: joint inertia).
 EXPLICIT_DAMPING = 1.5
 SAME_AXLE = 1e-3  # m and rad, largest distance and angle between two wheels on the same axle
 
@@ -39,13 +41,14 @@ class ModelSections:
             self.asset.add("material", name=material, rgba=color)
         self.meshes: dict[tuple[str, Vec3], str] = {}
         self.taken: dict[str, str] = {}
-        # The largest value of d h / I of all servos, see EXPLICIT_DAMPING.
+        # Largest ratio d h / I of all servos (d: joint damping, h: time step, I: joint inertia),
+        # see EXPLICIT_DAMPING.
         self.largest_damping = 0.0
 
     def root(self) -> Element:
-        """Return the root element of the MJCF model.
+        """Return the root element ``mujoco`` of the MJCF model.
 
-        All robots must be written before ``root`` is called.
+        The method ``root`` must be called after all robots are written to the MJCF model.
         """
         root = Element("mujoco", model=self.model)
         root.add(
@@ -56,7 +59,7 @@ class ModelSections:
             balanceinertia=False,
         )
         # MuJoCo uses a dense Jacobian by default for fewer than 60 degrees of freedom. A sparse
-        # Jacobian is better here, because the rows of the wheels are mostly zeros.
+        # Jacobian is better for these robots, because the rows of the wheels are mostly zeros.
         explicit = self.largest_damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
         root.add(
             "option",
@@ -86,15 +89,16 @@ class ModelSections:
         return root
 
     def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
-        """Return the name of the MJCF asset for a mesh with a scale.
+        """Return the name of the MJCF asset for a mesh file with a scale.
 
         Equal mesh files with the same scale share one asset.
         """
         key = (mesh.sha256, scale)
         name = self.meshes.get(key)
         if name is None:
-            # Two mesh files may have names that differ only in the extension. One mesh file may
-            # also be used with several scales. The name of the asset is therefore made unique.
+            # Mesh files can have names that differ only in the extension. A mesh file can be used
+            # with several scales. A number is therefore added to the name of an MJCF asset if the
+            # name is already used.
             name = stem = prefix + mesh.name.rsplit(".", 1)[0]
             for count in range(2, len(self.meshes) + 2):
                 if name not in self.taken:
@@ -107,17 +111,18 @@ class ModelSections:
                 name=name,
                 file=f"{self.folders[number]}/{mesh.name}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
-                # The inertia of a mesh is not used, because all masses are explicit. MuJoCo's
-                # default ``inertia`` fails for open and flat meshes.
+                # MuJoCo does not use the inertia of mesh files, because the MJCF model contains all
+                # masses. MuJoCo's default value of the mesh attribute ``inertia`` fails for open
+                # and flat meshes.
                 inertia="shell",
             )
         return name
 
 
 def _slides(robot: Robot) -> bool:
-    """True if some wheels must slide when the robot turns.
+    """True if some wheels of a robot must slide sideways when the robot turns.
 
-    Wheels must slide in a turn if the wheels without steering or swivel joint are on several axles.
+    Wheels must slide in a turn if the wheels that cannot steer or swivel are on several axles.
     """
     fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
     for wheel in fixed[1:]:

@@ -1,4 +1,4 @@
-"""The intermediate model (IR) of a robot or a fleet, independent of any output format."""
+"""The intermediate model (IR) of a robot or a fleet of robots, independent of any output format."""
 
 from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone
 from thorvaldc.model.robot import (

@@ -10,7 +10,7 @@ from thorvaldc.model.element import Element
 Scalar = bool | int | float | str
 
 # CANopen data types (CiA 301) that the model uses.
-# Each name maps to the index of the data type and its length in bits.
+# Maps the name of each CANopen data type to the index of the data type and its length in bits.
 OBJECT_TYPES = {
     "boolean": (0x0001, 1),
     "integer8": (0x0002, 8),
@@ -53,11 +53,12 @@ class Signal(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrameDefinition(Element):
-    """The layout and the timing of a CAN frame with an 11-bit identifier.
+    """The definition of a CAN frame with an 11-bit identifier: signals, nodes and timing.
 
     - ``producer``, ``consumers``: names of nodes, or ``master``.
     - ``kind``: ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``, ``broadcast`` or
-      ``relay``. A ``relay`` frame is a frame of a foreign device that the driver forwards.
+      ``relay``. A ``relay`` frame is a CAN frame that the base driver forwards between another
+      program and a device that the driver does not control.
     - ``period``, ``deadline``: times in s, or ``None`` for a frame that is sent on demand.
     - ``minimum_interval``: shortest time in s between two frames that are sent on demand, or
       ``None`` if the frame has no such limit.
@@ -67,8 +68,8 @@ class FrameDefinition(Element):
     - ``mapping``: objects in the PDO, each as (index, subindex, type).
     - ``synchronous``: true if the PDO is sent, or takes effect, when the SYNC frame is received.
 
-    For a frame on demand without a minimum interval, the module ``bus_timing`` states how often the
-    frame is assumed to be sent.
+    The module ``bus_timing`` states how often a CAN frame without a period and without a minimum
+    interval is assumed to be sent.
     """
 
     name: str
@@ -103,13 +104,13 @@ class Channel(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ObjectValue(Element):
-    """An entry of the object dictionary of a node, with the value that the entry must have.
+    """An object dictionary entry of a CANopen node, with the required value of the entry.
 
     - ``type``: name of the data type, one of ``OBJECT_TYPES``.
-    - ``access``: ``ro`` (read only) or ``rw`` (read and write). A read-only entry identifies the
-      node, so the node must report the required value.
-    - ``value``: the required value. The value is ``None`` if the entry changes while the node runs,
-      or if no value is required.
+    - ``access``: ``ro`` (read only) or ``rw`` (read and write). A read-only object dictionary entry
+      identifies the node, so the node must report the required value.
+    - ``value``: the required value. The required value is ``None`` if the object dictionary entry
+      changes while the node runs, or if the robot requires no value.
     """
 
     name: str
@@ -122,13 +123,14 @@ class ObjectValue(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Node(Element):
-    """A device on a bus.
+    """A device on a CAN bus.
 
-    - ``id``: the number of the node, unique within the ``id_space``. A foreign device without an id
-      has the id 0.
-    - ``id_space``: name of a group of ids. Battery ids are in a different group than CANopen node
-      ids. A foreign device without an id has an empty ``id_space``.
-    - ``automatic``: true if the compiler chose the id. The lock file stores an automatic id.
+    - ``id``: the number of the node, unique within the ``id_space``. The id is 0 for a device
+      without an id that the base driver does not control.
+    - ``id_space``: name of a group of ids. The ids of batteries and the node ids of CANopen nodes
+      are separate groups. The group is empty for a device without an id.
+    - ``automatic``: true if the compiler chose the id. The lock file of the robot stores the node
+      ids that the compiler chose.
     - ``vendor_id``, ``product_code``, ``revision_number``: values of the CANopen object 0x1018.
     - ``device_type``: value of the CANopen object 0x1000.
     - ``lss``: true if the node id can be written by LSS (CiA 305).
@@ -137,8 +139,8 @@ class Node(Element):
     - ``heartbeat_consumer_time``: time in s without a heartbeat of the master after which the node
       considers the master lost (object 0x1016), or ``None`` if the node does not supervise the
       master.
-    - ``bitrates``: the supported bit rates in bit/s. A node with an empty list supports any bit
-      rate.
+    - ``bitrates``: the supported bit rates in bit/s. An empty list means that the node supports any
+      bit rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
     """
 
@@ -164,13 +166,13 @@ class Node(Element):
 
     @property
     def is_cia402(self) -> bool:
-        """True if the device type is a drive of the device profile CiA 402."""
+        """True if the node is a CiA 402 drive, according to its CANopen device type."""
         return self.device_type is not None and self.device_type & 0xFFFF == CIA_402
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Bus(Element):
-    """A CAN bus with its nodes and frames.
+    """A CAN bus with its nodes and its CAN frames.
 
     - ``bitrate``: bit rate in bit/s.
     - ``sync_period``: period of the control cycle in s.

@@ -9,7 +9,7 @@ from thorvaldc.diagnostics import Span
 
 
 class FaultKind(NamedTuple):
-    """The fields of the injected faults of one kind.
+    """The fields that an injected fault of a certain kind, such as ``power_cut``, must or may have.
 
     - ``node``: ``yes`` if the fault affects one device, ``no`` if the fault affects the whole bus,
       ``maybe`` if both are possible.
@@ -44,14 +44,15 @@ FAULT_KINDS = {
 class BusFault:
     """A fault that the simulation injects into a CAN bus.
 
-    The fault begins ``delay`` s after the time ``time`` (s), or ``delay`` s after the middle of
-    frame number ``frame`` on the bus. Frames are counted from 1. The fault lasts for ``duration``
-    s. If ``duration`` is ``None``, the fault lasts until the end of the run.
+    The injected fault begins ``delay`` s after the simulated time ``time`` (s), or ``delay`` s
+    after the middle of the CAN frame with the number ``frame``. The first CAN frame on the bus has
+    the number 1. The injected fault lasts for ``duration`` s. If ``duration`` is ``None``, the
+    injected fault lasts until the end of the simulation.
 
     - ``node``: name of the affected device, or ``None`` for all devices on the bus.
     - ``id``: node id that the device takes.
     - ``cob_id``: COB-ID of the frames that a babbling device sends, or of the frames that are lost.
-      If ``cob_id`` is ``None``, frames with any COB-ID are lost.
+      If ``cob_id`` is ``None``, CAN frames with any COB-ID can be lost.
     - ``period``: period in s of the frames that a babbling device sends.
     - ``code``, ``register``: error code and error register of the injected emergency frame (EMCY).
     - ``channel``: name of the motor channel that is affected.
@@ -79,7 +80,7 @@ class BusFault:
 
 @dataclass(frozen=True, slots=True)
 class BusFaults:
-    """A list of faults to inject.
+    """A list of faults to inject into the simulated CAN buses of a robot.
 
     - ``seed``: seed of the random number generator of the faults.
     """

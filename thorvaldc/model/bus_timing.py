@@ -1,9 +1,9 @@
 """Load of a CAN bus and worst-case response times of its frames.
 
 The analysis follows Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN) schedulability
-analysis: Refuted, revisited and revised", Real-Time Systems 35 (2007), section 3. In a level-m busy
-period, the bus first sends at most one frame of lower priority, and then only frames of priority m
-or higher. The response time R(k) of instance k of frame m is
+analysis: Refuted, revisited and revised", Real-Time Systems 35 (2007), section 3. A level-m busy
+period is a time in which the bus always has CAN frames of priority m or higher to send. Response
+time R(k) of instance k of the CAN frame m:
 
     R(k) = J + w(k) - k T + C,
     w(k) = B + k C + sum over more urgent frames i of ceil((w(k) + J_i + bit) / T_i) C_i.
@@ -13,29 +13,31 @@ The symbols are:
 - C: transmission time of the frame.
 - T: period of the frame.
 - J: jitter of the frame.
-- B: transmission time of the longest frame of lower priority. A frame that is being sent cannot be
-  interrupted.
+- B: transmission time of the longest frame of lower priority. A CAN frame that is being sent cannot
+  be interrupted by a frame of higher priority.
 - bit: duration of one bit.
 
-The analysis computes R(k) for every instance k in the busy period. The frames of one control cycle
-are sent in a fixed order. The fixed order lowers the bound of the response time, see
-``_critical_instants``:
+The analysis computes the response time of every instance of the CAN frame in the busy period. In
+each control cycle, the CAN bus carries the commands first, then SYNC, and then the reports of the
+nodes. Because of the fixed order, the worst-case response times are shorter
+(``_critical_instants``):
 
     0 s                                                     sync_period
     |command 1|command 2|...|SYNC|report 1|report 2|...     |command 1|...
      stage 0                 1    stage 2
 
-All times are integers in picoseconds. Rounding never makes a response time shorter.
+All times in the analysis are integers in picoseconds. Times are rounded so that the computed
+response time is never too short.
 
-``frame_streams`` assumes the following about the bus:
+Assumptions of ``frame_streams``:
 
 - Every node sends the most urgent of its waiting frames first.
 - In each control cycle, the master sends its commands first and SYNC after the commands.
-- In each control cycle, the master sends at most one frame on demand. A frame on demand of the
+- In each control cycle, the master sends at most one frame on demand. A CAN frame on demand of the
   master is an NMT frame, an SDO or a command without a period.
 - A node answers an SDO within one control cycle.
-- All nodes together send at most one EMCY frame in a control cycle. When many nodes fail at the
-  same time, the robot stops and no longer depends on its commands.
+- All nodes together send at most one EMCY frame in a control cycle. If many nodes fail at the same
+  time, the robot stops, so late commands do no harm.
 - A node sends any other frame on demand at most once in a control cycle.
 - A relayed frame is not more frequent than its limit.
 """
@@ -58,18 +60,20 @@ _REQUEST, _ANSWER, _EMERGENCY = "request", "answer", "emergency"
 class Stream(NamedTuple):
     """All CAN frames with one identifier.
 
-    - ``identifier``: the CAN identifier. The lower identifier wins the arbitration.
+    - ``identifier``: the CAN identifier. The CAN frame with the lower identifier wins the
+      arbitration.
     - ``bits``: length of a frame in bits, including stuff bits.
     - ``period``: shortest time in s between two frames.
     - ``jitter``: largest delay in s until a frame is due.
     - ``group``: name of a group of streams with the same period and the same jitter. All streams of
-      a group together send one frame in a period.
+      a group together send one CAN frame in a period.
     - ``stage``: number of the stage in the control cycle, ``None`` for a stream outside the control
       cycle.
 
-    A stream with a ``stage`` sends one frame in each control cycle. The period of the stream is the
-    control cycle. The frame is due at the beginning of the cycle plus the jitter. A frame is never
-    sent before the frames of a lower stage in the same cycle.
+    A stream with a ``stage`` sends one CAN frame in each control cycle. For a stream with a
+    ``stage``, ``period`` is the period of the control cycle. The CAN frame of the stream is due at
+    most ``jitter`` s after the beginning of the control cycle. The CAN frames of a stage are sent
+    after the CAN frames of all lower stages in the control cycle.
     """
 
     identifier: int
@@ -81,22 +85,23 @@ class Stream(NamedTuple):
 
 
 def frame_bits(length: int) -> int:
-    """Return the largest number of bits of a frame with 11-bit identifier and ``length`` bytes.
+    """Return the largest number of bits of a CAN frame with 11-bit identifier and ``length`` bytes.
 
-    A frame with n data bytes has 47 bits of overhead, including 3 bits of interframe space, and 8 n
-    bits of data. The CAN controller inserts stuff bits into the first 34 + 8 n bits of the frame.
-    The worst case is one stuff bit for every four bits after the first bit.
+    A CAN frame with n data bytes has 8 n data bits and 47 other bits, including 3 bits of
+    interframe space. The CAN controller inserts stuff bits into the first 34 + 8 n bits of the CAN
+    frame. In the worst case, the controller inserts a stuff bit after the first five bits, and then
+    one stuff bit after every four bits.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
 def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None]:
-    """Return the worst-case response time in s of each stream.
+    """Return the worst-case response time in s of the CAN frames of each stream.
 
-    The response time begins when the frame is due without jitter. The response time ends when the
-    frame and the interframe space after the frame are received. The response time of a frame is
-    ``None`` if frames of the same or higher priority need the whole bandwidth of the bus. Two
-    streams must not have the same identifier.
+    The response time of a CAN frame begins when the frame is due without jitter. The response time
+    of a CAN frame ends when the frame and the interframe space after the frame are received. The
+    response time is ``None`` if CAN frames of the same or higher priority use the whole bandwidth
+    of the bus. Each stream must have a different CAN identifier.
     """
     bit = -(-_SECOND // bitrate)
     order = sorted(range(len(streams)), key=lambda i: streams[i].identifier)
@@ -105,9 +110,10 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
     for i in reversed(order):
         blocked[i] = longest
         longest = max(longest, streams[i].bits * bit)
-    # The delay of a frame depends only on the periods, jitters and lengths of more urgent frames.
-    # Frames with the same period and jitter are therefore added up, and a group has one entry.
-    # The frames of the control cycle are added up by period, jitter and stage.
+    # The delay of a CAN frame depends only on the periods, jitters and lengths of more urgent CAN
+    # frames. CAN frames with the same period and jitter are therefore stored as one entry with the
+    # sum of their lengths, and each group of streams has one entry. CAN frames of the control cycle
+    # with the same period, jitter and stage are also stored as one entry.
     above: dict[tuple[int, int, str], int] = {}
     cycle: dict[tuple[int, int, int], int] = {}
     bounds: list[float | None] = [None] * len(streams)
@@ -148,12 +154,13 @@ _ANY = 1 << 60
 def _critical_instants(
     period: int, jitter: int, stage: int | None, cycle: Mapping[tuple[int, int, int], int]
 ) -> Iterator[tuple[int, list[_Other]]]:
-    """Yield the lead of the examined frame and the more urgent frames for each candidate.
+    """Yield the leads of a CAN frame and of the more urgent CAN frames for each candidate.
 
-    A candidate is a time of the control cycle at which a busy period may begin. In the worst case,
-    a frame of the control cycle with its largest jitter begins the busy period (Palencia and
-    Gonzalez Harbour, "Schedulability analysis for tasks with static and dynamic offsets", RTSS
-    1998). Each frame of the control cycle therefore gives one candidate.
+    A candidate is a time in the control cycle at which the worst busy period of the CAN bus can
+    begin. The worst busy period begins with a CAN frame of the control cycle that has its largest
+    jitter (Palencia and Gonzalez Harbour, "Schedulability analysis for tasks with static and
+    dynamic offsets", RTSS 1998). There is therefore one candidate for each CAN frame of the control
+    cycle.
     """
     if not cycle:
         yield jitter, []
@@ -162,8 +169,8 @@ def _critical_instants(
     if stage is not None:
         begins[jitter] = None
     for begin in begins:
-        # The first instance of the frame in the busy period belongs to the earliest control cycle
-        # whose frame can still be due when the busy period begins.
+        # The busy period can contain CAN frames of earlier control cycles that are late because of
+        # jitter, so the first instance belongs to the earliest such cycle.
         first = -((jitter - begin) // period)
         others: list[_Other] = []
         for (cycle_time, late, other_stage), length in cycle.items():
@@ -177,20 +184,21 @@ def _critical_instants(
 def _longest(
     length: int, period: int, lead: int, blocked: int, above: Sequence[_Other], bit: int
 ) -> int | None:
-    """Return the longest response time in ps of a frame.
+    """Return the longest response time of a CAN frame in ps.
 
-    ``above`` lists the more urgent frames. Returns ``None`` if the response time exceeds
-    ``_LONGEST``.
+    ``above`` lists the CAN frames with a higher priority. Returns ``None`` if the response time of
+    the CAN frame is longer than 100 s.
     """
     worst = wait = instance = 0
     while wait < _LONGEST:
-        # The bus starts to send this instance of the frame after the time ``wait``.
+        # ``wait`` is the time in ps until the bus starts to send this instance of the CAN frame.
         wait = _fixed_point(blocked + instance * length, wait, above, instance, bit)
         if wait + lead < 0:
             return worst  # the busy period ends before this instance is due
         worst = max(worst, lead + wait - instance * period + length)
         instance += 1
-        # More urgent frames that become due during the transmission extend the busy period.
+        # CAN frames with a higher priority that become due during the transmission extend the busy
+        # period.
         end = _fixed_point(blocked + instance * length, wait + length, above, instance, 0)
         if end + lead <= instance * period:
             return worst
@@ -198,10 +206,11 @@ def _longest(
 
 
 def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bit: int) -> int:
-    """Return the least time at which the bus has sent the frame and all more urgent frames.
+    """Return the time in ps at which the bus has sent a CAN frame and all more urgent CAN frames.
 
-    ``own`` is the time in ps that the frame itself needs. The search begins at ``time``. The result
-    is the fixed point of the equation for w(k) in the docstring of this module.
+    ``own`` is the transmission time in ps of the blocking CAN frame and of the examined CAN frame.
+    ``time`` is the time in ps at which the search begins. The function solves the equation for w(k)
+    in the docstring of this module by fixed-point iteration.
     """
     while True:
         needed = own
@@ -217,11 +226,11 @@ def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bi
 
 
 def bus_load(bus: Bus) -> float:
-    """Return the worst-case load of a bus, as a fraction of its bandwidth.
+    """Return the worst-case load of a CAN bus, as a fraction of its bandwidth.
 
-    The load is the sum of all periodic frames and of the relayed frames at their highest allowed
-    rate. The load also includes one frame on demand of the master and one SDO answer in each
-    control cycle.
+    The bus load includes all periodic CAN frames, and the relayed CAN frames at their highest
+    allowed rate. The bus load also includes one CAN frame on demand of the master and one SDO
+    answer in each control cycle.
     """
     bits, groups = 0.0, dict[str, int]()
     for frame in bus.frames:
@@ -241,15 +250,15 @@ def bus_load(bus: Bus) -> float:
 def frame_response_times(
     bus: Bus, bits: Mapping[str, int] | None = None
 ) -> dict[str, float | None]:
-    """Return the worst-case response time in s of each frame of a bus, by the name of the frame.
+    """Return the worst-case response time in s of each CAN frame of a bus by frame name.
 
     The response times of commands, SYNC, synchronous PDOs and SDO answers count from the beginning
     of the control cycle. ``None`` means that the response time has no upper bound. ``bits`` maps
-    the names of frames to their lengths in bits, for frames with a known number of stuff bits.
+    the names of CAN frames to their exact lengths in bits, if the lengths are known.
 
-    The jitter of a frame depends on the response times of the frames that trigger the frame. The
-    commands trigger SYNC, and SYNC triggers the synchronous PDOs. The analysis is therefore
-    repeated until no jitter grows.
+    The jitter of a CAN frame depends on the response times of the CAN frames that trigger it. The
+    master sends SYNC after the commands, and the nodes send the synchronous PDOs after SYNC. The
+    response times are computed again until the jitter of no CAN frame grows.
     """
     names = [frame.name for frame in bus.frames]
     jitter = {frame.name: bus.sync_period for frame in bus.frames if _group(frame) == _ANSWER}
@@ -266,10 +275,10 @@ def frame_response_times(
 
 
 def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]) -> list[Stream]:
-    """Return the frames of a bus as streams, in the order of the bus.
+    """Return the CAN frames of a bus as streams, in the order of ``Bus.frames``.
 
-    ``jitter`` maps the names of frames to their jitter in s. ``bits`` maps the names of frames to
-    their lengths in bits.
+    ``jitter`` maps the names of CAN frames to their jitter in s. ``bits`` maps the names of CAN
+    frames to their lengths in bits.
     """
     return [
         Stream(
@@ -285,9 +294,9 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
 
 
 def _group(frame: FrameDefinition) -> str:
-    """Return the group of a frame on demand, or an empty text for a frame without a group.
+    """Return the group of a CAN frame on demand, or an empty text for a CAN frame without a group.
 
-    The frames of one group together are sent at most once in a control cycle.
+    At most one CAN frame of a group is sent in each control cycle.
     """
     if frame.period is not None or frame.kind == "relay":
         return ""
@@ -297,7 +306,7 @@ def _group(frame: FrameDefinition) -> str:
 
 
 def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
-    """Return the stage of a frame in the control cycle.
+    """Return the stage of a CAN frame in the control cycle.
 
     Stage 0 has the commands, stage 1 the SYNC frame, and stage 2 the synchronous PDOs of nodes.
     """
@@ -311,7 +320,7 @@ def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
 def _lateness(bus: Bus, times: Mapping[str, float | None]) -> dict[str, float] | None:
     """Return the jitter in s of SYNC and of each synchronous PDO, by the name of the frame.
 
-    Returns ``None`` if a response time has no upper bound.
+    Returns ``None`` if the response time of a CAN frame has no upper bound.
     """
     commands = [
         times[f.name]

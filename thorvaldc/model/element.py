@@ -10,9 +10,9 @@ from typing import Any, cast
 
 
 def values_getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Return a function that reads the attributes ``names`` of an object.
+    """Return a function that returns the values of the attributes ``names`` of an object.
 
-    The returned function is faster than a loop with ``getattr``.
+    The function uses ``operator.attrgetter``, which is faster than a loop with ``getattr``.
     """
     if len(names) > 1:
         return cast(Callable[[Any], tuple[Any, ...]], operator.attrgetter(*names))
@@ -32,12 +32,13 @@ def _values(cls: Hashable) -> Callable[[Any], tuple[Any, ...]]:
 class Element:
     """Base class of the model's frozen dataclasses.
 
-    Two elements are equal if they have the same class and all compared fields are equal.
+    Two elements of the model are equal if they have the same class and all compared fields are
+    equal.
 
-    ``dataclass`` would generate the methods ``__eq__``, ``__hash__`` and ``__repr__`` for each of
-    the 35 classes by compiling source code at import. The generated methods would take 4 to 10 ms
-    of 260 ms more processor time, measured with `check` of a robot with nine wheels in 15
-    interleaved runs each.
+    The decorator ``dataclass`` would generate ``__eq__``, ``__hash__`` and ``__repr__`` by
+    compiling source code for each of the 35 classes of the model at import. Compiling these methods
+    would take 4 to 10 ms of 260 ms more processor time, measured with `check` of a robot with nine
+    wheels in 15 interleaved runs each.
     """
 
     __slots__ = ()

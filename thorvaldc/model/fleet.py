@@ -69,11 +69,12 @@ class Zone(Element):
 
     @property
     def level(self) -> bool:
-        """True if the zone neither rises above the ground nor has bumps."""
+        """True if the zone of the ground is level: not raised and without bumps."""
         return not (self.height or self.amplitude)
 
     def holds(self, x: float, y: float, margin: float = 0.0) -> bool:
-        """Return whether a point is in the zone, or at most ``margin`` m outside the zone.
+        """Return whether a point is in the zone of the ground, or at most ``margin`` m outside the
+        zone.
 
         ``x`` and ``y`` are the coordinates of the point in m.
         """
@@ -85,8 +86,8 @@ class Zone(Element):
 class Block(Element):
     """A fixed body of the scene.
 
-    - ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``. Wheels may roll on kerbs and
-      rails.
+    - ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``. A fixed body of the kind
+      kerb or rail may carry wheels.
     - ``name``: name of the body, unique among the bodies of the same kind.
     """
 

@@ -55,10 +55,10 @@ def model_schema_text() -> str:
 
 
 def _schema_of(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a type.
+    """Return the JSON Schema of a Python type.
 
-    The schema of a class is stored in ``definitions``, and a reference to the definition is
-    returned.
+    The schema of a model class is stored in ``definitions``, and the function returns a ``$ref`` to
+    the stored schema.
     """
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}
@@ -115,6 +115,6 @@ def _list_schema(items: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _description(cls: type) -> str:
-    """Return the docstring of a class, with each paragraph on one line."""
+    """Return the docstring of a model class, with each paragraph on one line."""
     text = inspect.cleandoc(cls.__doc__ or "").replace("``", "`").replace("`None`", "`null`")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))

@@ -1,8 +1,8 @@
 """Conversion of the model to JSON text and back, driven by the type hints of the dataclasses.
 
-The page ``docs/model.md`` describes the format and its versions. A dataclass becomes a JSON object
-with all its fields. A tuple or a source span becomes a JSON list. The JSON object of a ``Shape``
-has the name of its class in the field ``kind``.
+The page ``docs/model.md`` describes the format and its versions. A dataclass of the model becomes a
+JSON object with all fields of the dataclass. A tuple or a source span becomes a JSON list. The JSON
+object of a ``Shape`` has the name of its class in the field ``kind``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _NAMES = {
 
 
 class ModelFormatError(ValueError):
-    """The JSON text is not a model of the supported version.
+    """The JSON text is not a robot or fleet model in the supported version of the format.
 
     - ``reason``: cause of the error.
     - ``path``: position in the model, such as ``robot.wheels[2]``, or empty if the whole file is
@@ -65,9 +65,9 @@ class ModelFormatError(ValueError):
 
 @functools.cache
 def type_hints(cls: type) -> dict[str, Any]:
-    """Return the types of the fields of a model class by field name.
+    """Return the type of each field of a model class, by field name.
 
-    Fields that are not written to the JSON text are left out.
+    Fields that are left out of the JSON text are not returned.
     """
     hints = typing.get_type_hints(cls)
     names = (field.name for field in dataclasses.fields(cls))
@@ -78,7 +78,7 @@ def type_hints(cls: type) -> dict[str, Any]:
 
 
 def _is_plain(hint: Any) -> bool:
-    """Return whether the module ``json`` can write values of this type without conversion."""
+    """Return whether the Python module ``json`` can write values of a type without conversion."""
     if hint is Ellipsis or hint in (bool, int, float, str, type(None)):
         return True
     arguments = typing.get_args(hint)
@@ -87,7 +87,8 @@ def _is_plain(hint: Any) -> bool:
 
 @functools.cache
 def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]], list[str]]:
-    """Return the field names of a class, the getter of their values, and the fields to convert."""
+    """Return the field names of a model class, a function that reads their values, and the fields
+    that must be converted for JSON."""
     hints = type_hints(cast(Any, cls))
     names = tuple(hints)
     return names, values_getter(names), [name for name in names if not _is_plain(hints[name])]
@@ -111,10 +112,10 @@ def _encode(value: Any) -> Any:
 
 
 def to_json(model: Robot | Fleet) -> str:
-    """Return the model as JSON text, without mesh bytes.
+    """Return the model of a robot or a fleet as JSON text, without the bytes of mesh files.
 
-    ``from_json`` reads the text back as an equal model. Raises ``ValueError`` if a number of the
-    model is infinite or NaN, because JSON cannot express such a number.
+    The function ``from_json`` converts the JSON text back to an equal model. Raises ``ValueError``
+    if a number of the model is infinite or NaN, because JSON cannot express such a number.
     """
     kind = type(model).__name__
     head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": _encode(model)}
@@ -132,7 +133,7 @@ A decoder raises ``ModelFormatError`` if the JSON value has a wrong type.
 
 @functools.cache
 def _decoder(hint: Any) -> _Decoder:
-    """Return the decoder for a type of the model."""
+    """Return a function that converts JSON values to a type of the model."""
     if hint is Span:
         fields = _decoder(tuple[str, int, int, int, int])
         return lambda value, path: Span(*fields(value, path))
@@ -216,9 +217,10 @@ def _tuple_decoder(decoders: list[_Decoder]) -> _Decoder:
 
 
 def _plain_decoder(allowed: tuple[type, ...]) -> _Decoder:
-    """Return the decoder for numbers, texts and booleans of the types in ``allowed``.
+    """Return a function that checks that a JSON value is a number, text or boolean of a type in
+    ``allowed``.
 
-    The decoder accepts an integer where a float is expected.
+    A JSON integer is accepted for a field of the type float.
     """
     only_float = allowed == (float,)
 
@@ -246,8 +248,8 @@ def _require(value: Any, expected: type, path: str) -> None:
 def _text(value: Any) -> str:
     """Return a JSON value as text for an error message.
 
-    A list or an object is returned as the name of its type. Any other value is cut after 40
-    characters.
+    For a JSON list or object, the function returns the name of the type. Other JSON values are cut
+    after 40 characters.
     """
     if isinstance(value, list | dict):
         return _NAMES[type(value)]
@@ -255,9 +257,9 @@ def _text(value: Any) -> str:
 
 
 def from_json(text: str) -> Robot | Fleet:
-    """Return the model from a text that ``to_json`` has written.
+    """Return the model from a JSON text that ``to_json`` has written.
 
-    Raises ``ModelFormatError`` in the following cases:
+    Raises ``ModelFormatError`` for an invalid text:
 
     - The text is not JSON.
     - The JSON text has another format or another version.

@@ -1,14 +1,15 @@
-"""Plug-ins: classes by name, from this package and from other installed packages.
+"""Plug-ins: classes that this package and other installed Python packages provide by name.
 
-Other packages can offer four kinds of classes: backends, base calculators, classes for motor
-controllers and batteries on the bus, and simulated devices. Each kind has one ``PluginTable``.
+Other Python packages can provide four kinds of classes: backends, base calculators, drivers of
+motor controllers and batteries on the CAN bus, and simulated devices. Each kind of plug-in has one
+``PluginTable``.
 
-Two rules apply if several packages offer the same name:
+Rules if several packages provide a plug-in with the same name:
 
-- A built-in name cannot be replaced. A build or a robot must not change because somebody installs a
-  package.
-- If two packages offer different classes with the same name, the name cannot be loaded. The order
-  of installed packages must not decide which class drives a robot.
+- A built-in name cannot be replaced. Installing a Python package must not change the build or the
+  behaviour of a robot.
+- If two packages offer different classes with the same name, the name cannot be loaded. The plug-in
+  that drives a robot must not depend on the order of installed packages.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ T = TypeVar("T")
 
 
 class PluginFailure(NamedTuple):
-    """The reason why a plug-in cannot be loaded. The caller puts the reason into a diagnostic.
+    """The reason why a plug-in cannot be loaded. The caller reports the reason to the user as a
+    diagnostic.
 
     - ``unknown``: true if no package offers the name, false if the class of the plug-in cannot be
       used.
@@ -35,17 +37,18 @@ class PluginFailure(NamedTuple):
 
 
 class PluginTable(Generic[T]):
-    """The classes of one kind by name, both built-in classes and classes from other packages.
+    """A table of the plug-in classes of one kind by name, from this package and from other
+    packages.
 
-    Other packages offer their classes in an entry-point group of the package metadata.
+    Other packages register their plug-in classes in an entry-point group of the package metadata.
 
     - ``group``: name of the entry-point group.
     - ``base_class``: every loaded class must be a concrete subclass of the base class.
     - ``builtin``: maps a built-in name to the text ``"module:attribute"``.
 
-    The table imports a built-in class when the class is loaded. The table reads the metadata of
-    installed packages only for names that are not built-in. Reading the metadata takes more time
-    than compiling a small robot.
+    A built-in plug-in class is imported only when it is used. The metadata of installed packages is
+    read only for plug-in names that are not built-in. Reading the metadata takes more time than
+    compiling a small robot.
     """
 
     def __init__(self, group: str, base_class: type[Any], builtin: Mapping[str, str]) -> None:
@@ -54,13 +57,14 @@ class PluginTable(Generic[T]):
         self.builtin = dict(builtin)
 
     def names(self) -> list[str]:
-        """All built-in names and names from other packages, in alphabetical order."""
+        """All plug-in names in alphabetical order: the built-in names and the names from other
+        packages."""
         return sorted({*self.builtin, *(entry.name for entry in _entry_points(self.group))})
 
     def load(self, name: str) -> type[T] | PluginFailure:
-        """Import and return the class that has the name ``name``.
+        """Import and return the plug-in class that has the name ``name``.
 
-        Returns a ``PluginFailure`` with the reason if the class cannot be used.
+        Returns a ``PluginFailure`` with the reason if the plug-in class cannot be used.
         """
         try:
             if name in self.builtin:

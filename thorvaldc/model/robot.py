@@ -1,8 +1,9 @@
 """The intermediate model of a robot: frozen dataclasses with all values in SI units.
 
-The compiler builds the model. The backends and the runtime read the model. The field ``span`` is
-the position of an element in the source file. Every list has the order of the modules in the robot
-file, depth first. All outputs keep the order of the model.
+The compiler builds the robot model from the robot file. The backends and the runtime read the robot
+model. The field ``span`` is the position of the element in the YAML file. Every list in the robot
+model has the order of the modules in the robot file, depth first. All output files keep the order
+of the robot model.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
-# The module bus.py defines the classes of the bus. The classes are exported here too, because the
-# bus is a part of the robot model.
+# The module ``model/bus.py`` defines the classes of the CAN bus. This module also exports the
+# classes of the CAN bus, because the bus is a part of the robot model.
 __all__ = [
     "Actuator",
     "Battery",
@@ -53,14 +54,16 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Box(Element):
-    """A box, centred on the frame. ``size`` has the full edge lengths along x, y and z in m."""
+    """A box, centred on the origin of its frame. ``size`` has the full edge lengths along x, y and
+    z in m."""
 
     size: Vec3
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Cylinder(Element):
-    """A cylinder along the z axis, centred on the frame, with radius and full length in m."""
+    """A cylinder along the z axis, centred on the origin of its frame, with radius and full length
+    in m."""
 
     radius: float
     length: float
@@ -68,7 +71,7 @@ class Cylinder(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sphere(Element):
-    """A sphere, centred on the frame, with the radius in m."""
+    """A sphere, centred on the origin of its frame, with the radius in m."""
 
     radius: float
 
@@ -145,7 +148,7 @@ class Link(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mimic(Element):
-    """The position of a joint as a function of another joint: q = multiplier * q_joint + offset."""
+    """A mimic joint, whose position depends on another joint: q = multiplier * q_joint + offset."""
 
     joint: str
     multiplier: float
@@ -198,7 +201,7 @@ class Joint(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tread(Element):
-    """A ring beside the tyre of a wheel, which rolls on rails.
+    """A ring beside the tyre of a wheel, with which the wheel rolls on rails.
 
     - ``name``: name of the rolling radius of the ring in ``Wheel.radii``.
     - ``center``: centre of the ring in the link frame of the wheel, in m.
@@ -214,13 +217,14 @@ class Tread(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Wheel(Element):
-    """A wheel, with its geometry in ``base_link`` when every joint is at position 0.
+    """A wheel of the robot, with positions and angles in ``base_link`` when every joint is at
+    position 0.
 
     - ``x``, ``y``: intersection of the steering axis or swivel axis with the ground, in m. For a
-      wheel without a steering or swivel axis, ``x`` and ``y`` are the position of the contact
-      point.
-    - ``heading``: rolling direction in rad for a positive joint speed at steering angle 0. At
-      steering angle q, the rolling direction is ``heading + steering_sign * q``.
+      wheel without a steering or swivel axis, ``x`` and ``y`` are the position of the wheel's
+      contact point.
+    - ``heading``: rolling direction in rad for a positive joint speed at steering angle 0. At the
+      steering angle q, the wheel rolls in the direction ``heading + steering_sign * q``.
     - ``trail``: distance in m from (``x``, ``y``) to the contact point, along the rolling
       direction.
     - ``lateral_offset``: distance in m from (``x``, ``y``) to the contact point, to the left of the
@@ -282,8 +286,8 @@ class Actuator(Element):
     - ``max_torque``: largest torque on the joint in N m.
     - ``armature``: inertia of the rotor times the square of the gear ratio, in kg m^2.
     - ``motor_max_speed``: largest speed of the motor shaft in rad/s.
-    - ``encoder_ppr``: encoder pulses per revolution of the motor shaft. One encoder pulse has four
-      counts.
+    - ``encoder_ppr``: encoder pulses per revolution of the motor shaft. The position of a motor
+      encoder has four counts per pulse.
     - ``node``, ``channel``: names of the motor controller and its channel, or ``None`` for a motor
       without a controller on a bus.
     - ``encoder_offset``: joint position minus encoder reading in rad, from the calibration of a
@@ -345,7 +349,8 @@ class Battery(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CalculatorChoice(Element):
-    """The name of the base calculator and its options. The base calculator is a plug-in."""
+    """The name of the base calculator and its options. The base calculator is a plug-in class that
+    computes joint commands from a twist."""
 
     name: str = "general"
     options: tuple[tuple[str, Scalar], ...] = ()
@@ -355,8 +360,8 @@ class CalculatorChoice(Element):
 class DriverSettings(Element):
     """Settings of the base driver.
 
-    The limits of the twist are those in the robot file. Without limits in the robot file, the
-    limits of the modules determine the limits of the twist.
+    The robot file can set limits of the commanded twist. If the robot file sets no limits, the
+    limits of the motors and modules determine the limits of the twist.
 
     - ``rate``: frequency of the control loop in Hz.
     - ``command_timeout``: time in s after which the driver considers a commanded twist too old.
@@ -364,7 +369,7 @@ class DriverSettings(Element):
     - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
       in m/s^2 and rad/s^2.
     - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
-      names of the standard deviations are the fields of the runtime's class ``Noise``.
+      names of the standard deviations are the fields of the class ``Noise`` of the runtime.
     """
 
     rate: float
@@ -380,8 +385,8 @@ class DriverSettings(Element):
 class ParameterSet(Element):
     """A named set of parameters that the driver can select while the robot drives.
 
-    - ``radii``: name of the rolling radii of the wheels, or ``None`` for ``Wheel.radius``. A wheel
-      without a rolling radius of the name ``radii`` also uses ``Wheel.radius``.
+    - ``radii``: name of the rolling radii of the wheels, or ``None`` for ``Wheel.radius``. Wheels
+      that have no rolling radius with this name use ``Wheel.radius``.
     - ``driver``: settings of the robot's driver, with the changes of the parameter set.
     """
 
@@ -393,15 +398,17 @@ class ParameterSet(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TwistInput(Element):
-    """A source of commanded twists for the multiplexer, or a lock that blocks sources.
+    """A source of commanded twists for the multiplexer twist_mux, or a stop lock that blocks
+    sources.
 
-    The active source with the highest priority commands the robot. A lock blocks the sources with a
-    lower priority.
+    twist_mux sends the commands of the active twist source with the highest priority to the robot.
+    A stop lock of twist_mux blocks the twist sources with a lower priority.
 
     - ``topic``: name of the ROS topic in the name space of the robot.
     - ``priority``: priority of the source or lock, 1 to 255.
     - ``timeout``: time in s without a message after which a source becomes inactive and a lock
-      blocks. A lock with the timeout 0 keeps its last state.
+      blocks. A stop lock with the timeout 0 s never times out and keeps the state of its last
+      message.
     """
 
     name: str
@@ -415,8 +422,8 @@ class Robot(Element):
     """A whole robot.
 
     - ``namespace``: prefix of names in outputs, or empty for names without a prefix.
-    - ``links``: rigid bodies of the robot. The first link is ``base_link``, which lies on the
-      ground.
+    - ``links``: rigid bodies of the robot. The first link is ``base_link``, whose origin lies on
+      the ground.
     - ``inertial``: inertia of the whole robot in ``base_link`` when every joint is at position 0.
     - ``urdf_extensions``: XML elements from extras that only URDF can express, such as
       ``<gazebo>``.
@@ -448,9 +455,9 @@ class Robot(Element):
         return f"{self.namespace}/" if self.namespace else ""
 
     def link(self, name: str) -> Link:
-        """Return the link that has the name ``name``.
+        """Return the link of the robot with the name ``name``.
 
-        Raises ``KeyError`` if the robot has no link with the name.
+        Raises ``KeyError`` if the robot has no link with this name.
         """
         for link in self.links:
             if link.name == name:
@@ -458,9 +465,9 @@ class Robot(Element):
         raise KeyError(name)
 
     def joint(self, name: str) -> Joint:
-        """Return the joint that has the name ``name``.
+        """Return the joint of the robot with the name ``name``.
 
-        Raises ``KeyError`` if the robot has no joint with the name.
+        Raises ``KeyError`` if the robot has no joint with this name.
         """
         for joint in self.joints:
             if joint.name == name:
@@ -468,7 +475,7 @@ class Robot(Element):
         raise KeyError(name)
 
     def actuator_of(self, joint: str) -> Actuator | None:
-        """Return the actuator on a joint, or ``None`` if the joint has no actuator."""
+        """Return the actuator on a joint, or ``None`` for a joint without an actuator."""
         for actuator in self.actuators:
             if actuator.joint == joint:
                 return actuator

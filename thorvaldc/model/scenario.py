@@ -32,9 +32,10 @@ class Command:
 class WheelFault:
     """An injected fault of a wheel.
 
-    The base driver receives no message about the injected fault. The injected fault is active from
-    the time ``start`` until just before the time ``end`` (s). ``motor`` is ``drive`` or
-    ``steering``. The meaning of ``value`` depends on ``type``:
+    The base driver is not informed about the injected fault. The injected fault is active from the
+    simulated time ``start`` until just before ``end``, in s. ``motor`` selects the affected motor
+    of the wheel: ``drive`` or ``steering``. Meaning of ``value`` for each ``type`` of injected
+    fault:
 
     - ``steering_offset``: true steering angle minus encoder angle, in rad.
     - ``radius_error``: (true radius - nominal radius) / nominal radius.
@@ -78,7 +79,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """The allowed range of a metric, checked for every robot of the scenario.
+    """The allowed range of a metric of the run, checked for every robot of the scenario.
 
     - ``metric``: name of the metric.
     - ``least``, ``most``: smallest and largest allowed value of the metric, or ``None`` for no

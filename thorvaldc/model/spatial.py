@@ -20,10 +20,10 @@ IDENTITY_QUAT: Quat = (1.0, 0.0, 0.0, 0.0)
 
 
 def clean(value: float) -> float:
-    """Round a number to 12 significant digits. A number between -1e-12 and 1e-12 becomes 0.
+    """Round a number to 12 significant digits. Numbers between -1e-12 and 1e-12 are rounded to 0.
 
-    The results of ``sin`` and ``cos`` differ in the last bit between C libraries. Rounding makes
-    the numbers of the model equal on every machine.
+    The results of ``sin`` and ``cos`` differ in the last bit between C libraries. Rounding to 12
+    digits makes the numbers of the model equal on every machine.
     """
     if -1e-12 < value < 1e-12:
         return 0.0
@@ -84,7 +84,7 @@ def quat_normalize(q: Quat) -> Quat:
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
     """Return the quaternion of a rotation by fixed-axis roll, pitch and yaw angles in rad.
 
-    URDF uses the same convention for roll, pitch and yaw.
+    URDF uses the same convention for the roll, pitch and yaw angles.
     """
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
@@ -115,10 +115,10 @@ def quat_to_matrix(q: Quat) -> Mat3:
 def matrix_to_rpy(r: Mat3) -> Vec3:
     """Return the fixed-axis roll, pitch and yaw angles in rad of a rotation matrix.
 
-    With R = Rz(yaw) Ry(pitch) Rx(roll), the second row of the matrix Rz(-yaw) R contains the
-    entries cos(roll) and -sin(roll). The function computes roll from both entries. The three angles
-    therefore reproduce the matrix R even at a pitch of +-90 degrees, where ``asin`` loses half of
-    the digits.
+    The rotation matrix is R = Rz(yaw) Ry(pitch) Rx(roll), so the second row of the matrix Rz(-yaw)
+    R contains cos(roll) and -sin(roll). The function computes the roll angle from cos(roll) and
+    sin(roll). The three angles therefore reproduce the rotation matrix even at a pitch of +-90
+    degrees, where ``asin`` loses half of the digits.
     """
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
     yaw = math.atan2(r[1][0], r[0][0]) if math.hypot(r[0][0], r[1][0]) > 1e-12 else 0.0
@@ -163,7 +163,7 @@ class Pose:
         return Pose(rotate(q, scale(-1.0, self.xyz)), q)
 
     def apply(self, point: Vec3) -> Vec3:
-        """Transform a point from the inner frame to the outer frame."""
+        """Return a point of the inner frame in coordinates of the outer frame."""
         return add(self.xyz, rotate(self.quat, point))
 
     def rotate(self, vector: Vec3) -> Vec3:
@@ -183,9 +183,10 @@ class Pose:
 class Inertial:
     """Mass in kg, centre of mass ``com`` in m and rotational inertia in kg m^2.
 
-    ``inertia`` is ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre of mass. The axes of
-    ``inertia`` are parallel to the axes of the frame in which ``com`` is given. The off-diagonal
-    values are the elements of the inertia matrix, with the sign convention of URDF.
+    ``inertia`` contains the moments of inertia ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre
+    of mass. The axes of ``inertia`` are parallel to the axes of the frame in which ``com`` is
+    given. ``ixy``, ``ixz`` and ``iyz`` are elements of the inertia matrix, with the sign convention
+    of URDF.
     """
 
     mass: float
@@ -197,9 +198,10 @@ class Inertial:
         return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
 
     def transformed(self, pose: Pose) -> Inertial:
-        """Return the mass and inertia of the same body in the outer frame of ``pose``.
+        """Return the mass and inertia of the body in the outer frame of ``pose``.
 
-        The inertia matrix I becomes R I R^T, where R is the rotation matrix of the pose.
+        With the rotation matrix R of the pose, the inertia matrix I becomes R I R^T in the outer
+        frame.
         """
         if pose.quat == IDENTITY_QUAT:
             return Inertial(self.mass, pose.apply(self.com), self.inertia)
@@ -217,13 +219,13 @@ class Inertial:
         )
 
     def clean(self) -> Inertial:
-        """Round all values with ``clean`` and keep the inertia physically possible.
+        """Round the mass and inertia with ``clean`` and keep the inertia physically possible.
 
         The largest principal moment of a body is at most the sum of the other two principal
-        moments. For a flat plate, the largest principal moment is equal to the sum. Rounding may
-        make the largest moment slightly larger than the sum, and simulators reject such an inertia.
-        ``clean`` then increases all three moments by the same value, at most 1e-6 of the largest
-        moment.
+        moments. For a flat plate, the largest principal moment is equal to the sum of the other two
+        principal moments. Rounding can make the largest principal moment slightly too large, and
+        simulators reject an inertia that is not physically possible. The method then increases all
+        three principal moments by the same value, at most 1e-6 of the largest principal moment.
         """
         low, middle, high = self.principal_moments()
         excess = high - low - middle
@@ -245,7 +247,7 @@ class Inertial:
 def combine(bodies: list[Inertial]) -> Inertial:
     """Return the mass and inertia of several bodies as one body (parallel-axis theorem).
 
-    All bodies must be given in the same frame.
+    The mass and inertia of all bodies must be given in the same frame.
     """
     mass = sum(b.mass for b in bodies)
     if mass <= 0.0:
@@ -271,7 +273,7 @@ def combine(bodies: list[Inertial]) -> Inertial:
 def symmetric_eigenvalues(m: Mat3) -> Vec3:
     """Return the eigenvalues of a symmetric 3x3 matrix in ascending order.
 
-    The trigonometric solution is from Smith, "Eigenvalues of a symmetric 3 x 3 matrix",
+    The trigonometric formula is from Smith, "Eigenvalues of a symmetric 3 x 3 matrix",
     Communications of the ACM 4, 1961. With q = tr(M) / 3, p^2 = tr((M - q)^2) / 6 and B = (M - q) /
     p, the eigenvalues are q + 2 p cos(phi + 2 pi k / 3), where phi = arccos(det(B) / 2) / 3 and k =
     0, 1, 2.

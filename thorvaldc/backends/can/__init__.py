@@ -1,7 +1,7 @@
-"""The `can` target: files for programs that use, set up or check the robot's buses.
+"""The build target `can`: files for programs that use, set up or check the robot's CAN buses.
 
-The page docs/canmap.md describes the files of the `can` target. The backend takes all ids, COB-IDs,
-scalings, objects and response times from the model.
+The page docs/canmap.md describes the files of the `can` target. The backend reads all node ids,
+COB-IDs, scalings, object dictionary entries and response times from the model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Load and worst-case response times of each bus, as JSON and as a Markdown table."""
+"""Load of each CAN bus and worst-case response times of its CAN frames, as JSON and as a Markdown
+table."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ LEFT = (1, 2)  # columns of text
 
 
 def budget_json(robot: Robot) -> str:
-    """Return the load of each bus and the response time of each frame as JSON text."""
+    """Return the load of each CAN bus and the response time of each CAN frame as JSON text."""
     return json_text(
         {
             "format": FORMAT,
@@ -62,7 +63,7 @@ def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
 
 
 def budget_table(robot: Robot) -> str:
-    """Return the load of each bus and the response time of each frame as Markdown tables.
+    """Return the load of each CAN bus and the response time of each CAN frame as Markdown tables.
 
     The columns of the Markdown tables are aligned.
     """

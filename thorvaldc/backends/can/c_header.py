@@ -1,4 +1,5 @@
-"""A C header for firmware and tools, with the ids and scales of the buses."""
+"""A C header with the node ids, COB-IDs and signal scales of the CAN buses, for firmware and
+tools."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ LEGEND = """\
 
 
 def header_text(robot: Robot) -> str:
-    """Return the text of the C header. The header contains only macros, for C and C++."""
+    """Return the C header of a robot's CAN buses as text. The C header contains only macros and
+    works in C and C++."""
     lines = [f"/* The buses of {robot.name}. Made by thorvaldc; changes are lost.\n *\n{LEGEND} */"]
     lines += [f"#ifndef {GUARD}", f"#define {GUARD}"]
     taken: dict[str, int] = {}
@@ -32,19 +34,19 @@ def header_text(robot: Robot) -> str:
 
 
 def _unique(name: str, taken: dict[str, int]) -> str:
-    """Return the macro name, with a number appended if ``taken`` already contains the name.
+    """Return the name of a C macro, with a number appended if ``taken`` already contains the name.
 
-    Two macro names can be equal: the signal `b_c` of the frame `a` and the signal `c` of the frame
-    `a_b` give the same macro name.
+    Different CAN signals can have the same macro name: the signal `b_c` of the frame `a` and the
+    signal `c` of the frame `a_b`.
     """
     number = taken[name] = taken.get(name, 0) + 1
     return name if number == 1 else _unique(f"{name}_{number}", taken)
 
 
 def _macros(bus: Bus) -> Iterator[tuple[str, str, str]]:
-    """Yield each macro as (name without the bus, value, comment).
+    """Yield each C macro as (name without the prefix of the bus, value, comment).
 
-    An empty name marks a line that contains only a comment.
+    A macro with an empty name is a line of the C header that contains only a comment.
     """
     yield "", "", f"bus {_plain(bus.name)}"
     yield "bitrate", f"{bus.bitrate}ul", "bit/s"
@@ -85,5 +87,5 @@ def _number(value: float) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return the text without backslashes and without the start and end marks of C comments."""
+    """Return the text without backslashes and without ``/*`` and ``*/``."""
     return " ".join(text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").split())

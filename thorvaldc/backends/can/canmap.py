@@ -1,6 +1,6 @@
-"""The file `can/canmap.json`, the normative description of the buses.
+"""The file `can/canmap.json`, the normative description of the robot's CAN buses.
 
-The page docs/canmap.md describes the format of the file.
+The page docs/canmap.md describes the format of canmap.json.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 
 
 def canmap_text(robot: Robot) -> str:
-    """Return the CAN map as JSON text, in the layout of ``json_text``."""
+    """Return the contents of canmap.json as text, in the layout of ``json_text``."""
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -145,10 +145,10 @@ def _signal(signal: Signal) -> dict[str, Any]:
 
 
 def json_text(document: dict[str, Any]) -> str:
-    """Return the document as JSON text.
+    """Return a document as JSON text with a layout that is easy to read.
 
-    A list or an object without nested lists and objects is written on one line. The layout makes
-    the differences between two versions of the text easy to read.
+    A JSON list or object without nested lists and objects is written on one line. With this JSON
+    layout, a text comparison of two versions of a document is easy to read.
     """
     return _layout(document, 0) + "\n"
 
@@ -161,7 +161,7 @@ def _layout(value: Any, depth: int) -> str:
     if type(value) is list and _containers(value):
         pad = "\n" + "  " * depth
         return "[" + ",".join([f"{pad}  {_layout(v, depth + 1)}" for v in value]) + pad + "]"
-    # Most values are numbers, and ``repr`` is faster than a call of the JSON encoder.
+    # Most JSON values are numbers, and ``repr`` is faster than a call of the JSON encoder.
     if value is None:
         return "null"
     if type(value) is int or (type(value) is float and math.isfinite(value)):
@@ -170,7 +170,7 @@ def _layout(value: Any, depth: int) -> str:
 
 
 def _is_flat(container: Any) -> bool:
-    """True for a list or an object that contains no lists and no objects."""
+    """True for a JSON list or object that contains no lists and no objects."""
     return not _containers(container.values() if type(container) is dict else container)
 
 

@@ -15,7 +15,7 @@ ENCODING = "cp1252"  # the encoding that readers of DBC files assume
 
 
 def lost_texts(bus: Bus) -> Iterator[Diagnostic]:
-    """Yield a diagnostic for each frame with texts that a DBC file cannot encode."""
+    """Yield a diagnostic for each CAN frame whose texts a DBC file cannot encode."""
     for frame in bus.frames:
         texts = [frame.description]
         for signal in frame.signals:
@@ -41,24 +41,25 @@ def _in_dbc(character: str) -> bool:
 
 
 def dbc_text(bus: Bus) -> str:
-    """Return the text of the DBC file of a bus. The package cantools writes the text."""
+    """Return the DBC file of a CAN bus as text. The Python package cantools generates the text of
+    the DBC file."""
     db = _cantools_database()
     can = db.can
 
     class Message(can.Message):  # type: ignore[misc,name-defined]
-        """A cantools message that is written to a DBC file and never decoded.
+        """A cantools message that is only written to a DBC file and never decoded.
 
-        The class skips the steps of cantools that only decoding needs. The skipped steps take two
-        thirds of the time.
+        The class skips the steps of a cantools message that are only needed to decode CAN frames.
+        The steps for decoding would take two thirds of the time to build the DBC file.
         """
 
         def __deepcopy__(self, memo: dict[int, Any]) -> Message:
             return self  # cantools copies a message to change names; the copy is not needed
 
         def refresh(self, strict: bool | None = None) -> None:
-            """Skip the codecs and the check of the layout.
+            """Skip the creation of the codecs and the check of the signal layout.
 
-            The compiler has already checked the layout.
+            The compiler has already checked that the signals of a CAN frame do not overlap.
             """
 
     nodes = [can.Node("master", "Master of the bus: the base driver.")] + [
@@ -76,7 +77,8 @@ def dbc_text(bus: Bus) -> str:
             _dbc_signals(db, frame),
             comment=_plain(frame.description) or None,
             senders=[frame.producer],
-            # The DBC attribute has whole milliseconds. The CAN map has the exact period.
+            # The DBC attribute for the period of a CAN frame can only contain whole milliseconds.
+            # The file canmap.json contains the exact period of the CAN frame.
             cycle_time=max(1, min(round(frame.period * 1000), 0xFFFF)) if frame.period else None,
             strict=True,
             sort_signals=None,
@@ -129,10 +131,11 @@ def _dbc_signals(db: Any, frame: FrameDefinition) -> list[Any]:
 
 
 def _limits(signal: Signal) -> tuple[float | None, float | None]:
-    """Return both limits of a signal, or ``None`` for both if the signal has no limits.
+    """Return the minimum and maximum of a CAN signal, or ``None`` for both if the signal has no
+    limits.
 
-    The DBC format has no way to omit only one limit: a missing limit would be written as 0. A
-    missing limit is therefore computed from the length of the signal.
+    The DBC format cannot omit only one limit of a signal: a missing limit would be written as 0. A
+    missing limit of a signal is therefore computed from the length of the signal in bits.
     """
     if signal.minimum is None and signal.maximum is None:
         return None, None
@@ -153,17 +156,20 @@ def _number(value: float) -> float | int:
 
 
 def _plain(text: str) -> str:
-    """Return the text on one line, without the quotes and backslashes of DBC strings."""
+    """Return the text on one line, without quotes and backslashes, which DBC strings cannot
+    contain."""
     return " ".join(text.replace("\\", "/").replace('"', "'").split())
 
 
 def _cantools_database() -> Any:
-    """Return the package ``cantools.database`` without the other imports of ``cantools``.
+    """Import and return ``cantools.database`` without the other modules of the package
+    ``cantools``.
 
-    The package ``cantools`` also imports its bus tester. The bus tester imports python-can, asyncio
-    and ssl, which take two thirds of the import time, and a compiler does not need a bus library.
-    This function therefore registers ``cantools`` in ``sys.modules`` without executing the package.
-    The first access to another name of ``cantools`` executes the package.
+    The import of the package ``cantools`` also imports the CAN tester of cantools. The CAN tester
+    imports python-can, asyncio and ssl, which takes two thirds of the import time, and the compiler
+    needs none of them. This function therefore registers ``cantools`` in ``sys.modules`` without
+    executing the package. The package ``cantools`` is executed at the first access to another of
+    its names.
     """
     spec = importlib.util.find_spec("cantools") if "cantools" not in sys.modules else None
     if spec is not None and spec.loader is not None:

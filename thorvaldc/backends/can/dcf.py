@@ -1,7 +1,8 @@
-"""The device configuration file (DCF, CiA 306) of a node: its objects and their required values.
+"""The device configuration file (DCF, CiA 306) of a CANopen node, with the required values of its
+object dictionary entries.
 
-The project has its own DCF writer because other writers add the current date. Two builds of the
-same robot must have the same bytes.
+This project has its own DCF writer, because other DCF writers add the current date. All builds of
+the same robot must have the same bytes.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ VARIABLE, ARRAY, RECORD = 0x7, 0x8, 0x9
 
 
 def described(bus: Bus) -> list[Node]:
-    """Return the nodes of a bus whose object dictionary is known."""
+    """Return the nodes of a CAN bus whose object dictionary is known."""
     return [node for node in bus.nodes if node.objects]
 
 
 def dcf_text(bus: Bus, node: Node) -> str:
-    """Return the text of the DCF of a node.
+    """Return the DCF of a CANopen node as text.
 
-    Numbers in the DCF are decimal, and identifiers in the DCF are hexadecimal.
+    In the DCF, numbers are decimal, and CAN identifiers are hexadecimal.
     """
     in_pdo = {
         (index, subindex): frame.producer != node.name
@@ -139,8 +140,9 @@ def _variable(entry: ObjectValue, in_pdo: dict[tuple[int, int], bool]) -> list[t
     ]
     if entry.value is not None:
         number = _hexadecimal(entry.value) if entry.type == "unsigned32" else str(entry.value)
-        # A read-only value identifies the node, so the DCF has the value as a default. All other
-        # values are written to the node.
+        # A read-only object dictionary entry identifies the node, so the DCF contains its value as
+        # the default value. The values of all writable object dictionary entries are written to the
+        # node.
         rows.append(("DefaultValue" if entry.access == "ro" else "ParameterValue", number))
     return rows
 

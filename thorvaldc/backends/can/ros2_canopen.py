@@ -1,6 +1,6 @@
 """The file `bus.yml` for ros2_canopen, with the nodes, their DCFs and heartbeats.
 
-The file turns on heartbeats, because heartbeats are off by default in ros2_canopen. Without
+`bus.yml` turns on heartbeats, because heartbeats are off by default in ros2_canopen. Without
 heartbeats, the drives continue to run when the CANopen master stops working.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from thorvaldc.backends.can.dcf import described
 from thorvaldc.model.bus import Bus, Node
 
-# Name of the physical quantity in ros2_canopen, by the unit of a signal.
+# Maps the unit of a CAN signal to the name of the physical quantity in ros2_canopen.
 SCALES = {"rad": "pos", "rad/s": "vel"}
 MODES = {1: "position_mode", 8: "position_mode", 3: "velocity_mode", 9: "velocity_mode"}
 NO_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
@@ -19,9 +19,9 @@ MODE_OF_OPERATION, AXIS = 0x6060, 0x800
 
 
 def bus_yml(bus: Bus) -> str:
-    """Return the text of `bus.yml` for a bus.
+    """Return the text of the file `bus.yml` for a CAN bus.
 
-    The DCF of a node contains all settings that are not in `bus.yml`.
+    The settings of a node that are not in `bus.yml` are in the DCF of the node.
     """
     lines = [
         "# Made by thorvaldc; changes are lost. Never tried on physical hardware.",
@@ -82,9 +82,9 @@ def _node(bus: Bus, node: Node) -> Iterator[str]:
 
 
 def _axes(bus: Bus, node: Node) -> Iterator[str]:
-    """Yield the lines with the modes and scales of a CiA 402 drive.
+    """Yield the lines of `bus.yml` with the operating modes and scales of a CiA 402 drive.
 
-    A drive with several axes has a group of lines for each axis.
+    For a CiA 402 drive with several axes, `bus.yml` has a group of lines for each axis.
     """
     axes = [list(_axis(bus, node, number)) for number in range(len(node.channels))]
     if len(axes) == 1:
@@ -133,9 +133,9 @@ def _key(name: str) -> str:
 
 
 def _heartbeat(bus: Bus, producer: str) -> float | None:
-    """Return the heartbeat period of the master or a node in s.
+    """Return the heartbeat period of a node or of the CANopen master in s.
 
-    Returns ``None`` if the producer sends no heartbeat.
+    Returns ``None`` if the node or master sends no heartbeat.
     """
     return next(
         (f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == producer), None

@@ -11,18 +11,18 @@ from thorvaldc.model.spatial import Inertial, Pose, add, combine, quat_from_axis
 class JointTree:
     """The links and joints of a robot as a tree, with the pose of every link in ``base_link``.
 
-    The root of the tree is ``links[0]``. The links are visited depth first, and the children of a
-    link are visited in model order.
+    The root of the joint tree is ``links[0]``. The order of the links is depth first, and the child
+    links of a link have the order of the model.
 
     - ``positions``: joint positions in rad or m by joint name, 0 for a joint without a value.
     - ``order``: names of the connected links, depth first, with each parent before its children.
     - ``parent_joint``: maps a link name to the joint above the link.
     - ``children``: maps a link name to the joints below the link.
     - ``pose``: maps a link name to the pose of the link in ``base_link``.
-    - ``moving``: the movable joints, depth first. Movable joints are numbered from 1, and the
-      number 0 is the base.
+    - ``moving``: the movable joints, depth first. The movable joints have the numbers 1, 2, 3 and
+      so on, and the number 0 means the base.
     - ``carrier``: maps a link name to the number of the nearest movable joint above the link. All
-      links with the same carrier move as one rigid body.
+      links with the same nearest movable joint move as one rigid body.
     - ``moving_parent``: the nearest movable joint above each movable joint, as a number.
     """
 
@@ -62,11 +62,11 @@ class JointTree:
             stack += reversed(self.children.get(joint.child, ()))
 
     def at(self, positions: Mapping[str, float]) -> JointTree:
-        """Return the tree of the same links and joints at other joint positions."""
+        """Return the joint tree of the same robot at other joint positions."""
         return JointTree(list(self.links.values()), list(self.joints.values()), positions)
 
     def joints_above(self, link: str) -> list[Joint]:
-        """Return the joints between a link and the root, the nearest joint first."""
+        """Return the joints between a link and the root link, beginning at the link."""
         joints: list[Joint] = []
         while link in self.parent_joint:
             joint = self.parent_joint[link]
@@ -75,7 +75,7 @@ class JointTree:
         return joints
 
     def links_below(self, link: str) -> list[str]:
-        """Return the names of a link and all its descendants, level by level."""
+        """Return the names of a link and all links below it, level by level."""
         names = [link]
         for name in names:
             names.extend(joint.child for joint in self.children.get(name, ()))
@@ -84,7 +84,7 @@ class JointTree:
     def inertial(self, names: Sequence[str] | None = None, lift: float = 0.0) -> Inertial:
         """Return the mass and inertia of several links as one body.
 
-        Links that are not connected to the root are left out.
+        The sum does not include links that are not connected to the root link.
 
         - ``names``: names of the links, or ``None`` for all links.
         - ``lift``: height in m by which all links are raised in ``base_link``.
@@ -100,7 +100,7 @@ class JointTree:
 
 
 def _joint_motion(joint: Joint, position: float) -> Pose:
-    """Return the motion of a joint as the pose of the child link relative to joint position 0."""
+    """Return the pose of the child link relative to its pose at joint position 0."""
     x, y, z = joint.axis
     if joint.type == "prismatic":
         return Pose((position * x, position * y, position * z))

@@ -2,22 +2,22 @@
 
 The composite-rigid-body algorithm computes the mass matrix M(q) at joint positions 0 (Featherstone,
 Rigid Body Dynamics Algorithms, 2008, section 6.2). The degrees of freedom are three translations
-and three rotations of the base, followed by one degree of freedom for each movable joint. The
-elements of the mass matrix are
+and three rotations of the base, followed by one degree of freedom for each movable joint. Elements
+of the mass matrix M:
 
-    M_ij = s_j^T C_i s_i,   for each j on the path from the root to i,
+    M_ij = s_j^T C_i s_i, for each j on the path from the root to i,
 
 and M_ij = 0 if neither joint carries the other joint. The symbols are:
 
-- s_i: motion of degree of freedom i. The motion consists of the angular velocity w and the velocity
-  v of the point at the origin, for a unit joint velocity.
+- s_i: motion of degree of freedom i. The motion consists of the angular velocity w and the linear
+  velocity v at the origin, for the joint velocity 1.
 - C_i: spatial inertia of the composite body i. The composite body consists of all links below joint
   i.
 
-The mass matrix is factored as L^T D L (Featherstone, section 6.5). Row i of the matrix has nonzero
-entries only for the degrees of freedom on the path from the root to i. The factors L and D have
-entries at the same positions as the mass matrix. The computing time therefore grows linearly with
-the number of branches of the tree.
+The mass matrix is factored as L^T D L (Featherstone, section 6.5). Row i of the mass matrix is
+nonzero only at the degrees of freedom on the path from the root to i. The factors L and D are
+nonzero only where the mass matrix is nonzero. The time to factor the mass matrix therefore grows
+linearly with the number of branches of the joint tree.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from thorvaldc.model.statics.joint_tree import JointTree
 
 
 class BranchSparse:
-    """A symmetric matrix over the degrees of freedom of a tree, and its L^T D L factors.
+    """A symmetric matrix over the degrees of freedom of a joint tree, and its L^T D L factors.
 
-    - ``paths``: one list for each degree of freedom i. The list contains the degrees of freedom on
-      the path from the root to i, and i is the last element.
-    - ``rows``: one list for each degree of freedom i. Element k of row i is the matrix entry in row
-      i and column ``paths[i][k]``. All other matrix entries left of the diagonal are zero.
+    - ``paths``: one list for each degree of freedom i. The list for i contains the degrees of
+      freedom on the path from the root to i, including i.
+    - ``rows``: one list for each degree of freedom i. ``rows[i][k]`` is the element of the matrix
+      in row i and column ``paths[i][k]``. All other elements of the matrix to the left of the
+      diagonal are zero.
     """
 
     def __init__(self, paths: list[list[int]]) -> None:
@@ -45,9 +46,9 @@ class BranchSparse:
     def factor(self) -> bool:
         """Replace the matrix by its L^T D L factors.
 
-        Each row of the matrix is replaced by the row of L, with 1/D as the last element. Returns
-        false if the matrix is singular, because a pivot is zero. The row of a degree of freedom
-        with a zero pivot is filled with zeros, which locks the degree of freedom.
+        Each row of the matrix is replaced by the row of L, and the last element of the row by 1/D.
+        Returns false if the matrix is singular. A degree of freedom with a zero pivot is locked:
+        its row is filled with zeros.
         """
         regular = True
         for i in range(len(self.rows) - 1, -1, -1):
@@ -68,9 +69,9 @@ class BranchSparse:
         return regular
 
     def quadratic(self, path: list[int], column: list[float]) -> float:
-        """Return ``j^T M^-1 j`` for a sparse vector j.
+        """Return ``j^T M^-1 j`` for the factored matrix M and a sparse vector j.
 
-        The vector j has the entries ``column`` at the degrees of freedom in ``path``.
+        ``column`` lists the elements of the vector j at the degrees of freedom in ``path``.
         """
         y = list(column)
         total = 0.0
@@ -84,7 +85,7 @@ class BranchSparse:
         return total
 
     def solve(self, b: list[float]) -> list[float]:
-        """Return ``M^-1 b`` for a vector ``b`` with an entry for each degree of freedom."""
+        """Return ``M^-1 b`` for the factored matrix M and the dense vector ``b``."""
         y = list(b)
         for i in range(len(y) - 1, -1, -1):
             row, path = self.rows[i], self.paths[i]
@@ -98,15 +99,16 @@ class BranchSparse:
         return y
 
 
-# Spatial inertia about the common origin: (m, m cx, m cy, m cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz).
-# The spatial inertia of several bodies is the sum of the spatial inertias of the bodies.
+# Spatial inertia of a body about the common origin: (m, m cx, m cy, m cz, Ixx, Iyy, Izz, Ixy, Ixz,
+# Iyz). The spatial inertia of several bodies is the sum of the spatial inertias of the bodies.
 _SpatialInertia = list[float]
 
 
 def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | None:
     """Return the spatial inertia of a link about ``origin``, in the axes of ``base_link``.
 
-    ``pose`` is the pose of the link in ``base_link``. Returns ``None`` for a link without mass.
+    ``pose`` is the pose of the link frame in ``base_link``. Returns ``None`` for a link without
+    mass.
     """
     if link.inertial is None:
         return None
@@ -129,11 +131,11 @@ def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | 
 
 
 def _momentum(body: _SpatialInertia, w: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
-    """Return the linear and the angular momentum of a body.
+    """Return the linear and angular momentum of a rigid body.
 
-    ``w`` is the angular velocity of the body, and ``v`` the velocity of the body's point at the
-    origin. With h = m c, the linear momentum is m v + w x h and the angular momentum is I w + h x
-    v.
+    ``w`` is the angular velocity of the rigid body, and ``v`` is the linear velocity of the body at
+    the origin. With the mass m, the centre of mass c, h = m c and the inertia I, the linear
+    momentum is m v + w x h and the angular momentum is I w + h x v.
     """
     m, hx, hy, hz, xx, yy, zz, xy, xz, yz = body
     wx, wy, wz = w
@@ -155,15 +157,16 @@ _UNIT: tuple[Vec3, Vec3, Vec3] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1
 def inverse_weights(
     tree: JointTree, origin: Vec3, links: Sequence[str]
 ) -> tuple[list[float], dict[str, float]]:
-    """Return the inverse weights of ``links`` in 1/kg, and the inertia on each movable joint.
+    """Return the inverse weights of links in 1/kg, and the carried inertia of each joint.
 
-    The inverse weight of a body is MuJoCo's translational ``body_invweight0``. A unit force acts at
-    the centre of mass of the body in each of three directions. The inverse weight is the mean of
-    the three accelerations: trace(J M^-1 J^T) / 3. J is the Jacobian of the centre of mass.
+    The inverse weight of a body is the value ``body_invweight0`` of MuJoCo for translation. To
+    compute the inverse weight, a unit force acts at the centre of mass of the body in each of three
+    directions. The inverse weight is the mean of the three accelerations: trace(J M^-1 J^T) / 3,
+    with the mass matrix M. J is the Jacobian matrix of the centre of mass of the body.
 
-    The inertia on a joint is the inertia of all links that the joint carries, about the joint axis,
-    in kg m^2. For a prismatic joint, the inertia on the joint is the carried mass in kg. The second
-    returned value maps the name of each movable joint to the inertia on the joint.
+    The carried inertia of a joint is the inertia in kg m^2 of all links that the joint moves, about
+    the joint axis. For a prismatic joint, the carried inertia is the mass of these links in kg. The
+    second returned value maps the name of each movable joint to its carried inertia.
 
     - ``tree``: joint tree with every joint at position 0.
     - ``origin``: common origin of all spatial inertias, best near the centre of mass of the robot.
@@ -216,9 +219,9 @@ def _mass_matrix(
     composite: list[_SpatialInertia],
     motions: list[tuple[Vec3, Vec3]],
 ) -> tuple[BranchSparse, dict[str, float]]:
-    """Return the mass matrix with motor inertias, and the inertia on each movable joint.
+    """Return the mass matrix with motor inertias, and the carried inertia of each joint.
 
-    The inertia on a joint does not include the motor inertia ``armature``.
+    The carried inertia of a joint does not include the motor inertia ``armature``.
     """
     matrix = BranchSparse(paths)
     for k in range(3):

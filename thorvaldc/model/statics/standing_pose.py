@@ -1,9 +1,9 @@
 """The pose in which a robot stands at rest on level ground, and the load of each wheel.
 
-The unknowns q are the height of the base, the rotations of the base about the world's x and y axes,
-and the positions of the compliant joints. A joint with a spring is compliant. A free joint that
-carries wheels, such as the joint of a rocker, is also compliant. In equilibrium the generalised
-force on each unknown is zero:
+The unknowns q of the standing pose are the height of the base, the rotations of the base about the
+world's x and y axes, and the positions of the compliant joints. A joint with a spring is compliant:
+it moves under the weight of the robot. A passive joint that carries wheels, such as the joint of a
+rocker, is also compliant. Equilibrium of the generalised forces on the unknowns q:
 
     r(q) = sum over wheels f_w(q) l_w + weights - springs = 0,   l_w = dz_w / dq.
 
@@ -11,19 +11,22 @@ The symbols are:
 
 - f_w: contact force of wheel w as a function of its penetration p_w, see ``wheel_contact``.
 - l_w: lift of the contact point of wheel w for a unit change of each unknown. The lift for the
-  height is 1. With the base position b, the lift for the rotation about x is y - b_y, and the
-  lift for the rotation about y is b_x - x. For a prismatic joint with axis a, the lift is a_z.
-  For a hinge joint with axis a at the point o, the lift is a_x (y - o_y) - a_y (x - o_x).
+  height of the base is 1. With the base position b and the contact point (x, y), the lift is y -
+  b_y for the rotation of the base about x, and b_x - x for the rotation about y. The lift for a
+  prismatic joint with the axis a is a_z. The lift for a hinge joint with the axis a at the point o
+  is a_x (y - o_y) - a_y (x - o_x).
 
-Raising the wheel centre by dz reduces the penetration by 2 dz, so the stiffness matrix is
+Raising the wheel centre by dz reduces the penetration p_w of the wheel w by 2 dz. Stiffness matrix:
 
     K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses).
 
-The stiffness matrix neglects the small change of l_w with q. Newton's method solves K dq = r for
-the step dq. The matrix K has entries only between unknowns that carry the same wheel. K therefore
-has the sparsity of the joint tree and is factored like a mass matrix. The computing time grows
-linearly with the number of branches of the tree. Every element of a Newton step is limited to 0.05
-m or 0.05 rad. A Newton step is halved until the largest residual decreases.
+The stiffness matrix K neglects that the lifts l_w change with the unknowns q. Newton's method finds
+the step dq of the unknowns by solving K dq = r with the stiffness matrix K and the residual r. An
+element of the stiffness matrix K is nonzero only if both unknowns move a common wheel. The
+stiffness matrix K therefore has the sparsity of the joint tree and is factored like a mass matrix.
+The time to factor the stiffness matrix grows linearly with the number of branches of the joint
+tree. Every element of a Newton step is limited to 0.05 m or 0.05 rad. If a Newton step does not
+decrease the largest residual, the step is halved until the residual decreases.
 """
 
 from __future__ import annotations
@@ -64,12 +67,13 @@ class Statics(NamedTuple):
     - ``base``: pose of ``base_link`` in the world.
     - ``positions``: maps the name of every movable joint to its position in rad or m.
     - ``inertias``: maps the name of every movable joint to the inertia of all carried links about
-      the joint axis in kg m^2. For a prismatic joint, the value is the carried mass in kg.
+      the joint axis in kg m^2. For a prismatic joint, the value in ``inertias`` is the carried mass
+      in kg.
     - ``wheels``: maps the name of each wheel to its contact.
     - ``settled``: true if the robot has an equilibrium.
 
-    A robot that tips over has no equilibrium. Without an equilibrium, ``base`` is the identity and
-    the wheel contacts are computed from the wheel loads of the model.
+    A robot that tips over on level ground has no equilibrium. If the robot has no equilibrium,
+    ``base`` is the identity and the wheel contacts are computed from the wheel loads of the model.
     """
 
     base: Pose
@@ -80,7 +84,7 @@ class Statics(NamedTuple):
 
 
 class _Footing(NamedTuple):
-    """A wheel in the home pose, with its geometry in ``base_link``.
+    """A wheel in the home pose of the robot, with positions and directions in ``base_link``.
 
     ``group`` is the number of the rigid group of links to which the wheel belongs.
     """
@@ -93,7 +97,7 @@ class _Footing(NamedTuple):
 
 
 class _Forces(NamedTuple):
-    """The generalised forces at one pose, and the geometry that a Newton step needs.
+    """The generalised forces on the robot at one pose, and the geometry for a Newton step.
 
     - ``residual``: generalised force on each unknown, in N or N m.
     - ``depths``: penetration of each footing in m.
@@ -109,24 +113,24 @@ class _Forces(NamedTuple):
     frames: list[tuple[Vec3, Vec3]]
 
     def size(self) -> float:
-        """Return the largest absolute residual, in N or N m."""
+        """Return the largest absolute generalised force, in N or N m."""
         return max(abs(r) for r in self.residual)
 
 
 class _Stance:
-    """The robot as rigid groups of links that are connected by its compliant joints.
+    """The robot as rigid groups of links, connected by its compliant joints.
 
-    Group 0 contains the base. Unknown 0 is the height of the base. Unknowns 1 and 2 are the
-    rotations of the base about the world's x and y axes. Unknown 2 + g is the position of the
-    compliant joint above group g.
+    The rigid group 0 contains the base link. Unknown 0 is the height of the base. Unknowns 1 and 2
+    are the rotations of the base about the world's x and y axes. Unknown 2 + g is the position of
+    the compliant joint that carries the rigid group g.
     """
 
     def __init__(
         self, tree: JointTree, compliant: list[Joint], wheels: list[tuple[Wheel, Vec3, float]]
     ) -> None:
-        """Divide the links of ``tree`` into rigid groups.
+        """Divide the links of the joint tree into rigid groups.
 
-        ``wheels`` lists each wheel with its spin axis and its inverse weight.
+        ``wheels`` lists each wheel with its spin axis and the inverse weight of its link.
         """
         self.joints = compliant
         number = {joint.name: g for g, joint in enumerate(compliant, 1)}
@@ -170,7 +174,7 @@ class _Stance:
             )
 
     def evaluate(self, base: Pose, positions: list[float]) -> _Forces:
-        """Return the residual r(q) for a base pose and the positions of the compliant joints."""
+        """Return the generalised forces for a base pose and compliant joint positions."""
         transforms = [base]
         frames: list[tuple[Vec3, Vec3]] = [(base.xyz, (0.0, 0.0, 1.0))]
         for g in range(1, len(self.parent)):
@@ -187,7 +191,8 @@ class _Stance:
                 transforms.append(
                     Pose(parent.apply(shift), quat_normalize(quat_multiply(parent.quat, q)))
                 )
-        # Vertical force on each group, and the moments of the force about the world's x and y axes.
+        # Vertical force on each rigid group of links, and its moments about the world's x and y
+        # axes.
         vertical = [-m * GRAVITY for m in self.mass]
         about_x: list[float] = []
         about_y: list[float] = []
@@ -237,7 +242,7 @@ class _Stance:
         return _Forces(residual, depths, tilts, points, frames)
 
     def step(self, forces: _Forces) -> list[float] | None:
-        """Return the Newton step for the unknowns.
+        """Return the Newton step for the base pose and the compliant joint positions.
 
         Returns ``None`` if the stiffness matrix is singular.
         """
@@ -261,10 +266,10 @@ class _Stance:
         return matrix.solve(forces.residual) if matrix.factor() else None
 
     def settle(self, sink: float) -> tuple[Pose, list[float], _Forces] | None:
-        """Return the base pose, the compliant joint positions and the forces in equilibrium.
+        """Return the base pose, joint positions and generalised forces in equilibrium.
 
-        The search starts with the base ``sink`` m below the origin. Returns ``None`` if the search
-        finds no equilibrium.
+        The search for the equilibrium starts with the base ``sink`` m below the origin. Returns
+        ``None`` if Newton's method finds no equilibrium.
         """
         base, positions = Pose((0.0, 0.0, -sink)), [_joint_home(joint) for joint in self.joints]
         forces = self.evaluate(base, positions)
@@ -291,7 +296,8 @@ class _Stance:
 
 
 def _moved(base: Pose, step: list[float]) -> Pose:
-    """Return the base raised by ``step[0]`` m and rotated by ``step[1:3]`` rad about x and y."""
+    """Return the pose of the base after a Newton step of ``step[0]`` m in height and of
+    ``step[1:3]`` rad about x and y."""
     angle = math.hypot(step[1], step[2])
     x, y, z = base.xyz
     quat = base.quat
@@ -304,7 +310,7 @@ def _moved(base: Pose, step: list[float]) -> Pose:
 def _joint_home(joint: Joint) -> float:
     """Return the position of a joint in the home pose.
 
-    The home position is 0, or the limit nearest to 0 if the joint cannot reach 0.
+    The home position of a joint is 0, or the limit nearest to 0 if the joint cannot reach 0.
     """
     low = -math.inf if joint.lower is None else joint.lower
     high = math.inf if joint.upper is None else joint.upper
@@ -326,8 +332,8 @@ def solve_statics(robot: Robot) -> Statics:
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
     compliant = _compliant_joints(robot, tree)
-    # The positions of compliant joints are measured from 0. All other joints are at their home
-    # positions.
+    # The positions of compliant joints are measured from 0. Joints that are not compliant are at
+    # their home positions.
     unknown = {joint.name for joint in compliant}
     home = {name: q for name, q in positions.items() if name not in unknown and q != 0.0}
     wheels = list(zip(robot.wheels, axes, weights, strict=True))
@@ -349,8 +355,8 @@ def solve_statics(robot: Robot) -> Statics:
     contacts = {}
     for (wheel, axis, weight), depth, tilt in zip(wheels, depths, tilts, strict=True):
         p = max(depth, 0.0)
-        # A standing robot leans by about 1e-5 rad. A wheel with a tilt below 1e-4 rad counts as
-        # upright.
+        # The base of a standing robot is typically tilted by about 1e-5 rad. A wheel that is tilted
+        # by less than 1e-4 rad counts as upright.
         camber = tilt if abs(tilt) > 1e-4 else 0.0
         contacts[wheel.name] = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
     return Statics(base, positions, inertias, contacts, equilibrium is not None)
@@ -359,8 +365,9 @@ def solve_statics(robot: Robot) -> Statics:
 def _compliant_joints(robot: Robot, tree: JointTree) -> list[Joint]:
     """Return the joints that move under the weight of the robot.
 
-    A joint with a spring is compliant. A free joint above a wheel is also compliant. The axle of a
-    wheel is not compliant, because level ground does not turn a wheel.
+    A joint with a spring is compliant: it moves under the weight of the robot. A passive joint that
+    carries a wheel, such as the joint of a rocker, is also compliant. The spin joint of a wheel is
+    not compliant, because level ground does not turn a wheel.
     """
     actuated = {actuator.joint for actuator in robot.actuators}
     carriers: set[int] = set()

@@ -1,8 +1,10 @@
-"""A wheel in MuJoCo's soft contact, computed in closed form and without MuJoCo.
+"""The soft contact between a wheel and the ground as in MuJoCo, computed with formulas and without
+MuJoCo.
 
 Normal force. A wheel sinks into the ground until the contact force is equal to the wheel load.
 MuJoCo computes the contact force from a regularisation R and a reference acceleration a_ref (MuJoCo
-documentation, chapter "Computation", section "Solver parameters"). The normal force at rest is
+documentation, chapter "Computation", section "Solver parameters"). Normal force f of a wheel at
+rest:
 
     f = a_ref / R,   a_ref = k d(p) p,   R = A (1 - d(p)) / d(p),
     k = 1 / (d_max timeconst dampratio)^2.
@@ -13,19 +15,21 @@ The symbols are:
 - d(p): impedance curve of ``solimp``.
 - A: inverse weight of the wheel's body in 1/kg, see ``mass_matrix.inverse_weights``.
 
-The normal force and its derivative are therefore
+Normal force f(p) and its derivative f'(p) as functions of the penetration p:
 
     f(p) = k p d^2 / (A (1 - d)),
     f'(p) = k / A * (d^2 / (1 - d) + p d' d (2 - d) / (1 - d)^2).
 
-Rolling radius. MuJoCo puts the contact point half of the penetration above the lowest point of the
-shape. A wheel therefore rolls on a smaller radius than its collision radius. To correct the rolling
-radius, the shape of each wheel is enlarged. After the enlargement, the contact point lies on a
-circle of ``Wheel.radius`` in the middle plane of the wheel.
+Rolling radius. MuJoCo puts the contact point above the lowest point of the wheel's shape, by half
+of the penetration. In MuJoCo, a wheel therefore rolls on a smaller radius than the radius of its
+collision shape. The MJCF backend makes the collision shape of each wheel larger to correct the
+rolling radius. With the larger collision shape, the contact point lies on a circle of
+``Wheel.radius`` in the middle plane of the wheel.
 
-The ground is at the height 0 and the contact point at the height -p/2. The lowest point of the
-circle is at the height h - radius cos(camber), where h is the height of the wheel centre. The two
-heights are equal, so the penetration is
+The ground is at the height 0, and the contact point is at the height -p/2, where p is the
+penetration. The lowest point of the rolling circle is at the height h - radius cos(camber), where h
+is the height of the wheel centre. The contact point is the lowest point of the rolling circle, so
+the penetration p is
 
     p = 2 (radius cos(camber) - h).
 """
@@ -67,7 +71,7 @@ class WheelContact(NamedTuple):
 
 
 def impedance(penetration: float) -> float:
-    """Return the impedance d(p) of ``solimp`` with MuJoCo's default midpoint 0.5 and power 2."""
+    """Return the impedance of MuJoCo's ``solimp`` with the default midpoint 0.5 and power 2."""
     d0, d1, width = SOLIMP
     x = penetration / width
     if x >= 1.0:
@@ -77,10 +81,10 @@ def impedance(penetration: float) -> float:
 
 
 def normal_force(penetration: float, inverse_weight: float) -> float:
-    """Return the normal force f(p) of a wheel in N.
+    """Return the normal force in N between a wheel and the ground.
 
-    ``penetration`` is the penetration p in m. ``inverse_weight`` is the inverse weight of the
-    wheel's body in 1/kg.
+    ``penetration`` is the depth in m by which the wheel sinks into the ground. ``inverse_weight``
+    is the inverse weight of the wheel's link in 1/kg.
     """
     if penetration <= 0.0:
         return 0.0
@@ -89,10 +93,10 @@ def normal_force(penetration: float, inverse_weight: float) -> float:
 
 
 def contact_stiffness(penetration: float, inverse_weight: float) -> float:
-    """Return the contact stiffness f'(p) of a wheel in N/m.
+    """Return the contact stiffness of a wheel in N/m: the derivative of the normal force.
 
-    A penetration below 1e-6 m is replaced by 1e-6 m. The stiffness is therefore never zero, and
-    Newton's method also works for a wheel above the ground.
+    Penetrations below 1e-6 m are replaced by 1e-6 m. The contact stiffness is therefore never zero,
+    and Newton's method also works for a wheel above the ground.
     """
     p = max(penetration, 1e-6)
     d0, d1, width = SOLIMP
@@ -106,8 +110,8 @@ def contact_stiffness(penetration: float, inverse_weight: float) -> float:
 def penetration_under(force: float, inverse_weight: float) -> float:
     """Return the penetration in m at which the normal force is ``force`` N.
 
-    The function uses Newton's method inside a bracket. Bisection replaces a Newton step that leaves
-    the bracket.
+    The function finds the penetration with Newton's method inside a bracket. If a Newton step
+    leaves the bracket, the function bisects the bracket.
     """
     if force <= 0.0:
         return 0.0
@@ -135,20 +139,20 @@ def contact_ellipsoid(
 ) -> WheelContact:
     """Return the ellipsoid whose contact point lies on the rolling circle of the wheel.
 
-    ``axis`` is the spin axis in the link frame. ``tilt`` is the vertical component of the spin axis
-    in the world, which is the sine of the camber angle.
+    ``axis`` is the spin axis of the wheel in the link frame. ``tilt`` is the vertical component of
+    the wheel's spin axis in the world frame, which is the sine of the camber angle.
 
-    The ellipsoid has the radial half axis a and the axial half axis b = width / 2. All points are
-    described in the plane of the spin axis and the vertical. With c = cos(camber), s = sin(camber)
+    The ellipsoid of the wheel has the radial half axis a and the axial half axis b = width / 2. All
+    points are in the plane of the spin axis and the vertical. With c = cos(camber), s = sin(camber)
     and H^2 = a^2 c^2 + b^2 s^2, the lowest point has the radius a^2 c / H and the axial position
-    b^2 s / H. The contact point is p/2 above the lowest point, at the radius a^2 c / H - p/2 c. The
-    ellipsoid must meet two conditions:
+    b^2 s / H. The contact point is p/2 above the lowest point of the ellipsoid, at the radius a^2 c
+    / H - p/2 c, where p is the penetration. Conditions for the ellipsoid of the wheel:
 
     - The radius of the contact point must be ``wheel.radius``: a^2 c / H = wheel.radius + p/2 c =:
       r. With q = b s / c, the condition becomes a^4 - r^2 a^2 - r^2 q^2 = 0. The positive root is
       a^2 = r^2 (1 + sqrt(1 + 4 (q / r)^2)) / 2.
     - The contact point must lie in the middle plane of the wheel. The centre of the ellipsoid is
-      therefore shifted along the axis by (b^2 / H - p/2) s.
+      therefore shifted along the spin axis by (b^2 / H - p/2) s.
     """
     cos = math.sqrt(max(1.0 - tilt * tilt, 0.0))
     half = wheel.width / 2
