@@ -37,8 +37,7 @@ class Palette:
         return self._names[color]
 
     def entries(self) -> list[tuple[str, Color]]:
-        """Return the name and the RGBA values of each colour of the robot, in order of first
-        use."""
+        """Return the names and RGBA values of the robot's colours in order of first use."""
         return [(name, color) for color, name in self._names.items()]
 
 

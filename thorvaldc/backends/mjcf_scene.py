@@ -14,8 +14,7 @@ from thorvaldc.model.statics.standing_pose import Statics
 
 
 def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
-    """Return the centre of the robots in m, and the radius in m of a sphere around all their
-    wheels."""
+    """Return the centre of the robots, and the radius of a sphere around all their wheels, in m."""
     points = []
     for robot, pose in zip(robots, poses, strict=True):
         points.append(pose.apply(robot.inertial.com))

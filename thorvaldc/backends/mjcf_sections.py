@@ -14,8 +14,8 @@ TIMESTEP = 0.005  # s
 # Largest d h / I of a servo for which the model uses MuJoCo's explicit integrator. The implicit
 # integrators apply the damping of the motor joints after the contact forces. With MuJoCo's implicit
 # integrators, an accelerating robot is ahead of its wheels by 5 ms. With MuJoCo's explicit
-# integrator, an accelerating robot moves exactly with its wheels. For a joint with the inertia I
-# and the damping d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit
+# integrator, an accelerating robot is not ahead of its wheels. For a joint with the inertia I and
+# the damping d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit
 # integrator is therefore stable for d h / I < 2, with the joint damping d, the time step h and the
 # joint inertia I. MuJoCo models of robots with wheels that must slide use an implicit integrator.
 # With the explicit integrator, sliding wheels would chatter if d h / I is above 1, because friction
@@ -97,8 +97,7 @@ class ModelSections:
         name = self.meshes.get(key)
         if name is None:
             # Mesh files can have names that differ only in the extension. A mesh file can be used
-            # with several scales. A number is therefore added to the name of an MJCF asset if the
-            # name is already used.
+            # with several scales. The name of an MJCF asset is therefore made unique.
             name = stem = prefix + mesh.name.rsplit(".", 1)[0]
             for count in range(2, len(self.meshes) + 2):
                 if name not in self.taken:

@@ -17,12 +17,12 @@ _CELL = 0.1
 
 
 def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
-    """Return the relative heights of rough ground as a grid.
+    """Return the relative heights of rough ground as a grid of numbers.
 
-    The grid has one row for each y coordinate. The relative heights are heights divided by twice
-    the amplitude, so they are between 0 and 1. The ground is level at half height around the start
-    pose of each robot. The ground descends to 0 at its edge, where the plane around the ground
-    begins.
+    The grid of heights has one row for each y coordinate. A relative height is the height divided
+    by twice the amplitude of the bumps, and is between 0 and 1. The ground is level at half height
+    around the start pose of each robot. At its edge, the rough ground descends to the relative
+    height 0, where the surrounding plane begins.
     """
     xs, ys = (_grid(edge, ground.wavelength / CELLS_PER_WAVE) for edge in ground.size)
     rows = _waves(xs, ys, ground.wavelength, ground.seed)
@@ -36,17 +36,19 @@ def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
             inside = min(x - xs[0], xs[-1] - x, y - ys[0], ys[-1] - y)
             edge = _step(inside / ground.wavelength)
             row[i] = edge * (0.5 + 0.5 * share * row[i])
-    # MuJoCo scales the heights of a file to 0..1, so the grid must contain both 0 and 1.
+    # MuJoCo scales the heights of a height-field file to 0..1, so the grid must contain both 0 and
+    # 1.
     rows[0][0], rows[0][-1] = 0.0, 1.0
     return rows
 
 
 def relief(zone: Zone) -> tuple[list[list[float]], float]:
-    """Return the relative heights of a zone as a grid, and the largest height in m.
+    """Return the relative heights of a zone of the ground as a grid, and the largest height in m.
 
-    The grid has one row for each y coordinate. The relative heights are heights divided by the
-    largest height, and are therefore between 0 and 1. The sides of the zone rise from its edge. At
-    half a wavelength from the edge, the bumps reach their full height.
+    The grid of heights has one row for each y coordinate. A relative height of the zone is the
+    height divided by the largest height, and is between 0 and 1. A raised zone of the ground has
+    sides that rise from its edge. The bumps of a zone reach their full height at a distance of half
+    a wavelength from its edge.
     """
     cell = min(_CELL, min(zone.size) / 10)
     if zone.amplitude:
@@ -67,11 +69,11 @@ def relief(zone: Zone) -> tuple[list[list[float]], float]:
 def _waves(
     xs: Sequence[float], ys: Sequence[float], wavelength: float, seed: int
 ) -> list[list[float]]:
-    """Return random heights between -1 and 1 as a grid.
+    """Return random heights of the ground between -1 and 1 as a grid.
 
-    The heights are a normalised sum of plane waves with random directions and phases. The
+    The random heights are a normalised sum of plane waves with random directions and phases. The
     wavelengths of the plane waves are between ``wavelength`` and four times ``wavelength``. The
-    amplitude of a plane wave is proportional to its wavelength.
+    amplitude of each plane wave is proportional to its wavelength.
     """
     random_numbers = random.Random(seed)
     rows = _level(xs, ys)
@@ -102,15 +104,16 @@ def _grid(edge: float, cell: float) -> list[float]:
 
 
 def _step(share: float) -> float:
-    """Return the smooth step 3 s^2 - 2 s^3, where s is ``share`` limited to the range 0 to 1."""
+    """Return the smoothstep 3 s^2 - 2 s^3, where s is ``share`` limited to the range 0 to 1."""
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def height_file(rows: list[list[float]]) -> bytes:
-    """Return the bytes of a height-field file of MuJoCo, in little-endian order.
+    """Return the bytes of a MuJoCo height-field file, in little-endian order.
 
-    The file contains the numbers of rows and columns as int32, followed by the heights as float32.
+    A MuJoCo height-field file contains the numbers of rows and columns as int32, followed by the
+    heights as float32.
     """
     import array
     import struct

@@ -1,8 +1,8 @@
 """The world of a scenario in MJCF: slope, bumps, zones and fixed bodies.
 
-The frame of the scene is the frame of the ground. On a slope, the gravity vector is inclined
-instead of the ground. The standing pose, the poses of the scenario and all distances are therefore
-measured in the plane on which the robots drive.
+The world frame of the MuJoCo scene is fixed to the ground. For a slope, the MuJoCo scene has level
+ground and an inclined gravity vector. The standing pose, the poses of the scenario and all
+distances are therefore measured in the plane of the slope.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _COLORS = {
 
 
 def lowest(ground: Ground) -> float:
-    """Return the height in m of the plane around and below the ground.
+    """Return the height in m of the plane around and below the rough ground.
 
-    The height is 0 for level ground.
+    The height of the plane is 0 for level ground.
     """
     return -ground.amplitude
 
 
 def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str, bytes]:
-    """Add the world to a scene, and return the files of the world by their path.
+    """Add the world of a scenario to a MuJoCo scene, and return the height-field files by path.
 
-    The scene must already contain the ground plane. ``starts`` lists the start poses of the robots.
-    Rough ground is level around the start poses.
+    The MuJoCo scene must already contain the ground plane. ``starts`` lists the start poses of the
+    robots. Rough ground is level around the start poses.
     """
     ground = world.ground
     if ground.angle:
@@ -89,16 +89,17 @@ def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str,
 def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str, bytes]:
     """Add a plate for each level zone and a height field for each other zone.
 
-    Returns the height-field files by their path. The MJCF files do not contain the friction of
-    zones. During a run, the simulation changes the friction of the wheels instead.
+    Returns the contents of the height-field files by path. The MJCF files do not contain the
+    friction of zones. During a simulation, the program changes the friction of the wheels in a zone
+    instead.
     """
     files = {}
     for number, zone in enumerate(zones, 1):
         x, y = zone.size
         geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=_zone_color(zone))
         if zone.level:
-            # The plate is only visible and has no contacts, because the ground plane carries the
-            # robots.
+            # The plate of a level zone is only visible and has no contacts, because the ground
+            # plane carries the robots.
             geom.set(
                 name=f"zone/{number}", type="box", size=(x / 2, y / 2, _FILM + number * _LAYER)
             )

@@ -1,6 +1,6 @@
 """Parameter files of the robot's ROS 2 nodes: base driver, multiplexer, teleop, description.
 
-The page docs/ros2.md describes each parameter.
+The page docs/ros2.md describes each ROS 2 parameter.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Ros2(Backend):
 
 
 def base_driver(robot: Robot) -> Parameters:
-    """Return the parameters of the base driver.
+    """Return the ROS 2 parameters of the base driver.
 
-    A parameter that is a list has an entry for each wheel.
+    A list parameter of the base driver has one value for each wheel.
     """
     driver, prefix = robot.driver, _prefix(robot)
     parameters: Parameters = {
@@ -141,9 +141,9 @@ def _wheels(robot: Robot, prefix: str) -> Parameters:
 
 
 def twist_mux(robot: Robot) -> Parameters:
-    """Return the parameters of twist_mux: the twist sources and the locks of the robot.
+    """Return the ROS 2 parameters of twist_mux: the twist sources and the stop locks of the robot.
 
-    Empty lists of sources or locks are omitted.
+    The parameters of twist_mux contain no empty lists.
     """
     lists = {"topics": robot.twist_sources, "locks": robot.twist_locks}
     parameters: Parameters = {"use_stamped": False}
@@ -157,7 +157,7 @@ def twist_mux(robot: Robot) -> Parameters:
 
 
 def teleop(robot: Robot) -> Parameters:
-    """Return the parameters of teleop_twist_joy.
+    """Return the ROS 2 parameters of teleop_twist_joy.
 
     The scales of the joystick axes come from the velocity limits of the robot. The robot moves
     sideways only if every wheel can steer or swivel.
@@ -186,7 +186,7 @@ def teleop(robot: Robot) -> Parameters:
 
 
 def robot_state_publisher(robot: Robot) -> Parameters:
-    """Return the parameters of robot_state_publisher.
+    """Return the ROS 2 parameters of robot_state_publisher.
 
     The parameter ``frame_prefix`` is empty, because the names in the URDF already begin with the
     name space of the robot.

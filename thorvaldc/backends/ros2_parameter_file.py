@@ -1,9 +1,9 @@
-"""Writer of ROS 2 parameter files that every YAML reader reads in the same way.
+"""Writes ROS 2 parameter files that every YAML reader reads in the same way.
 
-The parser of rcl does not allow some parts of YAML: aliases, nested or mixed lists and empty
-values. The parser of rcl guesses the type of some values: ``y`` is true, ``017`` is 15, and ``1e3``
-is a number. The writer therefore puts all text in double quotes and writes every float with a dot.
-The writer rejects empty lists and lists with mixed types.
+The YAML parser of ROS 2 (rcl) rejects aliases, nested or mixed lists and empty values. The YAML
+parser of ROS 2 (rcl) guesses the type of some values: ``y`` is true, ``017`` is 15, and ``1e3`` is
+a number. The YAML writer therefore puts all text in double quotes and writes every float with a
+dot. The YAML writer rejects empty lists and lists with mixed types.
 """
 
 from __future__ import annotations
@@ -25,21 +25,23 @@ _PLAIN_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WORDS = frozenset(
     ["y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf", "infinity"]
 )
-# Characters that end a line or are not allowed in YAML, although JSON does not escape them.
+# Characters that end a line or are forbidden in YAML, and that a JSON encoder does not escape.
 _UNSAFE = re.compile("[\x7f-\xa0\u2028\u2029\ufeff\ufffe\uffff]")
 _INT64 = 1 << 63
 
 
 class ParameterError(ValueError):
-    """A value that a ROS 2 parameter file cannot contain. The error message names the parameter."""
+    """A value that a ROS 2 parameter file cannot contain. The error message contains the name of
+    the ROS 2 parameter."""
 
 
 def parameter_file(nodes: Mapping[str, Mapping[str, Value]]) -> str:
     """Return the text of a ROS 2 parameter file.
 
-    ``nodes`` maps the full name of each node, such as ``/r1/base_driver``, to the parameters of the
-    node. A nested mapping groups parameters: ``{"a": {"b": 1}}`` gives the parameter ``a.b``.
-    Raises ``ParameterError`` for a value that rcl rejects or misreads.
+    ``nodes`` maps the full name of each ROS 2 node, such as ``/r1/base_driver``, to the parameters
+    of the node. A nested dictionary is a group of ROS 2 parameters: ``{"a": {"b": 1}}`` is the
+    parameter ``a.b``. Raises ``ParameterError`` for a value that rcl, the YAML parser of ROS 2,
+    rejects or misreads.
     """
     lines = [HEADER]
     for node, parameters in nodes.items():
@@ -94,9 +96,10 @@ def _scalar(value: object, path: str) -> str:
 
 
 def real(value: float, path: str = "value") -> str:
-    """Return the shortest text with a dot that reads back as the same float.
+    """Return the shortest text with a decimal point that reads back as the same float.
 
-    Denormal numbers become 0.0. Raises ``ParameterError`` for infinite numbers and NaN.
+    Denormal floating-point numbers become 0.0. Raises ``ParameterError`` for infinite numbers and
+    NaN.
     """
     if not math.isfinite(value):
         raise ParameterError(f"`{path}` is not finite: {value}")
@@ -108,6 +111,7 @@ def real(value: float, path: str = "value") -> str:
 
 
 def quoted(text: str) -> str:
-    """Return the text in double quotes with JSON's escape sequences, which YAML also allows."""
+    """Return the text in double quotes with JSON's escape sequences, which are also valid in
+    YAML."""
     escaped = json.dumps(text, ensure_ascii=False)
     return _UNSAFE.sub(lambda match: f"\\u{ord(match[0]):04x}", escaped)

@@ -11,21 +11,21 @@ from thorvaldc.model.statics.standing_pose import Statics, solve_statics
 
 
 class StaticsBackend(Backend):
-    """A backend that needs the statics of a robot.
+    """A backend that needs the statics of a robot: the standing pose, the wheel contacts and the
+    joint inertias.
 
-    The statics are the standing pose, the wheel contacts and the inertia on each joint. The
-    compiler solves the statics of a robot once and passes the result to all backends of this class.
-    A caller that has only the model uses ``emit`` or ``emit_fleet``.
+    The compiler solves the statics of a robot once and passes the result to all backends of this
+    class. Callers that have only the robot model call ``emit`` or ``emit_fleet``.
     """
 
     @abc.abstractmethod
     def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
-        """Return the files of one robot by their POSIX path relative to the build folder."""
+        """Return the output files of one robot by their POSIX path relative to the build folder."""
 
     def emit_fleet_with_statics(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
-        """Return the files of a fleet by their POSIX path relative to the build folder.
+        """Return the output files of a fleet by their POSIX path relative to the build folder.
 
-        ``statics`` lists the statics of each robot, in the order of the fleet.
+        ``statics`` lists the statics of each robot, in the order of the fleet file.
         """
         return {
             f"{placement.name}/{path}": data

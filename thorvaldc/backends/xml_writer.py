@@ -1,8 +1,9 @@
-"""A small XML tree with one deterministic text form.
+"""A small XML writer: the same tree always gives the same text.
 
-The attributes and children of an element keep their order. A number is written as the shortest text
-that reads back as the same number. The writer escapes all text. A build uses this module instead of
-``xml.etree``, because this module is smaller and faster.
+The attributes and children of an XML element are written in the order in which they were added. A
+number is written as the shortest text that reads back as the same number. The XML writer escapes
+special characters in all text. The backends use this module instead of ``xml.etree``, because this
+module is smaller and faster.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ class XmlValueError(ValueError):
 
 
 def number(value: Number) -> str:
-    """Return the shortest text that reads back as the same number, such as ``0.1`` or ``1e-09``.
+    """Return the shortest text that reads back as the same floating-point number, such as ``0.1``
+    or ``1e-09``.
 
     Raises ``XmlValueError`` for infinite numbers and NaN.
     """
@@ -69,7 +71,7 @@ def _format(value: Value) -> str:
 class Element:
     """An XML element with attributes and either children or text.
 
-    ``attributes`` contains all attributes as they are written in the file.
+    ``attributes`` contains the attributes of the XML element with their text in the file.
     """
 
     __slots__ = ("attributes", "children", "tag", "text")
@@ -83,9 +85,9 @@ class Element:
             self.set(**attributes)
 
     def set(self, **attributes: Value | None) -> None:
-        """Add attributes to the element. An attribute with the value ``None`` is omitted.
+        """Add attributes to the XML element. XML attributes with the value ``None`` are omitted.
 
-        A trailing underscore is removed from the name of an attribute. The underscore allows
+        A trailing underscore in an attribute name is removed. A trailing underscore allows XML
         attribute names that are keywords of Python, such as ``class_``.
         """
         self.attributes += "".join(
@@ -97,7 +99,7 @@ class Element:
         )
 
     def add(self, tag: str, /, **attributes: Value | None) -> Element:
-        """Append a new child element and return the child."""
+        """Append a new child element to the XML element and return the child."""
         child = Element(tag, **attributes)
         self.children.append(child)
         return child
@@ -111,12 +113,13 @@ Rename = Callable[[str, str, str], str]
 
 
 def parse(text: str, rename: Rename | None = None) -> Element:
-    """Return the root element of an XML text. Tags keep the prefixes of XML name spaces.
+    """Parse an XML text and return its root element. Tags such as ``a:b`` keep the prefix of the
+    XML name space.
 
-    ``rename`` is called with the tag, the attribute name and the value of each attribute, and
-    returns the new value. For the text of an element, ``rename`` is called with an empty attribute
-    name. The parser omits comments and text beside child elements. Raises ``ValueError`` if the
-    text is not well-formed XML.
+    The function ``rename`` receives the tag, the attribute name and the value of each XML
+    attribute, and returns the new value. For the text of an XML element, ``rename`` receives an
+    empty attribute name. The XML parser omits comments and text beside child elements. Raises
+    ``ValueError`` if the text is not well-formed XML.
     """
     from xml.parsers import expat
 
@@ -155,10 +158,10 @@ def parse(text: str, rename: Rename | None = None) -> Element:
 
 
 def to_bytes(root: Element) -> bytes:
-    """Return the document as UTF-8, indented by two spaces, with an XML declaration."""
+    """Return the XML document as UTF-8, indented by two spaces, with an XML declaration."""
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
-    # A stack replaces recursion, because a long chain of links is nested deeper than Python's
-    # recursion limit.
+    # The function uses a stack and no recursion, because a long chain of links is nested deeper
+    # than Python's recursion limit.
     todo: list[tuple[Element, str] | str] = [(root, "")]
     while todo:
         item = todo.pop()

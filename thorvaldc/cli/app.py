@@ -1,6 +1,6 @@
 """The command table: name, function and help text of each command.
 
-The rows of the command table have the order of ``thorvaldc --help``.
+The commands in the table have the order of ``thorvaldc --help``.
 """
 
 from __future__ import annotations

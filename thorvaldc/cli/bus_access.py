@@ -40,7 +40,8 @@ UNTESTED = (
 class BusAccess:
     """Access of a command to one CAN bus of a robot.
 
-    - ``master``: the CANopen master for the bus. The bus must have no other CANopen master.
+    - ``master``: the CANopen master for the bus. There must be no other CANopen master on the CAN
+      bus.
     - ``virtual_operator``: carries out the manual steps on simulated devices, or ``None`` if a
       person carries out the manual steps.
     """
@@ -56,7 +57,7 @@ class BusAccess:
         return Scanner(self.master, self.configuration, self.show_progress)
 
     def make_plan(self) -> Plan:
-        """Scans the bus and returns the plan for commissioning the bus.
+        """Scans the CAN bus and returns the steps that commission the bus.
 
         Raises ``DiagnosticError`` if another CANopen master is on the bus.
         """
@@ -87,9 +88,9 @@ class BusAccess:
 def with_bus(
     file: str, spec: str, store: str, library: Sequence[str], work: Callable[[BusAccess], int]
 ) -> int:
-    """Loads the robot, opens the bus and returns the exit status of ``work``.
+    """Loads the robot, opens the CAN bus, calls ``work`` and returns the exit status of ``work``.
 
-    If ``work`` raises a ``DiagnosticError``, the diagnostic is printed.
+    If ``work`` raises a ``DiagnosticError``, the method prints the diagnostic.
     """
     loaded = load_robot(file, library)
     if loaded is None:

@@ -1,6 +1,6 @@
 """Commands of the command line that are loaded only when they are called.
 
-All parameters of the commands are plain text, lists of text or flags.
+All parameters of a command function are texts, lists of texts or flags.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class GroupEntry(NamedTuple):
 
 
 class _PlainText:
-    """A parameter type of typer that returns text, lists of text and flags without conversion."""
+    """A typer parameter that returns text, lists of texts and flags without conversion."""
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
         if value is None or isinstance(value, str | bool):
@@ -62,12 +62,12 @@ def _without_conversion(parameters: list[Any]) -> list[Any]:
 
 
 class LightCommand(TyperCommand):
-    """A command whose parameters are text, lists of text and flags.
+    """A typer command whose parameters are texts, lists of texts and flags.
 
     Typer converts parameters with pydantic. The import of pydantic takes longer than the
-    compilation of a robot: ``--help`` takes 172 ms without pydantic and 333 ms with pydantic. Text
-    needs no conversion, so a light command sets ``_runtime_param`` to avoid pydantic. A typer
-    version without ``_runtime_param`` ignores the value.
+    compilation of a robot: ``--help`` takes 172 ms without pydantic and 333 ms with pydantic. A
+    light command sets typer's attribute ``_runtime_param`` to avoid pydantic, because text needs no
+    conversion. A version of typer without ``_runtime_param`` ignores the attribute.
     """
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -75,9 +75,9 @@ class LightCommand(TyperCommand):
 
 
 class LazyGroup(TyperGroup):
-    """A group of commands that imports the module of a command only when the command is called.
+    """A command group that imports the module of a command only when the user calls the command.
 
-    The help of the group needs only the table ``entries``.
+    The help text of the command group needs only the table ``entries``.
     """
 
     entries: ClassVar[tuple[CommandEntry | GroupEntry, ...]] = ()
@@ -85,7 +85,7 @@ class LazyGroup(TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self._entries = {entry.name: entry for entry in self.entries}
-        # TyperGroup suggests a name from ``commands`` if a user calls an unknown command.
+        # If a user types an unknown command, TyperGroup suggests a similar name from ``commands``.
         self.commands: Any = dict.fromkeys(self._entries)
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -115,12 +115,13 @@ class LazyGroup(TyperGroup):
 
 
 def lazy_group(table: tuple[CommandEntry | GroupEntry, ...]) -> type[LazyGroup]:
-    """Returns a group class for the commands of a table."""
+    """Returns a typer group class for the commands of a table."""
     return type("CommandGroup", (LazyGroup,), {"entries": table})
 
 
 def load_command(entry: CommandEntry) -> Any:
-    """Imports the module of a command and builds the command from the signature of its function."""
+    """Imports the module of a command and builds the typer command from the signature of its
+    function."""
     module, function = entry.target.split(":")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     declare = app.command(entry.name, cls=LightCommand, help=entry.help, hidden=entry.hidden)
@@ -132,9 +133,10 @@ def load_command(entry: CommandEntry) -> Any:
 
 
 def guarded(function: Callable[P, int]) -> Callable[P, None]:
-    """Returns a function that ends the process with the exit status of ``function``.
+    """Returns a function that calls ``function`` and ends the process with the returned exit
+    status.
 
-    An exception of ``function`` is converted to an exit status by ``protect``.
+    The helper ``protect`` converts an exception of ``function`` to an exit status.
     """
 
     @functools.wraps(function)

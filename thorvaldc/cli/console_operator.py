@@ -8,7 +8,7 @@ from thorvaldc.commissioning.plan import AttachStep
 
 
 class ConsoleOperator:
-    """Prints each manual step and waits until the person presses the Enter key."""
+    """Prints a manual step and waits until the person presses the Enter key."""
 
     def attach(self, step: AttachStep, words: str) -> bool:
         return self._confirm(f"{words} Press Enter when it is done, or type `skip`. ")

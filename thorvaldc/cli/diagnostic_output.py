@@ -33,9 +33,9 @@ def check_format(name: str) -> None:
 class DiagnosticOutput:
     """Collects the reports of a command and prints them in the requested format.
 
-    In the format ``text``, each report is printed on ``stream`` immediately, and result lines are
-    printed on stdout. In the formats ``json``, ``github`` and ``sarif``, all diagnostics are
-    printed on stdout as one document at the end.
+    In the output format ``text``, diagnostics are printed on ``stream`` immediately, and result
+    lines are printed on stdout. In the output formats ``json``, ``github`` and ``sarif``, all
+    diagnostics are printed on stdout as one document at the end.
     """
 
     def __init__(self, format: str, stream: TextIO) -> None:
@@ -53,8 +53,9 @@ class DiagnosticOutput:
             text = render_text(
                 report, sources, color=has_color(self.stream), width=width_of(self.stream)
             )
-            # The text of render_text ends with a blank line before the count of errors. The method
-            # ``finish`` prints no count for errors outside of thorvaldc.
+            # The text of the function ``render_text`` ends with a blank line before the number of
+            # errors. The method ``finish`` does not count failures outside of thorvaldc, such as a
+            # full disk.
             outside = all(diagnostic.code.outside for diagnostic in report)
             print(text.rstrip("\n") if outside else text, file=self.stream)
 
@@ -64,7 +65,8 @@ class DiagnosticOutput:
             print(line)
 
     def finish(self, strict: bool = False, builds: list[dict[str, Any]] | None = None) -> int:
-        """Prints the error counts or the machine-readable document, and returns the exit status."""
+        """Prints the number of errors or the machine-readable document, and returns the exit
+        status."""
         errors, warnings = len(self._all.errors), len(self._all.warnings)
         outside = [diagnostic for diagnostic in self._all.errors if diagnostic.code.outside]
         if self.format == "text" and len(outside) < len(self._all):
@@ -90,14 +92,14 @@ def show_report(report: Report, sources: Mapping[str, Path]) -> int:
 
 
 def report_of(error: DiagnosticError) -> Report:
-    """Returns a report that contains the diagnostic of the exception."""
+    """Returns a report with the diagnostic of a ``DiagnosticError``."""
     report = Report()
     report.put(error.diagnostic)
     return report
 
 
 def has_color(stream: TextIO) -> bool:
-    """Returns whether the output may be coloured.
+    """Returns whether the text on an output stream may be coloured.
 
     By default, output on a terminal is coloured. The environment variables ``NO_COLOR`` and
     ``TERM=dumb`` turn colours off (no-color.org), and ``FORCE_COLOR`` turns colours on for any
@@ -109,17 +111,17 @@ def has_color(stream: TextIO) -> bool:
 
 
 def width_of(stream: TextIO) -> int:
-    """Returns the number of columns of the terminal, or 100 if the stream is no terminal."""
+    """Returns the width of the terminal in columns, or 100 if the stream is not a terminal."""
     return shutil.get_terminal_size((100, 24)).columns if stream.isatty() else 100
 
 
 def message(text: str) -> None:
-    """Prints a line for the user on stderr, because stdout is for results."""
+    """Prints a message for the user on stderr, because stdout is for results."""
     print(text, file=sys.stderr)
 
 
 def print_json(value: Any, *, one_line: bool = False) -> None:
-    """Prints a result as JSON on stdout."""
+    """Prints the result of a command as JSON on stdout."""
     indent = None if one_line else 1
     print(json.dumps(finite(value), indent=indent, ensure_ascii=False), flush=one_line)
 
@@ -127,7 +129,7 @@ def print_json(value: Any, *, one_line: bool = False) -> None:
 def print_table(rows: Iterable[tuple[str, str]]) -> None:
     """Prints a table with two columns: names and texts.
 
-    Long texts are wrapped to the width of the terminal.
+    Long texts in the table are wrapped to the width of the terminal.
     """
     rows = list(rows)
     indent = max((len(name) for name, _ in rows), default=0) + 2

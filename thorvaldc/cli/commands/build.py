@@ -85,8 +85,8 @@ def build(
 def _parse_targets(text: str | None) -> list[str]:
     """Returns the target names from a text such as ``urdf,mjcf``.
 
-    Returns the default targets if the text is ``None``. Raises ``typer.BadParameter`` for an
-    unknown target and for a backend that cannot be loaded.
+    If the text is ``None``, the function returns the default targets. Raises ``typer.BadParameter``
+    for an unknown target and for a backend that cannot be loaded.
     """
     if text is None:
         return list(backends.DEFAULT_TARGETS)
@@ -102,9 +102,9 @@ def _parse_targets(text: str | None) -> list[str]:
 
 
 def _emit(compilation: Compilation, targets: list[str]) -> dict[str, bytes]:
-    """Returns the contents of the output files by path.
+    """Returns the contents of the build's output files by path.
 
-    The diagnostics of the backends are added to the report of the compilation.
+    The function adds the diagnostics of the backends to the report of the compilation.
     """
     if compilation.model is None:
         return {}

@@ -99,9 +99,9 @@ def bus(
 
 
 def _channels(robot: Robot, channel: str) -> dict[str, str]:
-    """Returns the channel name of each bus, by the name of the bus.
+    """Returns the channel name of each simulated CAN bus, by the name of the bus.
 
-    If the robot has several buses, the channel name ends with the name of the bus.
+    If the robot has several CAN buses, each channel name ends with the name of the bus.
     """
     name = channel or robot.name
     if len(robot.buses) == 1:
@@ -112,9 +112,10 @@ def _channels(robot: Robot, channel: str) -> dict[str, str]:
 def _serve(
     simulated: SimulatedRobot, channels: Mapping[str, str], store: str, lockstep: bool, json: bool
 ) -> None:
-    """Runs the simulated buses until the process receives SIGINT or SIGTERM.
+    """Runs the simulated CAN buses until the process receives SIGINT or SIGTERM.
 
-    At the end, the non-volatile memory of the devices is written to the file ``store``.
+    When the simulation ends, the non-volatile memory of the simulated devices is written to the
+    file ``store``.
     """
     server = BusServer(
         simulated.timeline,

@@ -54,7 +54,7 @@ def calibrate(
         DriverParameters.from_robot(model, parameters or None)
     except DiagnosticError as error:
         return show_report(compilation.located(report_of(error)), compilation.sources)
-    # The calibration is imported here, so that other commands do not load numpy.
+    # The calibration module is imported only in this command, because it imports numpy.
     from thorvaldc.tools.calibration.calibration_file import overlay_text, write_calibration
     from thorvaldc.tools.calibration.calibration_text import as_json, table
     from thorvaldc.tools.calibration.self_calibration import calibrate as estimate
@@ -84,7 +84,8 @@ def calibrate(
 
 
 def _parse_distance(text: str) -> float:
-    """Returns a distance in m. Raises ``typer.BadParameter`` if the text is no distance."""
+    """Parses the text of an option and returns the distance in m. Raises ``typer.BadParameter`` if
+    the text of the option is no distance."""
     try:
         metres = parse_quantity(text, "length")
     except UnitError as error:

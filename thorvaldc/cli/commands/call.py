@@ -58,8 +58,8 @@ def _parse_argument(text: str) -> tuple[str, Any]:
 def _print_result(result: Any, indent: str = "") -> None:
     """Prints the result of a service call.
 
-    A nested mapping is printed as indented lines. A mapping without nested mappings is printed on
-    one line.
+    A nested dictionary is printed as indented lines. A dictionary without nested dictionaries is
+    printed on one line.
     """
     if not isinstance(result, dict):
         if result is not None:

@@ -78,11 +78,12 @@ def _dry_run(access: BusAccess, json: bool) -> int:
 
 
 def _default_journal(file: str, access: BusAccess) -> str:
-    """Returns the default path of the flash journal of a bus.
+    """Returns the default path of the flash journal, the log of the steps of ``can flash`` on a
+    bus.
 
-    The default path for a robot.yaml is in the folder of the robot.yaml. The default path for the
-    model.json of a build is in the current folder, because the next build would replace a journal
-    in the build folder.
+    The default journal of a robot.yaml is in the folder of the robot.yaml. The default journal of a
+    model.json is in the current folder, because the next build replaces the files in the build
+    folder.
     """
     path = Path(file)
     bus = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""

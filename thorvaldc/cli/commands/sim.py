@@ -1,7 +1,7 @@
 """The command ``thorvaldc sim``: drives a robot or fleet in simulation.
 
 The command ``sim`` also accepts the options of the commands ``scenario``, ``batch`` and ``replay``,
-which were parts of ``sim`` in the past. The help of ``sim`` does not show the options of
+which were parts of ``sim`` in the past. ``thorvaldc sim --help`` does not show the options of
 ``scenario``, ``batch`` and ``replay``.
 """
 

@@ -109,9 +109,9 @@ def _connect(name: str) -> Vehicle:
 
 
 def _start_driver(file: str, on: str, name: str, library: list[str]) -> Vehicle | None:
-    """Starts a base driver in this process.
+    """Starts a base driver for the robot in this process.
 
-    If the file has errors, the errors are printed and ``None`` is returned.
+    If the robot file has errors, the function prints the errors and returns ``None``.
     """
     loaded = load_robot(file, library)
     if loaded is None:
@@ -158,9 +158,10 @@ def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
 
 
 def _joystick_search(joystick: str, mapping: str) -> Search:
-    """Returns the function that searches for the joystick.
+    """Returns a function that searches for the joystick of the operator.
 
-    Raises ``OutsideError`` if no joystick is plugged in at the start or if evdev is missing.
+    Raises ``OutsideError`` if no joystick is plugged in at the start or if the package evdev is not
+    installed.
     """
     try:
         search = evdev_search("" if joystick == "auto" else joystick, mapping)

@@ -40,7 +40,7 @@ def view(
     if model is None:
         return INPUT
     if html or output or not has_display():
-        # The import is here, because it loads numpy, which only the web page needs.
+        # The web viewer is imported only when it is used, because it imports numpy.
         from thorvaldc.simulation.pictures.view_page import view_page
 
         path = output or f"{model.name}.html"
