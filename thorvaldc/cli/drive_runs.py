@@ -1,4 +1,5 @@
-"""Simulated runs for the command ``sim``: a robot or fleet drives a twist or a manoeuvre."""
+"""Simulated runs for the command ``sim``: a robot or fleet drives with a constant twist or a
+manoeuvre."""
 
 from __future__ import annotations
 

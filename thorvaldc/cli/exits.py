@@ -12,8 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 # Exit status 1 means errors in the input, and 2 means wrong usage. Exit status 3 means a failure
-# outside of thorvaldc, such as a disk, a display or a bus. Exit status 70 means an error in
-# thorvaldc.
+# outside of thorvaldc, such as a disk, a display or a bus. Exit status 70 means a bug in thorvaldc.
 DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
@@ -25,12 +24,13 @@ class OutsideError(Exception):
 
 
 class Terminated(KeyboardInterrupt):
-    """The process received SIGTERM while files or devices must be closed."""
+    """Raised on SIGTERM, so that files and devices are closed before the process ends."""
 
 
 @contextmanager
 def closing_when_terminated() -> Iterator[None]:
-    """Raises ``Terminated`` on SIGTERM within the block, so that open files are closed."""
+    """Raises ``Terminated`` if the process receives SIGTERM within the block, so that open files
+    are closed."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise Terminated
@@ -46,9 +46,10 @@ def closing_when_terminated() -> Iterator[None]:
 
 
 def protect(work: Callable[[], int]) -> int:
-    """Calls ``work`` and returns the exit status.
+    """Calls the function ``work`` and returns its exit status.
 
-    An expected exception of ``work`` is converted to one line on stderr and an exit status.
+    If ``work`` raises an expected exception, one line is printed on stderr and an exit status is
+    returned.
     """
     interrupts = _watch_interrupts()
     try:
@@ -61,8 +62,8 @@ def protect(work: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # The program that reads the output has ended. Redirecting stdout to the null device avoids
-        # a second error when Python flushes stdout at exit.
+        # BrokenPipeError: the program that reads the output has ended. Redirecting stdout to the
+        # null device avoids a second error when Python flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BROKEN_PIPE
     except OutsideError as error:
@@ -78,7 +79,7 @@ def protect(work: Callable[[], int]) -> int:
 
 
 class _Interrupts:
-    """A handler of SIGINT that raises ``KeyboardInterrupt`` and remembers the signal."""
+    """A signal handler for SIGINT that raises ``KeyboardInterrupt`` and remembers the signal."""
 
     def __init__(self) -> None:
         self.occurred = False
@@ -99,11 +100,11 @@ def _watch_interrupts() -> _Interrupts:
 
 
 def _interrupted() -> int:
-    # A second Ctrl-C is ignored, because the process already ends.
+    # A second Ctrl-C is ignored while the process ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # CPython remembers a KeyboardInterrupt that passed through code compiled from text, such as the
-    # methods of dataclasses. CPython then ends the process with the signal instead of the exit
-    # status. Executing other code from text clears the remembered KeyboardInterrupt.
+    # methods of dataclasses. In this case, CPython ends the process with the signal SIGINT instead
+    # of the exit status. Executing other code from text makes CPython forget the KeyboardInterrupt.
     exec("pass")
     return _fail("interrupted", INTERRUPTED)
 
@@ -115,7 +116,8 @@ def _fail(line: str, status: int) -> int:
 
 
 def show_traceback() -> None:
-    """Prints the traceback if the environment variable ``THORVALDC_TRACEBACK`` is set."""
+    """Prints the traceback of an exception if the environment variable ``THORVALDC_TRACEBACK`` is
+    set."""
     if os.environ.get(TRACEBACK_VARIABLE):
         traceback.print_exc()
 

@@ -1,4 +1,4 @@
-"""The warning that a command prints before the command drives hardware."""
+"""The warning that a command prints before it drives a real robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIMULATED = ("virtual", "sim", "udp")
 
 
 def is_hardware(interface: str) -> bool:
-    """Returns whether a CAN interface such as ``socketcan:can0`` is connected to hardware."""
+    """Returns whether a CAN interface such as ``socketcan:can0`` is real and not virtual."""
     return interface.partition(":")[0] not in SIMULATED
 
 

@@ -1,8 +1,8 @@
 """Detection of the installed package: all of thorvaldc, or only the runtime (`thorvaldc-runtime`).
 
-The computer of a robot needs neither the compiler nor the simulation. The runtime wheel contains
-the packages ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics``, ``cli``,
-``tools.monitor`` and ``tools.teleoperation``.
+The runtime package is for the computer of a robot, which needs neither the compiler nor the
+simulation. The runtime wheel contains the packages ``runtime``, ``can``, ``commissioning``,
+``model``, ``diagnostics``, ``cli``, ``tools.monitor`` and ``tools.teleoperation``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from thorvaldc.cli.exits import OutsideError
 
 
 def is_runtime_only() -> bool:
-    """Returns whether only the runtime is installed, without the compiler and the simulation."""
+    """Returns whether only the runtime package is installed, without the compiler and the
+    simulation."""
     return find_spec("thorvaldc.compiler") is None
 
 
@@ -27,6 +28,6 @@ def require_full_installation(feature: str) -> NoReturn:
 
 
 def check_full_installation(feature: str) -> None:
-    """Raises ``OutsideError`` if only the runtime is installed."""
+    """Raises ``OutsideError`` if only the runtime package is installed."""
     if is_runtime_only():
         require_full_installation(feature)

@@ -13,9 +13,9 @@ from thorvaldc.cli.exits import DONE, INTERNAL, TRACEBACK_VARIABLE, protect, sho
 
 def run() -> None:
     """Runs the command in ``sys.argv`` and ends the process with the exit status of the command."""
-    # A short command allocates a few megabytes and keeps most of the memory. Garbage collection
-    # would take a sixth of the time of a short command. Long commands enable garbage collection
-    # again.
+    # A short command such as ``check`` allocates only a few megabytes and keeps most of them until
+    # its end. Python's garbage collection would take a sixth of the time of a short command. Long
+    # commands such as ``sim`` enable garbage collection again.
     gc.disable()
     for stream in (sys.stdout, sys.stderr):
         # Printing a character that the terminal cannot show must not raise an error.
@@ -35,7 +35,7 @@ def run() -> None:
 def run_command() -> int:
     """Runs the command in ``sys.argv`` in this process and returns its exit status.
 
-    An exception that leaves this function is an error in thorvaldc itself.
+    An exception that leaves this function is a bug in thorvaldc.
     """
     return protect(_call_app)
 

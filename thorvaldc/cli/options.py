@@ -152,8 +152,8 @@ _SECONDS = {
 def parse_time(text: str) -> float:
     """Returns the seconds of a text such as ``5``, ``5 s``, ``300 ms`` or ``2 min``.
 
-    Raises ``ValueError`` if the text is no time. The compiler has another parser for all units, but
-    the runtime can be installed without the compiler.
+    Raises ``ValueError`` if the text is not a time. The compiler has another parser for values with
+    units, which the runtime package does not contain.
     """
     match = _TIME.fullmatch(text.strip())
     if match is None or match[2] not in _SECONDS:
@@ -163,7 +163,7 @@ def parse_time(text: str) -> float:
 
 
 def parse_duration(text: str, option: str, least: float = 0.0) -> float:
-    """Returns a duration in s.
+    """Parses a duration from an option and returns the duration in s.
 
     Raises ``typer.BadParameter`` if the duration is not between ``least`` s and one day.
     """
@@ -176,9 +176,9 @@ def parse_duration(text: str, option: str, least: float = 0.0) -> float:
 
 
 def parse_record_time(text: str) -> float:
-    """Returns a time in s from the start of a record, or infinity for empty text.
+    """Returns a time in s from the start of a recorded run, or infinity for empty text.
 
-    Raises ``ValueError`` if the text is no time or the time is negative.
+    Raises ``ValueError`` if the text is not a time or the time is negative.
     """
     if not text:
         return math.inf
@@ -189,7 +189,7 @@ def parse_record_time(text: str) -> float:
 
 
 def parse_seed(text: str) -> int | None:
-    """Returns the seed from the option ``--seed``, or ``None`` for empty text.
+    """Returns the random seed from the option ``--seed``, or ``None`` for empty text.
 
     Raises ``typer.BadParameter`` if the text is no whole number.
     """
@@ -217,9 +217,10 @@ def parse_count(text: str, option: str, least: int) -> int | None:
 
 
 def parsed(text: str, parse: Callable[[str], T], option: str) -> T:
-    """Returns the result of ``parse(text)``.
+    """Calls ``parse`` with the text of an option and returns the result.
 
-    A ``ValueError`` from ``parse`` becomes a ``typer.BadParameter`` that names the option.
+    If ``parse`` raises ``ValueError``, a ``typer.BadParameter`` with the name of the option is
+    raised.
     """
     try:
         return parse(text)
@@ -228,7 +229,7 @@ def parsed(text: str, parse: Callable[[str], T], option: str) -> T:
 
 
 def refuse_options(options: Mapping[str, object], reason: str) -> None:
-    """Raises ``typer.BadParameter`` if any of the options is set."""
+    """Raises ``typer.BadParameter`` if the user has set any of the options."""
     for option, value in options.items():
         if value:
             raise typer.BadParameter(reason, param_hint=f"'{option}'")
@@ -243,9 +244,9 @@ def check_physics(physics: str) -> None:
 
 
 def library_folders(names: Sequence[str], option: str = "'--library'") -> list[Path]:
-    """Returns the paths of the library folders.
+    """Returns the paths of the module library folders.
 
-    Raises ``typer.BadParameter`` for a folder that does not exist.
+    Raises ``typer.BadParameter`` if a library folder does not exist.
     """
     for name in names:
         if not Path(name).is_dir():
@@ -254,12 +255,12 @@ def library_folders(names: Sequence[str], option: str = "'--library'") -> list[P
 
 
 def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
-    """Returns the bus and the CAN interface that the option ``--bus`` selects.
+    """Returns the CAN bus of the robot and the CAN interface that the option ``--bus`` selects.
 
-    For a robot with several buses, ``--bus`` must name the bus and its interface, as in
-    ``left=socketcan:can0``. For a robot with one bus, ``--bus`` needs only the interface. Raises
-    ``DiagnosticError`` for a robot without a bus. Raises ``typer.BadParameter`` if the bus is not
-    named or does not exist.
+    For a robot with several CAN buses, ``--bus`` must name the bus and its interface, as in
+    ``left=socketcan:can0``. For a robot with one CAN bus, ``--bus`` needs only the CAN interface.
+    Raises ``DiagnosticError`` for a robot without a CAN bus. Raises ``typer.BadParameter`` if
+    ``--bus`` does not name a CAN bus of the robot.
     """
     require_bus(robot)
     buses = {bus.name: bus for bus in robot.buses}

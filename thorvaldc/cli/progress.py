@@ -29,7 +29,7 @@ class Progress:
         self._shown_percent = -1
 
     def show(self, value: float) -> None:
-        """Shows the progress ``value`` as a part of the total."""
+        """Shows the progress bar for ``value`` of the total."""
         percent = int(100 * min(value / self.total, 1.0)) if self.active else self._shown_percent
         if percent != self._shown_percent:
             self._shown_percent = percent
@@ -41,11 +41,11 @@ class Progress:
             print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
 
     def watch(self, loop: ControlLoop) -> None:
-        """Shows the simulated time of a run as the progress."""
+        """Shows the simulated time of a run in the progress bar."""
         self.show(loop.driver.state.time)
 
     def clear(self) -> None:
-        """Erases the progress bar."""
+        """Erases the progress bar from the terminal."""
         if self._shown_percent >= 0:
             self._shown_percent = -1
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

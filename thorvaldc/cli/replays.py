@@ -32,7 +32,7 @@ def replay_run(
     record: str,
     json: bool,
 ) -> int:
-    """Prints the result of a recorded run, draws its pictures and returns the exit status.
+    """Prints the result of a recorded run, draws its plot and video, and returns the exit status.
 
     - ``source``: path of the record.
     - ``record``: path for a copy of the record in another format, or empty for no copy.
@@ -65,10 +65,11 @@ def replay_run(
 def arrangement(
     model: Robot | Fleet, source: str, time: float
 ) -> Callable[[MujocoScene], None] | None:
-    """Returns a function that moves the robots of a scene to their recorded poses at ``time`` (s).
+    """Returns a function that moves the robots of a MuJoCo scene to their recorded poses at
+    ``time`` (s).
 
-    A time after the end of the record selects the end of the record. If the record has errors, the
-    errors are printed and ``None`` is returned.
+    For a time after the end of the record, the robots move to their last recorded poses. If the
+    record of the run has errors, the function prints the errors and returns ``None``.
     """
     robots = _robots_of(model)
     runs, _ = _read_record(source, robots, for_plot=False)
@@ -92,7 +93,8 @@ def _robots_of(model: Robot | Fleet) -> Robots:
 def _read_record(
     source: str, robots: Robots, *, for_plot: bool
 ) -> tuple[dict[str, RecordedRun] | None, int]:
-    """Returns the recorded runs by robot name, and the exit status of the record's diagnostics."""
+    """Returns the recorded runs by robot name, and the exit status for the diagnostics of the
+    record."""
     report = Report()
     with write_errors(source):
         runs = read_replay_record(Path(source), robots, report, for_plot=for_plot)
@@ -111,7 +113,7 @@ def _convert_record(record: str, robots: Robots, runs: Mapping[str, RecordedRun]
 def _by_time(
     runs: Mapping[str, RecordedRun],
 ) -> Iterator[tuple[str, Sample, JointCommands | None]]:
-    """Yields the samples of all robots, sorted by time."""
+    """Yields the recorded samples of all robots, sorted by time."""
     ticks = (
         [(name, *tick) for tick in zip(run.samples, run.commands, strict=True)]
         for name, run in runs.items()

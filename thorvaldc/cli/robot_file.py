@@ -1,4 +1,4 @@
-"""Loading of a command's robot from a robot.yaml or from the model.json of a build."""
+"""Loads the robot of a command from a robot.yaml or from the model.json of a build."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from thorvaldc.model.model_json import load_model
 
 
 class LoadedRobot(NamedTuple):
-    """A robot and its source files.
+    """The model of a robot and the source files of the robot.
 
     - ``sources``: maps the name of each source file to its path.
     - ``locate``: returns a report with source spans added to the diagnostics.
@@ -34,11 +34,11 @@ class LoadedRobot(NamedTuple):
 
 
 def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
-    """Returns the robot of a robot.yaml or model.json.
+    """Returns the robot model from a robot.yaml or model.json.
 
-    If the file has errors, the errors are printed and ``None`` is returned. Raises
-    ``typer.BadParameter`` if the file contains no robot. Raises ``OutsideError`` for a robot.yaml
-    if the compiler is not installed.
+    If the robot file has errors, the function prints the errors and returns ``None``. Raises
+    ``typer.BadParameter`` if the file contains a fleet or anything else but a robot. Raises
+    ``OutsideError`` for a robot.yaml if the compiler is not installed.
     """
     if file.endswith(".json"):
         return _load_model_file(Path(file))

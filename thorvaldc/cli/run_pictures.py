@@ -1,4 +1,5 @@
-"""The plot and the video of a run, checked before the run and drawn after the run."""
+"""The plot and the video of a run: checks their files before the run and draws them after the
+run."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ from thorvaldc.tools.replay import Replay
 
 @contextmanager
 def picture_errors() -> Iterator[None]:
-    """Converts the error for a missing package or display to ``OutsideError``."""
+    """Converts the exception for a missing package or display to ``OutsideError``."""
     try:
         yield
     except PictureError as error:
@@ -33,10 +34,10 @@ def picture_errors() -> Iterator[None]:
 
 
 def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
-    """Checks before a long run that the output file of an option can be written.
+    """Checks before a long run that the plot or video file of an option can be written.
 
-    Raises ``typer.BadParameter`` if the file has none of the suffixes. Raises ``OutsideError`` if
-    the folder of the file does not exist or cannot be written.
+    Raises ``typer.BadParameter`` if the name of the file has none of the allowed suffixes. Raises
+    ``OutsideError`` if the folder of the plot or video does not exist or cannot be written.
     """
     target = Path(path)
     if target.suffix.lower().lstrip(".") not in suffixes:
@@ -52,11 +53,11 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
 
 
 class RunPictures:
-    """The plot and the video of a run. No plot or video is drawn for an empty path.
+    """The plot and the video of a run. An empty path means that no plot or no video is drawn.
 
-    The constructor must be called before the import of MuJoCo, because the constructor selects the
-    OpenGL backend. The method ``watch`` must be called in each tick of the run. The method
-    ``write`` draws the pictures after the run.
+    Create the object before the import of MuJoCo, because the constructor selects the OpenGL
+    backend of MuJoCo. Call the method ``watch`` in each tick of the run. The method ``write`` draws
+    the plot and the video after the run.
     """
 
     def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:
@@ -72,7 +73,7 @@ class RunPictures:
             self._video_recorder = _prepare_video(video, ideal)
 
     def watch(self, loop: ControlLoop) -> None:
-        """Stores the present sample for the plot and the present scene for the video."""
+        """Stores the current sample for the plot and the current scene for the video."""
         if self.plot:
             self._samples.setdefault(loop.name, []).append(loop.sample())
         if self._video_recorder is not None and loop.scene is not None:
@@ -81,7 +82,7 @@ class RunPictures:
     def take_record(self, samples: Mapping[str, Sequence[Sample]], replay: Replay | None) -> None:
         """Stores the samples of a recorded run for the plot and the video.
 
-        ``replay`` moves the robots of the scene for the video.
+        The function ``replay`` moves the robots of the MuJoCo scene for the video.
         """
         self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
         if self._video_recorder is not None and replay is not None:
@@ -94,7 +95,8 @@ class RunPictures:
         robots: Sequence[tuple[str, Robot]],
         files: Mapping[str, bytes] | None,
     ) -> None:
-        """Draws the plot and the video. ``files`` contains the MJCF files of the model."""
+        """Draws the plot and the video of the run. ``files`` contains the MJCF files of the robots
+        by path."""
         with picture_errors():
             if self.plot:
                 plot(dict(robots), self._samples, self.plot, model.name)

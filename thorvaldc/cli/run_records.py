@@ -27,11 +27,11 @@ _UNSUPPORTED_SUFFIXES = (".bag", ".db3", ".json", ".parquet", ".txt")
 def open_recorders(
     record: str, robots: Robots, groups: Sequence[str], every: float, stack: ExitStack
 ) -> Sequence[Recorder]:
-    """Opens the recorder for the option ``--record``.
+    """Opens the file or folder of the option ``--record`` and returns the recorder.
 
-    An empty path opens no recorder. A path that ends in ``.mcap`` is one file for all robots. A
-    path that ends in ``.csv`` is a file for one robot. Any other path is a folder with a CSV file
-    for each robot.
+    An empty path means that the run is not recorded. A record path that ends in ``.mcap`` is one
+    MCAP file for all robots. A record path that ends in ``.csv`` is a CSV file for one robot. Any
+    other record path is a folder with a CSV file for each robot.
 
     - ``every``: recording period in s.
     - ``stack``: closes the recorder at the end of the run.
@@ -70,17 +70,17 @@ def _check_path(path: Path, record: str, robot_count: int) -> None:
 
 
 def record_summary(record: str, robots: Robots) -> str:
-    """Returns the names of the files of a record as one line."""
+    """Returns the file names of a record as one line of text."""
     if Path(record).suffix.lower() in (".mcap", ".csv"):
         return record
     return f"{record}: {', '.join(f'{name}.csv' for name, _ in robots)}"
 
 
 def open_joint_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
-    """Opens the joint logs and returns a function that writes the joint states in each tick.
+    """Opens the joint logs, and returns a function that writes the joint states of each tick.
 
-    For one robot, ``log`` is the path of a file. For several robots, ``log`` is the path of a
-    folder.
+    For one robot, ``log`` is the path of the joint log file. For several robots, ``log`` is the
+    path of a folder with a joint log for each robot.
     """
     folder = Path(log)
     has_fleet = len(robots) > 1
@@ -105,7 +105,7 @@ def open_joint_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
 
 
 def call_all(watches: Sequence[TickCallback]) -> TickCallback:
-    """Returns a function that calls each function in ``watches``."""
+    """Returns a function that calls each callback in ``watches``."""
 
     def watch(loop: ControlLoop) -> None:
         for call in watches:
@@ -116,7 +116,7 @@ def call_all(watches: Sequence[TickCallback]) -> TickCallback:
 
 @contextmanager
 def write_errors(path: str) -> Iterator[None]:
-    """Converts the error for an unwritable file or a missing package to ``OutsideError``."""
+    """Converts the exception for an unwritable file or a missing package to ``OutsideError``."""
     try:
         yield
     except MissingPackageError as error:

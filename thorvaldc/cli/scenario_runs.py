@@ -86,9 +86,9 @@ def plan_runs(
 ) -> Variations | None:
     """Returns the variations of a scenario from the options ``--set``.
 
-    If ``from_document`` is true, the variations in the scenario file are included. If the scenario
-    has errors, the errors are printed and ``None`` is returned. Raises ``typer.BadParameter`` if an
-    option is wrong or no value varies.
+    If ``from_document`` is true, the result includes the variations in the scenario file. If the
+    scenario file has errors, the function prints the errors and returns ``None``. Raises
+    ``typer.BadParameter`` if an option ``--set`` is wrong or no value of the scenario varies.
     """
     for text in settings:
         path, equals, _ = text.partition("=")
@@ -116,7 +116,8 @@ def plan_runs(
 
 
 def single_run(variations: Variations) -> tuple[Change, ...] | None:
-    """Returns the changes of the run if there is only one run, and ``None`` for several runs."""
+    """Returns the changed values of the scenario for a single run, and ``None`` for several
+    runs."""
     return next(variations.runs()) if variations.size == 1 else None
 
 
@@ -157,9 +158,9 @@ def run_batch(
 
 
 def _collect_runs(batch: Batch, process_count: int, output: Path | None, json: bool) -> list[Run]:
-    """Runs all variations and returns the results in the order of the run numbers.
+    """Runs all variations of a scenario and returns the results in the order of the run numbers.
 
-    The results of the completed runs are printed and written even if an exception occurs.
+    If an exception occurs, the results of the completed runs are still printed and written.
     """
     runs: list[Run] = []
     bar = Progress(len(batch), "runs")

@@ -1,4 +1,4 @@
-"""The display of a run's status on stderr."""
+"""The status display of a running base driver on stderr."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STATUS_PERIOD = 0.2
 
 
 class StatusView:
-    """Prints state changes of the driver and, on a terminal, a status line."""
+    """Prints each new state of the base driver and, on a terminal, a status line."""
 
     def __init__(self, session: RunSession) -> None:
         self._session = session
@@ -37,9 +37,9 @@ class StatusView:
         self._erase_line()
 
     def watch(self, runner: BaseRunner, state: DriverState) -> None:
-        """Prints new state changes and updates the status line.
+        """Prints new state changes of the base driver and updates the status line.
 
-        The method ``watch`` must be called after each control cycle.
+        Call the method ``watch`` after each control cycle of the base driver.
         """
         session = self._session
         if runner.changes:

@@ -1,4 +1,4 @@
-"""Simulated robots on virtual buses and in MuJoCo, in the process of a command.
+"""Simulated robots on virtual CAN buses and in MuJoCo, in the process of a command.
 
 This module needs the compiler and the simulation, which are not in the runtime package.
 """
@@ -25,10 +25,10 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 def start_virtual_robot(
     robot: Robot, file: str, physics: str, faults: str, seed: int | None, report: Report
 ) -> SimulatedRobot:
-    """Returns a simulated robot with a device for each node of its buses, switched on.
+    """Returns a simulated robot with a powered simulated device for each node of its CAN buses.
 
-    ``faults`` is the path of a file with faults to inject, or empty for no faults. Raises
-    ``DiagnosticError`` if the faults cannot be read or the robot cannot be simulated.
+    ``faults`` is the path of a file with faults to inject, or empty for a run without faults.
+    Raises ``DiagnosticError`` if the fault file cannot be read or the robot cannot be simulated.
     """
     script = read_faults(faults, robot, report) if faults else None
     if seed is None:
@@ -42,27 +42,28 @@ def start_virtual_robot(
 
 
 def make_mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
-    """Loads the robot in MuJoCo and returns its base.
+    """Loads a robot in MuJoCo and returns the base of the robot.
 
     ``file`` is the robot.yaml of the robot or the model.json of a build.
     """
-    # The mesh files of a build are in the folder of model.json.
+    # The mesh files of a build are next to model.json, in the same folder.
     files = Path(file).parent if file.endswith(".json") else emit(robot, ["mjcf"], report)
     return MujocoBase(robot, MujocoScene(files))
 
 
 def read_store(store: str) -> Memory:
-    """Returns the non-volatile memory of the devices from the file of the option ``--store``.
+    """Returns the non-volatile memory of the simulated devices from the file of the option
+    ``--store``.
 
-    Raises ``typer.BadParameter`` if the file cannot be read.
+    Raises ``typer.BadParameter`` if the memory file cannot be read.
     """
     return parsed(store, lambda path: read_memory(Path(path)), "--store") if store else {}
 
 
 def describe_injected_fault(fault: BusFault, begins: bool) -> str:
-    """Returns a description such as ``power cut of fl_controller``.
+    """Returns a description of an injected fault, such as ``power cut of fl_controller``.
 
-    The description ends with ``ends`` if the injected fault ends.
+    At the end of the injected fault, the description ends with ``ends``.
     """
     kind = fault.kind.replace("_", " ")
     node = f" of {fault.node}" if fault.node is not None else ""

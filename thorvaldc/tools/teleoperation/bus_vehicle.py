@@ -10,9 +10,9 @@ from thorvaldc.runtime.runner import BaseRunner
 
 
 class BusVehicle:
-    """The base driver of a robot on a CAN bus, with its control services.
+    """The base driver of a robot on a CAN bus, with the services of its control channel.
 
-    The method ``cycle`` runs one control cycle.
+    The method ``cycle`` runs one control cycle of the base driver.
     """
 
     def __init__(self, runner: BaseRunner, control: RunnerControl) -> None:
@@ -28,6 +28,6 @@ class BusVehicle:
         self.runner.run(stop=lambda: next(stop_flags))
 
     def close(self) -> None:
-        """Stops the robot, disables the drives and sets the nodes to pre-operational."""
+        """Stops the robot, disables the drives and sets the CANopen nodes to pre-operational."""
         self.control.close()
         self.runner.shutdown()

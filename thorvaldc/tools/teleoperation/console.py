@@ -1,4 +1,4 @@
-"""Teleoperation of a vehicle from a terminal, with a keyboard and a joystick."""
+"""Teleoperation of a robot from a terminal, with a keyboard and a joystick."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def drive_from_console(
     search: Search | None,
     end_requested: Callable[[], bool],
 ) -> None:
-    """Drives the vehicle until the operator quits or ``end_requested`` returns true.
+    """Drives the robot until the operator quits or ``end_requested`` returns true.
 
-    Raises ``ConnectionError`` if the base driver ends.
+    Raises ``ConnectionError`` if the process of the base driver ends.
 
     - ``source``: name of the twist source of the operator.
     - ``share``: initial share of the top speed, 0 to 1.
@@ -38,8 +38,8 @@ def drive_from_console(
     print(f"{description['robot']}, as {source}")
     help_texts = [KEYBOARD_HELP] * (keys is not None) + [JOYSTICK_HELP] * (search is not None)
     print(*help_texts, "", sep="\n", flush=True)
-    # A pause for garbage collection would delay the control cycle. Freezing the existing objects
-    # shortens the pauses for garbage collection.
+    # A pause for Python's garbage collection would delay the control cycle. ``gc.freeze`` shortens
+    # the pauses for garbage collection, because frozen objects are not examined again.
     gc.collect()
     gc.freeze()
     with Terminal(keys, sys.stdout) as terminal:

@@ -41,7 +41,7 @@ BTN_TL, BTN_TR, BTN_SELECT, BTN_START = 0x136, 0x137, 0x13A, 0x13B
 
 
 class Range(Protocol):
-    """Range and present value of a joystick axis."""
+    """The range and the current value of a joystick axis."""
 
     value: int
     min: int
@@ -49,7 +49,7 @@ class Range(Protocol):
 
 
 class Event(Protocol):
-    """The used attributes of ``evdev.InputEvent``."""
+    """The attributes of ``evdev.InputEvent`` that this module uses."""
 
     type: int
     code: int
@@ -57,20 +57,20 @@ class Event(Protocol):
 
 
 class Device(Protocol):
-    """The used attributes and methods of ``evdev.InputDevice``."""
+    """The attributes and methods of ``evdev.InputDevice`` that this module uses."""
 
     name: str
 
     def capabilities(self) -> Mapping[int, Sequence[Any]]:
-        """Returns the codes of all axes and buttons, by the type of their events.
+        """Returns the Linux event codes of all axes and buttons of a device, by event type.
 
-        An axis is listed as a pair of its code and its range.
+        Each axis of the device is a pair of its event code and its range.
         """
 
     def read_one(self) -> Event | None:
-        """Returns the next event, or ``None`` if no event is waiting.
+        """Returns the next event of the joystick, or ``None`` if no event is waiting.
 
-        Raises ``OSError`` if the device is unplugged.
+        Raises ``OSError`` if the joystick is unplugged.
         """
 
     def close(self) -> None: ...
@@ -100,12 +100,13 @@ class Layout:
 
     @staticmethod
     def of(device: Device) -> Layout | None:
-        """Returns the layout for a device, or ``None`` if the device is no joystick.
+        """Returns the axes and buttons to use for a device, or ``None`` if the device is no
+        joystick.
 
         The left stick of a gamepad moves the robot, and the right stick turns the robot. The
         shoulder buttons of a gamepad have the same functions as in ROS's teleop_twist_joy. The
-        trigger of a joystick is the dead-man button. The twist axis of a joystick turns the robot.
-        Without a twist axis, the sideways axis turns the robot.
+        trigger button of a joystick is the dead-man button. The twist axis of a joystick turns the
+        robot. If the joystick has no twist axis, the sideways axis turns the robot.
         """
         axes, buttons = _axes(device), _buttons(device)
         if not {ABS_X, ABS_Y} <= axes.keys():
@@ -122,10 +123,11 @@ class Layout:
         return replace(stick, turn=ABS_X, sideways=-1)
 
     def changed(self, text: str, codes: Mapping[str, int]) -> Layout:
-        """Returns the layout with other codes, as in ``enable=BTN_TOP2,turn=ABS_Z``.
+        """Returns the joystick layout with the changed axes and buttons of a text such as
+        ``enable=BTN_TOP2,turn=ABS_Z``.
 
-        ``codes`` maps the names of Linux event codes to numbers. Raises ``ParameterError`` if a
-        name in ``text`` is unknown.
+        ``codes`` maps the names of Linux event codes to numbers. Raises ``ParameterError`` if
+        ``text`` contains an unknown axis or button name.
         """
         names = [field.name for field in fields(Layout)]
         entries: dict[str, int] = {}
@@ -147,11 +149,11 @@ Search = Callable[[], tuple[Device, Layout] | None]
 
 
 class Joystick:
-    """An operator with a joystick.
+    """An operator who drives a robot with a joystick.
 
-    The function ``search`` is called again and again while no joystick is plugged in. The robot
-    stops when the joystick is unplugged. After the joystick is plugged in again, the robot drives
-    only after the dead-man button is pressed again.
+    While no joystick is plugged in, the operator calls the function ``search`` repeatedly. The
+    robot stops when the joystick is unplugged. When the joystick is plugged in again, the operator
+    must press the dead-man button again to drive.
     """
 
     def __init__(
@@ -227,7 +229,8 @@ class Joystick:
             if event.value and not was_pressed:
                 self._request(event.code, requests)
         elif event.type == EV_SYN and event.code == SYN_DROPPED:
-            # Some events were lost. The release of the dead-man button may be a lost event.
+            # SYN_DROPPED: the kernel has dropped joystick events. The release of the dead-man
+            # button may be one of the dropped events.
             self._release_all()
 
     def _request(self, button: int, requests: list[Request]) -> None:
@@ -240,9 +243,9 @@ class Joystick:
             requests.append(Request("reset_faults", {}))
 
     def _release_all(self) -> None:
-        """Sets all axes to zero and all buttons to released.
+        """Sets all axes of the joystick to zero and all buttons to released.
 
-        A button that is still held counts only after the button is pressed again.
+        A joystick button that is still held counts only after it is pressed again.
         """
         self._axes.clear()
         self._pressed.clear()
@@ -253,7 +256,7 @@ class Joystick:
 
 
 class OperatorPair:
-    """Two operators of one robot.
+    """Two operators of one robot: the first has priority.
 
     The second operator drives while the first operator commands no twist.
     """
@@ -291,10 +294,10 @@ class OperatorPair:
 
 
 def evdev_search(path: str, mapping: str) -> Search:
-    """Returns a function that searches for the joystick at ``path``.
+    """Returns a function that searches for the joystick at the device path ``path``.
 
-    For an empty path, the function returns the first joystick. Raises ``ParameterError`` if the
-    mapping is invalid. Raises ``ImportError`` if evdev is not installed.
+    If ``path`` is empty, the first joystick is used. Raises ``ParameterError`` if the mapping of
+    joystick axes and buttons is invalid. Raises ``ImportError`` if evdev is not installed.
     """
     import evdev
 
@@ -327,9 +330,10 @@ def _buttons(device: Device) -> list[int]:
 
 
 def _scaled(value: float, least: float, most: float) -> float:
-    """Returns the value of an axis, scaled to the range -1 to 1.
+    """Returns the value of a joystick axis, scaled to the range -1 to 1.
 
-    The scaled value is zero in the dead zone and continuous at the edge of the dead zone.
+    The scaled value of the axis is zero in the dead zone and continuous at the edge of the dead
+    zone.
     """
     if most <= least:
         return 0.0

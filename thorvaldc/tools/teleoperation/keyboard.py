@@ -1,8 +1,9 @@
 """Converts the keys of a keyboard to twists.
 
-A terminal reports when a key is pressed and repeated, but not when the key is released. The press
-of a key therefore drives for ``FIRST_HOLD``, and each repeat drives for ``REPEAT_HOLD``. After the
-last repeat, the keyboard commands zero for ``GIVE_WAY`` and then commands no twist::
+A terminal reports when a key is pressed and repeated, but not when the key is released. Pressing a
+key therefore moves the robot for ``FIRST_HOLD``, and each repeat of the key for ``REPEAT_HOLD``.
+After the last key repeat, the keyboard operator commands zero for ``GIVE_WAY`` and then commands no
+twist::
 
     key events  press            repeat repeat repeat
     time        |----- 0.25 to 0.66 s --|-|-|
@@ -35,7 +36,7 @@ After this time, the keyboard commands no twist, so another twist source can dri
 STEP = 1.1
 """Factor by which the keys ``+`` and ``-`` change the speed."""
 
-# Shares of the top speeds for each key: forward, to the left, and turning left.
+# For each movement key, the fractions of the top speeds: forward, to the left, and turning left.
 MOTIONS: dict[str, tuple[float, float, float]] = {
     "i": (1, 0, 0),
     ",": (-1, 0, 0),
@@ -78,10 +79,10 @@ _SERVICES: dict[str, Request] = {
 
 
 class Keyboard:
-    """An operator at a keyboard.
+    """An operator who drives a robot with a keyboard.
 
     - ``read``: function that returns the names of the keys since the last call, or raises
-      ``EOFError`` if the terminal is closed. The closed terminal ends the teleoperation.
+      ``EOFError`` if the terminal is closed. If the terminal is closed, teleoperation ends.
     - ``sets``: names of the parameter sets of the robot.
     """
 
@@ -119,9 +120,9 @@ class Keyboard:
         return requests
 
     def twist(self, now: float) -> Twist | None:
-        """Returns the commanded twist.
+        """Returns the twist that the pressed keys command.
 
-        After the space key, the commanded twist is zero until a key that drives is pressed.
+        After the space key, the commanded twist is zero until a movement key is pressed.
         """
         if self.finished:
             return ZERO_TWIST if self._driving else None
@@ -164,8 +165,8 @@ class Keyboard:
             self.message = "this robot cannot move sideways"
             self._driving = False
             return
-        # The same key within its hold time counts as a repeat. A different key counts as a new
-        # press.
+        # Pressing the same key within its hold time counts as a key repeat. Pressing a different
+        # key counts as a new key press.
         repeats = self._driving and key == self._key and now <= self._until
         self._until = now + (REPEAT_HOLD if repeats else FIRST_HOLD)
         self._motion, self._key = Twist(*motion), key

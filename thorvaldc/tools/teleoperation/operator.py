@@ -16,7 +16,7 @@ SMALLEST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The top speeds of a robot.
+    """The top speeds of a robot, forward, sideways and turning.
 
     - ``linear``: top speed in m/s.
     - ``angular``: top angular speed in rad/s.
@@ -29,7 +29,7 @@ class Limits:
 
     @staticmethod
     def of(description: Mapping[str, Any]) -> Limits:
-        """Returns the limits of a robot from the result of the service ``description``."""
+        """Returns the top speeds of a robot from the result of the service ``description``."""
         return Limits(
             description["max_linear_velocity"],
             description["max_angular_velocity"],
@@ -37,16 +37,17 @@ class Limits:
         )
 
     def twist(self, x: float, y: float, yaw: float, share: float) -> Twist:
-        """Returns the twist for the inputs ``x``, ``y`` and ``yaw``, each between -1 and 1.
+        """Returns the twist for the joystick or keyboard inputs ``x``, ``y`` and ``yaw``, each
+        between -1 and 1.
 
-        ``share`` is the selected share of the top speeds.
+        ``share`` is the fraction of the top speeds that the operator has selected.
         """
         lateral = self.linear if self.sideways else 0.0
         return Twist(x * share * self.linear, y * share * lateral, yaw * share * self.angular)
 
 
 class Request(NamedTuple):
-    """A service call that the operator requests."""
+    """A call of a base driver service that the operator requests."""
 
     service: str
     arguments: Mapping[str, Any]
@@ -60,25 +61,27 @@ class Operator(Protocol):
 
     @property
     def share(self) -> float:
-        """Selected share of the top speed, 0 to 1."""
+        """Fraction of the top speed that the operator has selected, 0 to 1."""
 
     @share.setter
     def share(self, share: float) -> None: ...
 
     @property
     def message(self) -> str:
-        """A line of text for the operator, empty if there is no message."""
+        """A message for the operator, empty if there is no message."""
 
     def poll(self, now: float) -> list[Request]:
-        """Reads all waiting input of the device and returns the requested service calls.
+        """Reads all waiting input of the keyboard or joystick and returns the requested service
+        calls.
 
-        ``now`` is the monotonic time in s. The method never waits for input.
+        ``now`` is the monotonic time in s. The method returns immediately if no input is waiting.
         """
 
     def twist(self, now: float) -> Twist | None:
-        """Returns the commanded twist.
+        """Returns the twist that the operator commands.
 
-        Returns ``None`` if the operator commands no twist, so another twist source may drive.
+        Returns ``None`` if the operator commands no twist, so that another twist source may drive
+        the robot.
         """
 
     def close(self) -> None: ...

@@ -1,4 +1,4 @@
-"""The status lines that the operator sees."""
+"""The two status lines that the operator sees in the terminal."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from thorvaldc.runtime.se2 import Twist
 def status_lines(
     state: Mapping[str, Any], commanded: Twist | None, share: float, message: str
 ) -> list[str]:
-    """Returns the two status lines for the operator.
+    """Returns the two status lines for the operator of a robot.
 
-    The first line shows the commanded twist and the twist that the driver applies. The second line
-    shows the pose of the robot and the state of the driver.
+    The first status line shows the commanded twist and the twist that the base driver applies. The
+    second status line shows the pose of the robot and the state of the base driver.
 
     - ``state``: result of the service ``state``.
     - ``commanded``: twist that the operator commands, or ``None``.
@@ -39,6 +39,6 @@ def status_lines(
 
 
 def _twist_text(twist: Twist) -> str:
-    # Adding 0.0 turns -0.0 into 0.0.
+    # Adding 0.0 turns -0.0 into 0.0, which is shown without a minus sign.
     x, y, yaw = (round(value, 2) + 0.0 for value in twist)
     return f"{x:+.2f} {y:+.2f} m/s {yaw:+.2f} rad/s"

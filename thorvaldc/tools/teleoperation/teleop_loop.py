@@ -1,4 +1,5 @@
-"""The loop of teleoperation: sends the operator's commands to the vehicle and shows its status."""
+"""The loop of teleoperation: sends the operator's commands to the robot and shows the robot's
+status."""
 
 from __future__ import annotations
 
@@ -30,11 +31,11 @@ def operate(
     ended: Callable[[], bool] = lambda: False,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Drives the vehicle until the operator finishes or ``ended`` returns true.
+    """Drives the robot until the operator finishes or ``ended`` returns true.
 
-    ``source`` is the name of the twist source of the operator. At the end, even after an exception,
-    the loop commands the robot to stop. If the base driver runs in this process, control cycles run
-    until the robot is at rest.
+    ``source`` is the name of the operator's twist source in the base driver. When the teleoperation
+    loop ends, even with an exception, the loop commands the robot to stop. If the base driver runs
+    in this process, the loop continues its control cycles until the robot is at rest.
     """
     last_draw = message_time = clock() - DRAW_PERIOD
     message = ""
@@ -70,13 +71,13 @@ def publish(vehicle: Vehicle, source: str, twist: Twist) -> None:
 
 
 def stop(vehicle: Vehicle, source: str, clock: Callable[[], float]) -> None:
-    """Commands zero until the robot is at rest, for at most ``STOP_TIME``."""
+    """Commands a zero twist until the robot is at rest, for at most ``STOP_TIME``."""
     end = clock() + STOP_TIME
     with contextlib.suppress(ConnectionError, ServiceError):
         while clock() < end:
             state = vehicle.call("state")
             at_rest = all(abs(value) < _AT_REST for value in state["in_force"].values())
-            # The zero command must not override another twist source that drives the robot.
+            # The zero twist must not override another twist source that drives the robot.
             if at_rest or state["source"] not in ("", source):
                 return
             publish(vehicle, source, ZERO_TWIST)

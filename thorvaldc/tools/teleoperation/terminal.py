@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Iterator
 from typing import IO, Any
 
-# Escape sequences of the arrow keys, in the normal mode and the application mode of terminals.
+# Escape sequences of the arrow keys in the normal mode and in the application mode of a terminal.
 _SEQUENCES = {
     "[A": "up", "[B": "down", "[C": "right", "[D": "left",
     "OA": "up", "OB": "down", "OC": "right", "OD": "left",
@@ -24,7 +24,7 @@ _CONTROL = {"\x03": "ctrl-c", "\x04": "ctrl-d"}
 def keys_of(text: str) -> list[str]:
     """Returns the names of the keys in the input of a terminal.
 
-    Unknown escape sequences are ignored.
+    Unknown escape sequences of the terminal are ignored.
     """
     keys = []
     at = 0
@@ -42,19 +42,19 @@ def keys_of(text: str) -> list[str]:
 
 
 class Terminal:
-    """Reads keys from ``keys`` and shows lines at the bottom of ``screen``.
+    """A terminal that reads keys from ``keys`` and shows lines at the bottom of ``screen``.
 
     Inside the ``with`` block, the terminal does not echo keys and reports each key without Enter.
     The keys Ctrl-Z, Ctrl-\\ and Ctrl-S do not stop the process, so the control cycle continues. The
-    key Ctrl-C still interrupts the process. The end of the ``with`` block restores the terminal
-    settings, even after an exception.
+    key Ctrl-C still interrupts the process. At the end of the ``with`` block, the terminal settings
+    are restored, even after an exception.
     """
 
     def __init__(self, keys: IO[str] | None, screen: IO[str], *, whole: bool = False) -> None:
-        """Prepares a terminal without changing its settings.
+        """Creates the terminal object without changing the settings of the terminal.
 
-        If ``whole`` is true, the lines fill the whole screen, and the previous content of the
-        screen is restored at the end.
+        If ``whole`` is true, the lines use the whole screen, and the previous content of the screen
+        is restored at the end.
         """
         self._keys = keys
         self._screen = screen
@@ -82,8 +82,8 @@ class Terminal:
             termios.tcsetattr(fd, termios.TCSANOW, raw)
         if self._is_terminal:
             self._screen.flush()
-            # The terminal is opened again for non-blocking output. Setting the non-blocking mode of
-            # the existing file would also affect the other processes that use the file.
+            # The terminal device is opened a second time for non-blocking output. Non-blocking mode
+            # on the existing file would also affect other processes that use the same terminal.
             with contextlib.suppress(OSError):
                 name = os.ttyname(self._screen.fileno())
                 self._out = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
@@ -105,13 +105,13 @@ class Terminal:
             fd = self._keys.fileno()
             with contextlib.suppress(OSError, ValueError, termios.error):  # closed terminal
                 termios.tcflush(fd, termios.TCIFLUSH)
-                # TCSADRAIN would wait until all output is sent, which never ends on a stalled
-                # terminal.
+                # The option TCSADRAIN would wait until all output is sent, which never ends on a
+                # stalled terminal.
                 termios.tcsetattr(fd, termios.TCSANOW, self._settings)
             self._settings = None
 
     def read(self) -> list[str]:
-        """Returns the keys since the last call without waiting.
+        """Returns the keys that were pressed since the last call, without waiting.
 
         Raises ``EOFError`` if the terminal is closed.
         """
@@ -129,10 +129,10 @@ class Terminal:
         return keys_of(data.decode("utf-8", "replace"))
 
     def show(self, lines: list[str]) -> None:
-        """Replaces the shown lines by new lines.
+        """Replaces the lines at the bottom of the screen by new lines.
 
-        The new lines are dropped while the terminal accepts no output. A stalled connection to the
-        terminal must not delay the control cycle.
+        The new lines are dropped if the terminal currently accepts no output. A stalled connection
+        to the terminal must not delay the control cycle.
         """
         self._write("")
         if not self._is_terminal or self._pending:
@@ -147,9 +147,9 @@ class Terminal:
         self._write(f"{up}{body}")
 
     def _write(self, text: str) -> None:
-        """Writes as much text as possible without waiting.
+        """Writes as much waiting text to the terminal as possible without blocking.
 
-        The next call writes the remaining text.
+        The next call of the method writes the remaining text.
         """
         self._pending += text.encode("utf-8", "replace")
         if not self._pending or not self._is_terminal:

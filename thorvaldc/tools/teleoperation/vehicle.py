@@ -20,28 +20,31 @@ REMOTE_PERIOD = 0.05
 
 
 class Vehicle(Protocol):
-    """A robot with a base driver. ``description`` is the result of the service ``description``."""
+    """A robot that an operator can drive through a base driver. ``description`` is the result of
+    the service ``description``."""
 
     description: dict[str, Any]
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Calls a service of the base driver and returns its result.
+        """Calls a service of the base driver and returns the result of the service.
 
         Raises ``ServiceError`` if the service fails. Raises ``ConnectionError`` if the base driver
         has ended.
         """
 
     def cycle(self) -> None:
-        """Waits until the next control cycle is due and runs the control cycle."""
+        """Waits until the next control cycle of the base driver is due and runs the control
+        cycle."""
 
     def close(self) -> None: ...
 
 
 class SimulatedVehicle:
-    """A base driver on a simulated base that runs in real time.
+    """A base driver with a simulated base that runs in real time.
 
-    ``channel`` is the name of the control channel for other programs. With an empty name, the
-    vehicle has no control channel. Raises ``OSError`` if the control channel is in use.
+    ``channel`` is the name of the base driver's control channel for other programs. If ``channel``
+    is empty, the base driver has no control channel. Raises ``OSError`` if another process uses the
+    control channel.
     """
 
     def __init__(
@@ -59,7 +62,7 @@ class SimulatedVehicle:
         self._clock, self._sleep = clock, sleep
         self._period = 1.0 / driver.settings.rate
         self._next_cycle = clock()
-        # Difference in s between the clock time and the simulated time.
+        # Difference in s between the real time and the simulated time.
         self._offset = self._next_cycle
         self.now = 0.0
 
