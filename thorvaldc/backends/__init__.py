@@ -15,7 +15,7 @@ from thorvaldc.model.plugins import PluginFailure, PluginTable
 
 
 class Backend(abc.ABC):
-    """A backend writes the files of one target.
+    """A backend writes the files of one build target, such as `urdf`.
 
     A backend must not read files, the clock, random numbers or the environment. A backend therefore
     always writes the same bytes for the same model.
@@ -81,7 +81,7 @@ class TargetError(KeyError):
     """
 
     def __str__(self) -> str:
-        return str(self.args[0])  # The text of a ``KeyError`` would contain the message in quotes.
+        return str(self.args[0])  # ``str`` of a ``KeyError`` would put the message in quotes.
 
 
 def names() -> list[str]:

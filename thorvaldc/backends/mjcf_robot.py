@@ -55,7 +55,7 @@ _ALL_BITS = 0x7FFFFFFF
 
 
 def _free(name: str, taken: Iterable[str]) -> str:
-    """Return the name, with underscores appended until the name is not in ``taken``."""
+    """Return an MJCF name, with underscores appended until the name is not in ``taken``."""
     names = set(taken)
     while name in names:
         name += "_"
@@ -308,7 +308,8 @@ def _place(element: Element, pose: Pose) -> None:
 
 
 def _z_to(axis: Vec3) -> Quat:
-    """Return the smallest rotation from the z axis to the unit vector ``axis``."""
+    """Return the quaternion of the smallest rotation from the z axis to the unit vector
+    ``axis``."""
     c = dot((0.0, 0.0, 1.0), axis)
     if c < -1.0 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)

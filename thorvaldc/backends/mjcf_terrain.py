@@ -72,8 +72,8 @@ def _waves(
     """Return random heights of the ground between -1 and 1 as a grid.
 
     The random heights are a normalised sum of plane waves with random directions and phases. The
-    wavelengths of the plane waves are between ``wavelength`` and four times ``wavelength``. The
-    amplitude of each plane wave is proportional to its wavelength.
+    plane waves have wavelengths between ``wavelength`` and four times ``wavelength``. The amplitude
+    of each plane wave is proportional to its wavelength.
     """
     random_numbers = random.Random(seed)
     rows = _level(xs, ys)

@@ -98,8 +98,8 @@ def _scalar(value: object, path: str) -> str:
 def real(value: float, path: str = "value") -> str:
     """Return the shortest text with a decimal point that reads back as the same float.
 
-    Denormal floating-point numbers become 0.0. Raises ``ParameterError`` for infinite numbers and
-    NaN.
+    Denormal floating-point numbers become 0.0. Raises ``ParameterError`` for NaN and infinite
+    numbers.
     """
     if not math.isfinite(value):
         raise ParameterError(f"`{path}` is not finite: {value}")

@@ -1,9 +1,9 @@
 """A small XML writer: the same tree always gives the same text.
 
 The attributes and children of an XML element are written in the order in which they were added. A
-number is written as the shortest text that reads back as the same number. The XML writer escapes
-special characters in all text. The backends use this module instead of ``xml.etree``, because this
-module is smaller and faster.
+number is written in XML as the shortest text that reads back as the same number. The XML writer
+escapes special characters in all text. The backends use this module instead of ``xml.etree``,
+because this module is smaller and faster.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def number(value: Number) -> str:
 
 
 def numbers(values: Iterable[Number]) -> str:
-    """Return the numbers as text, separated by single spaces."""
+    """Return numbers as XML text, separated by single spaces."""
     return " ".join([number(value) for value in values])
 
 
@@ -87,8 +87,8 @@ class Element:
     def set(self, **attributes: Value | None) -> None:
         """Add attributes to the XML element. XML attributes with the value ``None`` are omitted.
 
-        A trailing underscore in an attribute name is removed. A trailing underscore allows XML
-        attribute names that are keywords of Python, such as ``class_``.
+        A trailing underscore is removed from the name of an XML attribute. A trailing underscore
+        allows XML attribute names that are keywords of Python, such as ``class_``.
         """
         self.attributes += "".join(
             [

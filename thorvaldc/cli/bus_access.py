@@ -40,8 +40,7 @@ UNTESTED = (
 class BusAccess:
     """Access of a command to one CAN bus of a robot.
 
-    - ``master``: the CANopen master for the bus. There must be no other CANopen master on the CAN
-      bus.
+    - ``master``: the CANopen master for the bus. The CAN bus must have no other CANopen master.
     - ``virtual_operator``: carries out the manual steps on simulated devices, or ``None`` if a
       person carries out the manual steps.
     """

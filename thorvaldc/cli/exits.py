@@ -62,8 +62,8 @@ def protect(work: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # BrokenPipeError: the program that reads the output has ended. Redirecting stdout to the
-        # null device avoids a second error when Python flushes stdout at exit.
+        # ``BrokenPipeError`` means that the program that reads the output has ended. Redirecting
+        # stdout to the null device avoids a second error when Python flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BROKEN_PIPE
     except OutsideError as error:

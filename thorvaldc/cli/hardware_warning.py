@@ -13,7 +13,7 @@ SIMULATED = ("virtual", "sim", "udp")
 
 
 def is_hardware(interface: str) -> bool:
-    """Returns whether a CAN interface such as ``socketcan:can0`` is real and not virtual."""
+    """Returns whether a CAN interface such as ``socketcan:can0`` can be connected to hardware."""
     return interface.partition(":")[0] not in SIMULATED
 
 

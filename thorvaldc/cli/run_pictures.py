@@ -56,8 +56,8 @@ class RunPictures:
     """The plot and the video of a run. An empty path means that no plot or no video is drawn.
 
     Create the object before the import of MuJoCo, because the constructor selects the OpenGL
-    backend of MuJoCo. Call the method ``watch`` in each tick of the run. The method ``write`` draws
-    the plot and the video after the run.
+    backend of MuJoCo. The method ``watch`` must be called in each tick of the simulation. The
+    method ``write`` draws the plot and the video after the run.
     """
 
     def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:

@@ -39,7 +39,7 @@ class StatusView:
     def watch(self, runner: BaseRunner, state: DriverState) -> None:
         """Prints new state changes of the base driver and updates the status line.
 
-        Call the method ``watch`` after each control cycle of the base driver.
+        The method ``watch`` must be called after each control cycle of the base driver.
         """
         session = self._session
         if runner.changes:

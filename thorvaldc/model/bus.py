@@ -125,10 +125,10 @@ class ObjectValue(Element):
 class Node(Element):
     """A device on a CAN bus.
 
-    - ``id``: the number of the node, unique within the ``id_space``. The id is 0 for a device
-      without an id that the base driver does not control.
+    - ``id``: the number of the node, unique within the ``id_space``. The id is 0 if the device has
+      no id, such as a device that the base driver does not control.
     - ``id_space``: name of a group of ids. The ids of batteries and the node ids of CANopen nodes
-      are separate groups. The group is empty for a device without an id.
+      are separate groups. The name of the group is empty if the device has no id.
     - ``automatic``: true if the compiler chose the id. The lock file of the robot stores the node
       ids that the compiler chose.
     - ``vendor_id``, ``product_code``, ``revision_number``: values of the CANopen object 0x1018.
@@ -139,8 +139,8 @@ class Node(Element):
     - ``heartbeat_consumer_time``: time in s without a heartbeat of the master after which the node
       considers the master lost (object 0x1016), or ``None`` if the node does not supervise the
       master.
-    - ``bitrates``: the supported bit rates in bit/s. An empty list means that the node supports any
-      bit rate.
+    - ``bitrates``: the supported bit rates in bit/s. An empty list of bit rates means that the node
+      supports any bit rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
     """
 

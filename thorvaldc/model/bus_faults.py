@@ -1,4 +1,4 @@
-"""Faults to inject into a simulated CAN bus. All values are in SI units."""
+"""Faults to inject into a simulated CAN bus. All values of the injected faults are in SI units."""
 
 from __future__ import annotations
 

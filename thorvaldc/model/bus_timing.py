@@ -19,15 +19,15 @@ The symbols are:
 
 The analysis computes the response time of every instance of the CAN frame in the busy period. In
 each control cycle, the CAN bus carries the commands first, then SYNC, and then the reports of the
-nodes. Because of the fixed order, the worst-case response times are shorter
-(``_critical_instants``):
+nodes. Because of this fixed order, CAN frames of one control cycle delay each other less, see
+``_critical_instants``:
 
     0 s                                                     sync_period
     |command 1|command 2|...|SYNC|report 1|report 2|...     |command 1|...
      stage 0                 1    stage 2
 
 All times in the analysis are integers in picoseconds. Times are rounded so that the computed
-response time is never too short.
+worst-case response time is never too short.
 
 Assumptions of ``frame_streams``:
 
@@ -89,8 +89,8 @@ def frame_bits(length: int) -> int:
 
     A CAN frame with n data bytes has 8 n data bits and 47 other bits, including 3 bits of
     interframe space. The CAN controller inserts stuff bits into the first 34 + 8 n bits of the CAN
-    frame. In the worst case, the controller inserts a stuff bit after the first five bits, and then
-    one stuff bit after every four bits.
+    frame. In the worst case, the CAN controller inserts a stuff bit after the first five bits, and
+    then a stuff bit after every four bits.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
@@ -209,8 +209,8 @@ def _fixed_point(own: int, time: int, above: Sequence[_Other], instance: int, bi
     """Return the time in ps at which the bus has sent a CAN frame and all more urgent CAN frames.
 
     ``own`` is the transmission time in ps of the blocking CAN frame and of the examined CAN frame.
-    ``time`` is the time in ps at which the search begins. The function solves the equation for w(k)
-    in the docstring of this module by fixed-point iteration.
+    ``time`` is the time in ps at which the fixed-point iteration begins. The function solves the
+    equation for w(k) in the docstring of this module by fixed-point iteration.
     """
     while True:
         needed = own
@@ -253,8 +253,9 @@ def frame_response_times(
     """Return the worst-case response time in s of each CAN frame of a bus by frame name.
 
     The response times of commands, SYNC, synchronous PDOs and SDO answers count from the beginning
-    of the control cycle. ``None`` means that the response time has no upper bound. ``bits`` maps
-    the names of CAN frames to their exact lengths in bits, if the lengths are known.
+    of the control cycle. The value ``None`` means that the response time of the CAN frame has no
+    upper bound. ``bits`` maps the names of CAN frames to their exact lengths in bits, if the
+    lengths are known.
 
     The jitter of a CAN frame depends on the response times of the CAN frames that trigger it. The
     master sends SYNC after the commands, and the nodes send the synchronous PDOs after SYNC. The
@@ -308,7 +309,8 @@ def _group(frame: FrameDefinition) -> str:
 def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
     """Return the stage of a CAN frame in the control cycle.
 
-    Stage 0 has the commands, stage 1 the SYNC frame, and stage 2 the synchronous PDOs of nodes.
+    Stage 0 of the control cycle has the commands, stage 1 the SYNC frame, and stage 2 the
+    synchronous PDOs of the nodes.
     """
     if frame.period != bus.sync_period:
         return None
@@ -318,7 +320,7 @@ def _stage(frame: FrameDefinition, bus: Bus) -> int | None:
 
 
 def _lateness(bus: Bus, times: Mapping[str, float | None]) -> dict[str, float] | None:
-    """Return the jitter in s of SYNC and of each synchronous PDO, by the name of the frame.
+    """Return the jitter in s of the SYNC frame and of each synchronous PDO, by frame name.
 
     Returns ``None`` if the response time of a CAN frame has no upper bound.
     """

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 
 def values_getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Return a function that returns the values of the attributes ``names`` of an object.
+    """Return a function that reads the attributes ``names`` of an object.
 
     The function uses ``operator.attrgetter``, which is faster than a loop with ``getattr``.
     """

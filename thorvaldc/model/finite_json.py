@@ -9,7 +9,7 @@ from typing import Any
 def finite(value: Any) -> Any:
     """Replace infinities and NaN by ``None`` in nested dictionaries, lists and tuples.
 
-    JSON has neither infinities nor NaN.
+    JSON can express neither infinities nor NaN.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else None

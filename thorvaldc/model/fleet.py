@@ -1,4 +1,5 @@
-"""Several robots in one scene, and the world around the robots. All values are in SI units."""
+"""Several robots in one scene, and the world around the robots. All values of the fleet model are
+in SI units."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ class Placement(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Ground(Element):
-    """The ground of a scene. The poses of the robots are relative to the ground plane z = 0.
+    """The ground on which the robots of a scene drive. The poses of the robots are relative to the
+    ground plane z = 0.
 
     - ``angle``: inclination of the ground in rad.
     - ``direction``: uphill direction in rad, measured from x to y.
@@ -45,7 +47,7 @@ class Ground(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Zone(Element):
-    """A rectangular zone of the ground, centred on ``pose``.
+    """A rectangular zone of the ground, whose centre has the pose ``pose``.
 
     - ``size``: edge lengths of the zone in m along x and y.
     - ``friction``, ``rolling_resistance``: coefficients of the wheels in the zone, or ``None`` if
@@ -76,7 +78,7 @@ class Zone(Element):
         """Return whether a point is in the zone of the ground, or at most ``margin`` m outside the
         zone.
 
-        ``x`` and ``y`` are the coordinates of the point in m.
+        ``x`` and ``y`` are the coordinates of the point on the ground in m.
         """
         local = self.pose.inverse().apply((x, y, self.pose.xyz[2]))
         return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))

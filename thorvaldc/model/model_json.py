@@ -1,8 +1,8 @@
 """Conversion of the model to JSON text and back, driven by the type hints of the dataclasses.
 
-The page ``docs/model.md`` describes the format and its versions. A dataclass of the model becomes a
-JSON object with all fields of the dataclass. A tuple or a source span becomes a JSON list. The JSON
-object of a ``Shape`` has the name of its class in the field ``kind``.
+The page ``docs/model.md`` describes the JSON format and its versions. A dataclass of the model
+becomes a JSON object with all fields of the dataclass. A tuple or a source span becomes a JSON
+list. The JSON object of a ``Shape`` has the name of its class in the field ``kind``.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ A decoder raises ``ModelFormatError`` if the JSON value has a wrong type.
 
 @functools.cache
 def _decoder(hint: Any) -> _Decoder:
-    """Return a function that converts JSON values to a type of the model."""
+    """Return a decoder: a function that converts JSON values to a type of the model."""
     if hint is Span:
         fields = _decoder(tuple[str, int, int, int, int])
         return lambda value, path: Span(*fields(value, path))
@@ -217,8 +217,8 @@ def _tuple_decoder(decoders: list[_Decoder]) -> _Decoder:
 
 
 def _plain_decoder(allowed: tuple[type, ...]) -> _Decoder:
-    """Return a function that checks that a JSON value is a number, text or boolean of a type in
-    ``allowed``.
+    """Return a decoder that accepts only JSON values of the types in ``allowed``: numbers, texts or
+    booleans.
 
     A JSON integer is accepted for a field of the type float.
     """

@@ -54,8 +54,8 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Box(Element):
-    """A box, centred on the origin of its frame. ``size`` has the full edge lengths along x, y and
-    z in m."""
+    """A box, centred on the origin of its frame. ``size`` has the full edge lengths of the box
+    along x, y and z in m."""
 
     size: Vec3
 
@@ -95,7 +95,8 @@ Shape = Box | Cylinder | Sphere | MeshShape
 class Mesh(Element):
     """A mesh file of a build, in the format STL or OBJ.
 
-    URDF readers and MuJoCo both read STL and OBJ files. The compiler converts other mesh formats.
+    URDF readers and MuJoCo both read STL and OBJ files. The compiler converts mesh files in other
+    formats to STL or OBJ.
 
     - ``name``: name of the mesh file in the build folder.
     - ``data``: bytes of the mesh file. The JSON text of the model omits ``data``.
@@ -268,7 +269,7 @@ class Wheel(Element):
         return self.steering_joint is not None
 
     def radius_named(self, name: str | None) -> float:
-        """Return the rolling radius in m that has the name ``name`` in ``radii``.
+        """Return the rolling radius of the wheel in m that has the name ``name`` in ``radii``.
 
         Returns ``radius`` if ``name`` is ``None`` or if the wheel has no radius with this name.
         """
@@ -349,8 +350,8 @@ class Battery(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CalculatorChoice(Element):
-    """The name of the base calculator and its options. The base calculator is a plug-in class that
-    computes joint commands from a twist."""
+    """The name of the robot's base calculator and its options. The base calculator is a plug-in
+    class that computes joint commands from a twist."""
 
     name: str = "general"
     options: tuple[tuple[str, Scalar], ...] = ()
@@ -358,7 +359,7 @@ class CalculatorChoice(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class DriverSettings(Element):
-    """Settings of the base driver.
+    """Settings of the base driver of a robot.
 
     The robot file can set limits of the commanded twist. If the robot file sets no limits, the
     limits of the motors and modules determine the limits of the twist.
@@ -451,7 +452,8 @@ class Robot(Element):
 
     @property
     def prefix(self) -> str:
-        """The prefix of every name in an output: the name space and a slash, or an empty text."""
+        """The prefix of every name in an output file: the name space of the robot and a slash, or
+        an empty text."""
         return f"{self.namespace}/" if self.namespace else ""
 
     def link(self, name: str) -> Link:

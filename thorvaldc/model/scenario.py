@@ -1,4 +1,5 @@
-"""A scenario: the inputs of a simulation run and the expected results. All values are in SI."""
+"""A scenario: the inputs of a simulation run and the expected results. All values of the scenario
+are in SI units."""
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ class WheelFault:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of the random errors of the simulated sensors.
+    """Standard deviations of the random measurement errors of the simulated sensors.
 
     - ``seed``: seed of the random number generator.
     - ``wheel_speed``: standard deviation of the measured wheel speed in rad/s.

@@ -1,8 +1,8 @@
 """Rigid-body algebra in plain Python: vectors, unit quaternions, poses and inertias.
 
-The compiler does not import numpy, because a cold build is faster without numpy. Tuples are faster
-than numpy arrays for vectors with three elements. All quaternions of the project have the order
-``(w, x, y, z)``. A pose named ``X_AB`` is the pose of frame B in frame A, so ``X_AC = X_AB *
+The compiler does not import numpy, because a cold build is faster without numpy. For vectors with
+three elements, Python tuples are faster than numpy arrays. All quaternions of the project have the
+order ``(w, x, y, z)``. A pose named ``X_AB`` is the pose of frame B in frame A, so ``X_AC = X_AB *
 X_BC``.
 """
 
@@ -74,7 +74,7 @@ def quat_multiply(p: Quat, q: Quat) -> Quat:
 
 
 def quat_normalize(q: Quat) -> Quat:
-    """Return the unit quaternion of the same rotation with ``w >= 0``."""
+    """Return the unit quaternion of the same rotation with a non-negative ``w``."""
     n = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     if q[0] < 0.0:
         n = -n
@@ -140,7 +140,7 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Pose of one frame in another frame: position in m and unit quaternion (w, x, y, z)."""
+    """The pose of one frame in another frame: position in m and unit quaternion (w, x, y, z)."""
 
     xyz: Vec3 = ZERO3
     quat: Quat = IDENTITY_QUAT
@@ -181,7 +181,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """Mass in kg, centre of mass ``com`` in m and rotational inertia in kg m^2.
+    """The mass of a body in kg, its centre of mass ``com`` in m and its inertia in kg m^2.
 
     ``inertia`` contains the moments of inertia ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre
     of mass. The axes of ``inertia`` are parallel to the axes of the frame in which ``com`` is

@@ -50,7 +50,7 @@ def dbc_text(bus: Bus) -> str:
         """A cantools message that is only written to a DBC file and never decoded.
 
         The class skips the steps of a cantools message that are only needed to decode CAN frames.
-        The steps for decoding would take two thirds of the time to build the DBC file.
+        The decoding steps would take two thirds of the time to build the DBC file.
         """
 
         def __deepcopy__(self, memo: dict[int, Any]) -> Message:
@@ -168,8 +168,8 @@ def _cantools_database() -> Any:
     The import of the package ``cantools`` also imports the CAN tester of cantools. The CAN tester
     imports python-can, asyncio and ssl, which takes two thirds of the import time, and the compiler
     needs none of them. This function therefore registers ``cantools`` in ``sys.modules`` without
-    executing the package. The package ``cantools`` is executed at the first access to another of
-    its names.
+    executing the package. Python executes the package ``cantools`` when another name of the package
+    is used for the first time.
     """
     spec = importlib.util.find_spec("cantools") if "cantools" not in sys.modules else None
     if spec is not None and spec.loader is not None:

@@ -140,9 +140,9 @@ def _variable(entry: ObjectValue, in_pdo: dict[tuple[int, int], bool]) -> list[t
     ]
     if entry.value is not None:
         number = _hexadecimal(entry.value) if entry.type == "unsigned32" else str(entry.value)
-        # A read-only object dictionary entry identifies the node, so the DCF contains its value as
-        # the default value. The values of all writable object dictionary entries are written to the
-        # node.
+        # For a read-only object dictionary entry, which identifies the node, the DCF contains the
+        # required value as the default value. All writable object dictionary entries are written to
+        # the node with their required values.
         rows.append(("DefaultValue" if entry.access == "ro" else "ParameterValue", number))
     return rows
 

@@ -135,7 +135,7 @@ def _key(name: str) -> str:
 def _heartbeat(bus: Bus, producer: str) -> float | None:
     """Return the heartbeat period of a node or of the CANopen master in s.
 
-    Returns ``None`` if the node or master sends no heartbeat.
+    Returns ``None`` if the node or the CANopen master sends no heartbeat.
     """
     return next(
         (f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == producer), None

@@ -100,7 +100,7 @@ class JointTree:
 
 
 def _joint_motion(joint: Joint, position: float) -> Pose:
-    """Return the pose of the child link relative to its pose at joint position 0."""
+    """Return the pose of a joint's child link relative to its pose at joint position 0."""
     x, y, z = joint.axis
     if joint.type == "prismatic":
         return Pose((position * x, position * y, position * z))

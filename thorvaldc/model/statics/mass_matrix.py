@@ -14,10 +14,10 @@ and M_ij = 0 if neither joint carries the other joint. The symbols are:
 - C_i: spatial inertia of the composite body i. The composite body consists of all links below joint
   i.
 
-The mass matrix is factored as L^T D L (Featherstone, section 6.5). Row i of the mass matrix is
-nonzero only at the degrees of freedom on the path from the root to i. The factors L and D are
-nonzero only where the mass matrix is nonzero. The time to factor the mass matrix therefore grows
-linearly with the number of branches of the joint tree.
+The mass matrix is factored as L^T D L (Featherstone, section 6.5). The element (i, j) of the mass
+matrix is nonzero only if j is on the path from the root to i, or i on the path to j. The factors L
+and D are nonzero only where the mass matrix is nonzero. The time to factor the mass matrix
+therefore grows linearly with the number of branches of the joint tree.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from thorvaldc.model.statics.joint_tree import JointTree
 class BranchSparse:
     """A symmetric matrix over the degrees of freedom of a joint tree, and its L^T D L factors.
 
-    - ``paths``: one list for each degree of freedom i. The list for i contains the degrees of
-      freedom on the path from the root to i, including i.
-    - ``rows``: one list for each degree of freedom i. ``rows[i][k]`` is the element of the matrix
-      in row i and column ``paths[i][k]``. All other elements of the matrix to the left of the
-      diagonal are zero.
+    - ``paths``: one list for each degree of freedom i. The list ``paths[i]`` contains the degrees
+      of freedom on the path from the root of the joint tree to i, including i.
+    - ``rows``: one list for each degree of freedom i. The number ``rows[i][k]`` is the element of
+      the matrix in row i and column ``paths[i][k]``. All other elements of the matrix to the left
+      of the diagonal are zero.
     """
 
     def __init__(self, paths: list[list[int]]) -> None:
@@ -44,11 +44,12 @@ class BranchSparse:
         self.rows = [[0.0] * len(path) for path in paths]
 
     def factor(self) -> bool:
-        """Replace the matrix by its L^T D L factors.
+        """Replace the symmetric matrix M by its factors: a triangular matrix L and a diagonal
+        matrix D with M = L^T D L.
 
-        Each row of the matrix is replaced by the row of L, and the last element of the row by 1/D.
-        Returns false if the matrix is singular. A degree of freedom with a zero pivot is locked:
-        its row is filled with zeros.
+        Each row of the symmetric matrix is replaced by the row of the factor L, and the last
+        element of the row by 1/D. Returns false if the symmetric matrix is singular. A degree of
+        freedom with a zero pivot is locked by filling its row with zeros.
         """
         regular = True
         for i in range(len(self.rows) - 1, -1, -1):
@@ -159,10 +160,10 @@ def inverse_weights(
 ) -> tuple[list[float], dict[str, float]]:
     """Return the inverse weights of links in 1/kg, and the carried inertia of each joint.
 
-    The inverse weight of a body is the value ``body_invweight0`` of MuJoCo for translation. To
-    compute the inverse weight, a unit force acts at the centre of mass of the body in each of three
-    directions. The inverse weight is the mean of the three accelerations: trace(J M^-1 J^T) / 3,
-    with the mass matrix M. J is the Jacobian matrix of the centre of mass of the body.
+    The inverse weight of a body is the value ``body_invweight0`` of MuJoCo for translation. The
+    inverse weight of a body is the acceleration by a unit force at its centre of mass, as the mean
+    over three directions. Inverse weight: trace(J M^-1 J^T) / 3, where M is the mass matrix of the
+    robot. J is the Jacobian matrix of the centre of mass of the body.
 
     The carried inertia of a joint is the inertia in kg m^2 of all links that the joint moves, about
     the joint axis. For a prismatic joint, the carried inertia is the mass of these links in kg. The

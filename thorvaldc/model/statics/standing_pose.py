@@ -3,20 +3,20 @@
 The unknowns q of the standing pose are the height of the base, the rotations of the base about the
 world's x and y axes, and the positions of the compliant joints. A joint with a spring is compliant:
 it moves under the weight of the robot. A passive joint that carries wheels, such as the joint of a
-rocker, is also compliant. Equilibrium of the generalised forces on the unknowns q:
+rocker, is also compliant. Equilibrium of the generalised forces r(q) on the unknowns q:
 
     r(q) = sum over wheels f_w(q) l_w + weights - springs = 0,   l_w = dz_w / dq.
 
 The symbols are:
 
 - f_w: contact force of wheel w as a function of its penetration p_w, see ``wheel_contact``.
-- l_w: lift of the contact point of wheel w for a unit change of each unknown. The lift for the
-  height of the base is 1. With the base position b and the contact point (x, y), the lift is y -
-  b_y for the rotation of the base about x, and b_x - x for the rotation about y. The lift for a
-  prismatic joint with the axis a is a_z. The lift for a hinge joint with the axis a at the point o
-  is a_x (y - o_y) - a_y (x - o_x).
+- l_w: lift of the contact point of wheel w for a unit change of each unknown. The lift of a wheel
+  for the height of the base is 1. With the base position b and the contact point (x, y), the lift
+  is y - b_y for the rotation of the base about x, and b_x - x for the rotation about y. The lift
+  for a prismatic joint with the axis a is a_z. The lift for a hinge joint with the axis a at the
+  point o is a_x (y - o_y) - a_y (x - o_x).
 
-Raising the wheel centre by dz reduces the penetration p_w of the wheel w by 2 dz. Stiffness matrix:
+Raising a wheel by dz reduces its penetration by 2 dz. Stiffness matrix: Stiffness matrix:
 
     K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses).
 
@@ -25,8 +25,8 @@ the step dq of the unknowns by solving K dq = r with the stiffness matrix K and 
 element of the stiffness matrix K is nonzero only if both unknowns move a common wheel. The
 stiffness matrix K therefore has the sparsity of the joint tree and is factored like a mass matrix.
 The time to factor the stiffness matrix grows linearly with the number of branches of the joint
-tree. Every element of a Newton step is limited to 0.05 m or 0.05 rad. If a Newton step does not
-decrease the largest residual, the step is halved until the residual decreases.
+tree. Every element of a Newton step for the standing pose is limited to 0.05 m or 0.05 rad. If a
+Newton step does not decrease the largest residual, the step is halved until the residual decreases.
 """
 
 from __future__ import annotations
@@ -120,9 +120,10 @@ class _Forces(NamedTuple):
 class _Stance:
     """The robot as rigid groups of links, connected by its compliant joints.
 
-    The rigid group 0 contains the base link. Unknown 0 is the height of the base. Unknowns 1 and 2
-    are the rotations of the base about the world's x and y axes. Unknown 2 + g is the position of
-    the compliant joint that carries the rigid group g.
+    The rigid group number 0 contains the base link. Unknown 0 of the standing pose is the height of
+    the base. Unknowns 1 and 2 of the standing pose are the rotations of the base about the world's
+    x and y axes. Unknown 2 + g of the standing pose is the position of the compliant joint that
+    carries the rigid group number g.
     """
 
     def __init__(

@@ -28,8 +28,8 @@ rolling radius. With the larger collision shape, the contact point lies on a cir
 
 The ground is at the height 0, and the contact point is at the height -p/2, where p is the
 penetration. The lowest point of the rolling circle is at the height h - radius cos(camber), where h
-is the height of the wheel centre. The contact point is the lowest point of the rolling circle, so
-the penetration p is
+is the height of the wheel centre. The contact point is the lowest point of the rolling circle.
+Penetration p:
 
     p = 2 (radius cos(camber) - h).
 """
@@ -95,8 +95,8 @@ def normal_force(penetration: float, inverse_weight: float) -> float:
 def contact_stiffness(penetration: float, inverse_weight: float) -> float:
     """Return the contact stiffness of a wheel in N/m: the derivative of the normal force.
 
-    Penetrations below 1e-6 m are replaced by 1e-6 m. The contact stiffness is therefore never zero,
-    and Newton's method also works for a wheel above the ground.
+    Penetrations of the wheel below 1e-6 m are replaced by 1e-6 m. The contact stiffness is
+    therefore never zero, and Newton's method also works for a wheel above the ground.
     """
     p = max(penetration, 1e-6)
     d0, d1, width = SOLIMP
@@ -108,7 +108,7 @@ def contact_stiffness(penetration: float, inverse_weight: float) -> float:
 
 
 def penetration_under(force: float, inverse_weight: float) -> float:
-    """Return the penetration in m at which the normal force is ``force`` N.
+    """Return the penetration of a wheel in m at which the normal force is ``force`` N.
 
     The function finds the penetration with Newton's method inside a bracket. If a Newton step
     leaves the bracket, the function bisects the bracket.
@@ -143,14 +143,15 @@ def contact_ellipsoid(
     the wheel's spin axis in the world frame, which is the sine of the camber angle.
 
     The ellipsoid of the wheel has the radial half axis a and the axial half axis b = width / 2. All
-    points are in the plane of the spin axis and the vertical. With c = cos(camber), s = sin(camber)
-    and H^2 = a^2 c^2 + b^2 s^2, the lowest point has the radius a^2 c / H and the axial position
-    b^2 s / H. The contact point is p/2 above the lowest point of the ellipsoid, at the radius a^2 c
-    / H - p/2 c, where p is the penetration. Conditions for the ellipsoid of the wheel:
+    points of the derivation are in the plane of the spin axis and the vertical. With c =
+    cos(camber), s = sin(camber) and H^2 = a^2 c^2 + b^2 s^2, the lowest point has the radius a^2 c
+    / H and the axial position b^2 s / H. The contact point is p/2 above the lowest point of the
+    ellipsoid, at the radius a^2 c / H - p/2 c, where p is the penetration. Conditions for the
+    ellipsoid of the wheel:
 
     - The radius of the contact point must be ``wheel.radius``: a^2 c / H = wheel.radius + p/2 c =:
-      r. With q = b s / c, the condition becomes a^4 - r^2 a^2 - r^2 q^2 = 0. The positive root is
-      a^2 = r^2 (1 + sqrt(1 + 4 (q / r)^2)) / 2.
+      r. Equation for a, with q = b s / c: a^4 - r^2 a^2 - r^2 q^2 = 0. The positive solution is a^2
+      = r^2 (1 + sqrt(1 + 4 (q / r)^2)) / 2.
     - The contact point must lie in the middle plane of the wheel. The centre of the ellipsoid is
       therefore shifted along the spin axis by (b^2 / H - p/2) s.
     """

@@ -229,8 +229,8 @@ class Joystick:
             if event.value and not was_pressed:
                 self._request(event.code, requests)
         elif event.type == EV_SYN and event.code == SYN_DROPPED:
-            # SYN_DROPPED: the kernel has dropped joystick events. The release of the dead-man
-            # button may be one of the dropped events.
+            # The event SYN_DROPPED means that the kernel has dropped joystick events. The release
+            # of the dead-man button may be one of the dropped events.
             self._release_all()
 
     def _request(self, button: int, requests: list[Request]) -> None:
@@ -256,7 +256,7 @@ class Joystick:
 
 
 class OperatorPair:
-    """Two operators of one robot: the first has priority.
+    """A pair of operators who drive the same robot.
 
     The second operator drives while the first operator commands no twist.
     """
