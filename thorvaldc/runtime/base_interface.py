@@ -21,7 +21,7 @@ class JointStates:
     - ``yaw_rate``: yaw rate of ``base_link``, rad/s, measured by a gyro.  ``yaw_rate`` is ``None``
       if the robot has no gyro.
 
-    The entries of a joint without encoder are 0 and are not used.  Examples of joints without
+    The joint states of a joint without encoder are 0 and are not used.  Examples of joints without
     encoder are the spin joint of a wheel without motor and the steering joint of a wheel without
     steering.
     """
@@ -55,31 +55,31 @@ class BaseHandle(abc.ABC):
 
     @property
     def hold_reason(self) -> str:
-        """Reason why the base does not follow commands now, such as homing or a fault.
+        """Reason why the base does not follow joint commands now, such as homing or a fault.
 
-        The reason is empty if the base follows commands.
+        The reason is an empty text if the base follows joint commands.
         """
         return ""
 
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
-        """Returns the joint states at ``now``.  Unknown joint values are NaN."""
+        """Returns the joint states at ``now``.  Unknown speeds, angles and positions are NaN."""
 
     @abc.abstractmethod
     def write(self, commands: JointCommands, now: float) -> None:
-        """Sets the commands that the joints follow from ``now`` on."""
+        """Sends joint commands to the base, valid from the time ``now`` (s)."""
 
     def expect_single_commands(self) -> None:
-        """Tells the base that ``write`` will be called on every change of a single joint's command.
+        """Informs the base that ``write`` is called for every change of a single joint's command.
 
-        For single commands, ``write`` is called at irregular times.  The base therefore cannot
-        derive the rates of set points from successive commands.
+        The calls of ``write`` for single joints are irregular in time.  The base therefore cannot
+        compute steering rates from successive joint commands.
         """
         return
 
     def close(self) -> None:
         """Releases the resources of the base.
 
-        A closed base no longer follows the last commands.
+        After ``close``, the base no longer follows the last joint commands.
         """
         return

@@ -22,18 +22,18 @@ from thorvaldc.runtime.twist_ramp import Ramp
 MAX_TWIST = 1e9
 """Twists with components (m/s, rad/s) whose absolute sum reaches this limit are rejected."""
 _TIME_TOLERANCE = 1e-9
-"""Tolerance (s) of a time-out for rounding errors."""
+"""Tolerance (s) for rounding errors in the check of the command timeout."""
 
 
 class DriveMode(enum.Enum):
     """Mode of the base driver.
 
     - ``IDLE``: no motion is commanded.
-    - ``DRIVING``: the robot follows a command.
+    - ``DRIVING``: the robot follows the commanded twist.
     - ``TIMED_OUT``: the last command is older than the command timeout.  The robot ramps its twist
       down to zero and stands.
-    - ``FAULT``: the joint states are unusable.  The robot ramps its twist down to zero.
-    - ``HELD``: the base does not follow commands and stops the robot itself.
+    - ``FAULT``: the joint states are missing or invalid.  The robot ramps its twist down to zero.
+    - ``HELD``: the base does not follow joint commands and stops the robot itself.
     """
 
     IDLE = "idle"
@@ -48,17 +48,17 @@ class DriverState:
     """Result of a tick of the driver.
 
     - ``time``: time of the tick, s.
-    - ``mode``: mode of the driver.
+    - ``mode``: mode of the base driver.
     - ``commanded_twist``: twist of the active command.
     - ``ramped``: feasible part of the commanded twist, after the speed limits and the ramp.
     - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
     - ``command``: joint commands for ``ramped``, or ``None`` before the first tick.
     - ``joints``: last usable joint states, or ``None`` before the first measurement.
-    - ``odometry``: estimate of the mean twist since the previous tick.
+    - ``odometry``: estimated mean twist of the robot since the previous tick.
     - ``pose``: pose of ``base_link`` in the odometry frame.
     - ``pose_covariance``: covariance of ``pose``, expressed as a small motion in ``base_link``.
-    - ``fault``: reason of the mode ``FAULT``, else empty.
-    - ``hold_reason``: reason of the mode ``HELD``, else empty.
+    - ``fault``: reason of the mode ``FAULT``, or empty in other modes.
+    - ``hold_reason``: reason of the mode ``HELD``, or empty in other modes.
     """
 
     time: float
@@ -146,7 +146,7 @@ class BaseDriver:
 
     @property
     def settings(self) -> DriverSettings:
-        """Settings of the active parameters."""
+        """Settings of the driver in the active parameter set, such as limits and timeouts."""
         return self.parameters.settings
 
     @property
@@ -156,10 +156,10 @@ class BaseDriver:
     def use(self, parameters: str | None) -> None:
         """Switches to a parameter set of the robot file.  ``None`` selects the ordinary values.
 
-        The change takes effect in the next tick, after the odometry update.  The motion up to the
-        change is computed with the previous wheel radii, and the pose does not jump.  Raises
-        ``DiagnosticError`` if the parameter set is unknown.  The parameters are unchanged after an
-        error.
+        The parameter change takes effect in the next tick, after the odometry update.  The odometry
+        uses the previous wheel radii for the motion before the change, so the pose does not jump.
+        Raises ``DiagnosticError`` if the parameter set is unknown.  The parameters are unchanged
+        after an error.
         """
         self._stage(Parameters.from_robot(self.robot, parameters))
 
@@ -170,7 +170,7 @@ class BaseDriver:
         noise: Mapping[str, float] | None = None,
         **limits: float,
     ) -> None:
-        """Changes single parameters.
+        """Changes single parameters of the driver: wheel radii, noise or limits.
 
         - ``radii``: wheel radii (m) by wheel name.
         - ``noise``: standard deviations of the measurement errors by name, see ``Noise``.
@@ -203,9 +203,9 @@ class BaseDriver:
         self.state.pose_covariance = self.odometry.covariance
 
     def tick(self, now: float, joints: JointStates | None = None) -> DriverState:
-        """Runs one control cycle and returns its result.
+        """Runs one control cycle and returns the state of the driver.
 
-        Returns the previous result if ``now`` has not advanced.  ``joints`` contains the joint
+        Returns the previous state if ``now`` has not advanced.  ``joints`` contains the joint
         states at ``now`` if the caller has already read them.
 
         The motion of the robot is unknown while joint states are unusable, and during an interval
@@ -233,12 +233,12 @@ class BaseDriver:
         period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
         if hold_reason:
-            # A base that does not follow commands stops the robot itself.  When the base follows
-            # commands again, the ramp starts from rest.
+            # A base that does not follow joint commands stops the robot itself.  When the base
+            # follows joint commands again, the twist ramp starts from rest.
             self._ramp.restart(ZERO_TWIST)
         if fault:
-            # The motion of the wheels is unknown.  The twist ramps down to zero without
-            # measurements.
+            # Without joint states the motion of the wheels is unknown, and the twist ramps down to
+            # zero.
             command = self.calculator.command(self._ramped(ZERO_TWIST, period), None, period)
         else:
             if first_joints or hold_reason:
@@ -272,7 +272,7 @@ class BaseDriver:
     # -- parts of a tick ----------------------------------------------------------
 
     def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist]:
-        """Returns the mode of a tick, and the commanded twist in this mode."""
+        """Returns the mode of the driver in this tick, and the commanded twist in this mode."""
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST
         if fault:
@@ -296,9 +296,9 @@ class BaseDriver:
         return twist.scaled(scale) if scale < 1.0 else twist
 
     def _ramped(self, goal: Twist, dt: float) -> Twist:
-        """Moves the ramp one step towards ``goal``.
+        """Moves the twist ramp one step of ``dt`` s towards the twist ``goal``.
 
-        If a wheel must turn around, the ramp moves towards zero instead.
+        If a steered wheel must turn around, the twist ramp moves towards zero instead.
         """
         last, ramp = self.state.command, self._ramp
         if last is not None:

@@ -6,12 +6,12 @@ from __future__ import annotations
 class NotFiniteError(ValueError):
     """A twist or a joint state contains a NaN or an infinity.
 
-    The function that raises this error changes nothing.
+    The function that raises ``NotFiniteError`` changes nothing.
     """
 
 
 class ParameterError(ValueError):
-    """The name or the value of a parameter is invalid.
+    """The name or the value of a driver parameter is invalid.
 
-    The function that raises this error changes nothing.
+    The function that raises ``ParameterError`` changes nothing.
     """

@@ -14,7 +14,7 @@ from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _TIME_TOLERANCE = 1e-9
-"""Tolerance (s) of a time-out for rounding errors."""
+"""Tolerance (s) for rounding errors in the check of a time-out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Selection:
     - ``source``: name of the selected source, or empty if no source is selected.
     - ``twist``: twist of the selected source, or zero if no source is selected.
     - ``time``: time (s) at which the source published the twist.
-    - ``locks``: names of the active locks.
+    - ``locks``: names of the stop locks that are active.
     """
 
     source: str
@@ -34,7 +34,7 @@ class Selection:
 
 
 class _Input:
-    """A source or a lock, with its last published value and the time of the publication."""
+    """A twist source or a stop lock, with its last published value and the time of publication."""
 
     def __init__(self, settings: TwistInput) -> None:
         self.settings = settings
@@ -43,35 +43,36 @@ class _Input:
         self.time = -math.inf
 
     def is_silent(self, now: float) -> bool:
-        """Checks whether the last publication is older than the time-out.
+        """Checks whether the source or lock has published nothing for longer than its time-out.
 
-        A time-out of 0 means that the input has no time-out.
+        A source or lock with a time-out of 0 s never times out.
         """
         timeout = self.settings.timeout
         return timeout > 0.0 and now - self.time > timeout + _TIME_TOLERANCE
 
 
 class Multiplexer:
-    """Twist sources with priorities and time-outs, and locks that block sources.
+    """Selects among twist sources with priorities and time-outs, and stop locks that block sources.
 
     The robot follows the source with the highest priority among the sources whose last twist is not
-    older than the source's time-out.  An active lock blocks all sources with a lower priority than
-    the lock.  A lock is active while its published state is ``True``.  A lock with a time-out is
-    also active before its first publication, and while its last publication is older than the
-    time-out.
+    older than the source's time-out.  An active stop lock blocks all twist sources with a lower
+    priority than the lock.  A stop lock is active while its last published state is ``True``.  A
+    stop lock with a time-out is also active before its first publication, and while its last
+    publication is older than the time-out.
 
-    The multiplexer follows the rules of the ROS node twist_mux with one exception.  A lock of the
-    multiplexer stops the robot immediately, and a lock of twist_mux stops the robot after the
-    driver's time-out.
+    The multiplexer follows the rules of the ROS node twist_mux with one exception.  A stop lock of
+    the multiplexer stops the robot immediately.  A stop lock of twist_mux stops the robot only
+    after the driver's time-out.
 
-    All times are monotonic and in s.  The multiplexer does not read a clock.
+    All times are monotonic times in s from the caller, because the multiplexer does not read a
+    clock.
     """
 
     def __init__(self, sources: Iterable[TwistInput], locks: Iterable[TwistInput]) -> None:
         self._sources = {s.name: _Input(s) for s in sources}
         self._locks = {lock.name: _Input(lock) for lock in locks}
-        # Sources in the order of descending priority.  Of two sources with the same priority, the
-        # first source wins, as in twist_mux.
+        # Twist sources in the order of descending priority.  Of two sources with the same priority,
+        # the first source in the robot file wins, as in twist_mux.
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
         self._last_time: float | None = None
 
@@ -89,7 +90,7 @@ class Multiplexer:
         return tuple(self._locks)
 
     def publish(self, source: str, twist: Twist, now: float) -> bool:
-        """Publishes a twist of a source at ``now``.
+        """Publishes a commanded twist of a source at the time ``now`` (s).
 
         The twist is valid until the time-out of the source.
 
@@ -104,21 +105,21 @@ class Multiplexer:
         return True
 
     def lock(self, name: str, locked: bool, now: float) -> None:
-        """Publishes the state of a lock.
+        """Publishes the state of a stop lock at the time ``now`` (s).
 
-        Raises ``ParameterError`` if the lock is unknown.
+        Raises ``ParameterError`` if the robot has no stop lock with this name.
         """
         publisher = self._find("lock", name, self._locks)
         publisher.locked, publisher.time = locked, now
 
     def active_locks(self, now: float) -> tuple[str, ...]:
-        """Returns the names of the locks that are active at ``now``."""
+        """Returns the names of the stop locks that are active at the time ``now`` (s)."""
         return tuple(
             name for name, lock in self._locks.items() if lock.locked or lock.is_silent(now)
         )
 
     def select(self, now: float) -> Selection:
-        """Selects the source that drives the robot at ``now``."""
+        """Selects the twist source that drives the robot at the time ``now`` (s)."""
         locks = self.active_locks(now)
         barrier = max((self._locks[name].settings.priority for name in locks), default=0)
         for source in self._ranked:
@@ -129,12 +130,12 @@ class Multiplexer:
         return Selection("", ZERO_TWIST, now, locks)
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
-        """Selects a source and sends its twist to ``driver`` as a command.
+        """Selects a twist source and sends its twist to ``driver`` as a command.
 
-        The time-out and the limits of the driver still apply.  If no source is selected after a
-        source has driven the robot, the robot stops.  With an active lock, the robot stops
-        immediately on the driver's ramp.  Without an active lock, the robot stops when the driver's
-        command times out.
+        The command time-out and the limits of the driver still apply.  If no source is selected
+        after a source has driven the robot, the robot stops.  With an active stop lock, the driver
+        immediately ramps the twist down to zero.  Without an active stop lock, the robot stops when
+        the last command times out.
         """
         selection = self.select(now)
         if selection.source:

@@ -11,15 +11,15 @@ from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
 
 LONGEST_INTERVAL = 0.5
-"""Longest interval (s) between joint states over which the motion is integrated."""
+"""Longest interval (s) between two joint states over which the odometry integrates the motion."""
 _LOW_RANK_CORRELATION = 10.0
-"""Time constant (s) of the errors in directions of motion that no wheel measures."""
+"""Correlation time (s) of the velocity errors in directions that no wheel measures."""
 
 
 class Odometry:
     """Integrates the twist estimates of a calculator to a pose.
 
-    - ``estimate``: estimate of the mean twist in the last interval.
+    - ``estimate``: estimated mean twist in the interval between the last two joint states.
     - ``pose``: pose of ``base_link`` in the odometry frame.
     - ``covariance``: covariance of the pose, expressed as a small motion in ``base_link``.  The
       covariance grows while joint states are missing.
@@ -42,21 +42,21 @@ class Odometry:
         self._time = -math.inf
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
-        """Sets the pose and resets its covariance to zero."""
+        """Sets the pose of the odometry and resets its covariance to zero."""
         self.pose = pose
         self.covariance = self.covariance_at_joints = ZERO_COV
 
     def update(self, joints: JointStates, now: float) -> None:
-        """Integrates the motion up to the joint states read at ``now`` (s, monotonic).
+        """Updates the pose with the joint states that were read at ``now`` (s, monotonic).
 
         Between two joint states the robot is assumed to move with the mean twist.  The motion is
         unknown if the interval is longer than ``LONGEST_INTERVAL`` or if the time of the joint
         states decreases.  If the motion is unknown, the pose does not change, and its covariance
-        grows by the largest possible motion.  If the time of the joint states has not changed, the
-        joint states count as missing.
+        grows by the largest possible motion.  Joint states with the same time as the previous joint
+        states count as missing.
 
-        Raises ``ValueError`` if the joint states are unusable, and ``NotFiniteError`` if a value is
-        NaN. The odometry is unchanged after an error.
+        Raises ``ValueError`` if the joint states are unusable, and ``NotFiniteError`` if a joint
+        state is NaN. The odometry is unchanged after an error.
         """
         previous = self.joints
         if previous is None:
@@ -64,7 +64,7 @@ class Odometry:
             self.store(joints, now, estimate, self.pose, self.covariance_at_joints)
             return
         if joints is previous and now == self._time:
-            return  # a batch of several robots has integrated them
+            return  # an OdometryBatch has already integrated these joint states
         elapsed = joints.time - previous.time
         if elapsed == 0.0:
             self.calculator.estimator.check(joints)
@@ -99,7 +99,7 @@ class Odometry:
         pose: Pose2,
         covariance: Cov3,
     ) -> None:
-        """Stores the results for the joint states read at ``now``."""
+        """Stores the pose and the estimate for the joint states that were read at ``now`` (s)."""
         self.joints = joints
         self.estimate = estimate
         self.pose = pose
@@ -109,7 +109,7 @@ class Odometry:
     def _unknown_motion(self, time: float) -> Cov3:
         """Returns the covariance of the pose after ``time`` s of unknown motion.
 
-        The motion is bounded by the top speeds.
+        The unknown motion is limited by the robot's top speeds.
         """
         way = (self.top_speeds[0] * time) ** 2
         turn = (self.top_speeds[1] * time) ** 2
@@ -118,15 +118,15 @@ class Odometry:
 
 
 def _mean_states(start: JointStates, end: JointStates, dt: float) -> JointStates:
-    """Returns the mean joint states of an interval.
+    """Returns the mean of the joint states at the start and the end of an interval.
 
     If the base measures positions, the wheel speeds are computed from the differences of the
     positions.
 
-    The measured angles at the start and the end of the interval are averaged.  Each measured angle
-    affects two intervals, with half of its error in each interval.  The error of a sum of angles
-    over many intervals is the same as with independent errors of full size in each interval.  The
-    covariance of the pose is computed for independent errors in each interval.
+    The measured angles at the start and the end of the interval are averaged.  Each measured
+    steering angle affects two intervals, with half of its error in each interval.  Over many
+    intervals, the sum of the mean angles has the same error as with independent errors in each
+    interval.  The covariance of the pose therefore assumes independent errors in each interval.
     """
     if start.positions is not None and end.positions is not None:
         speeds = [(b - a) / dt for a, b in zip(start.positions, end.positions, strict=True)]

@@ -34,13 +34,14 @@ UNTESTED = (
     "thorvaldc's driver was never tried on physical hardware. Lift the wheels off the ground first,"
     " keep the emergency stop in reach, and do not rely on any stop in software."
 )
-"""A warning that a program shows before it drives hardware."""
+"""Safety warning that a program shows before it drives a real robot."""
 
 
 class RunSession:
     """A run of a robot, with its runner and its control channel.
 
-    - ``twist``: twist that the session commands while no source of the control channel drives.
+    - ``twist``: twist that the session commands while no twist source of the control channel is
+      active.
     - ``duration``: duration of the run in s, from the time when the robot is ready.
     - ``channel``: name of the control channel, or empty for a run without a control channel.
     """
@@ -66,8 +67,8 @@ class RunSession:
           time.
 
         The session closes the interfaces at the end of the run.  Raises ``DiagnosticError`` if the
-        base cannot be created, and ``OSError`` if the control channel is in use.  The interfaces
-        are closed after an error.
+        base cannot be created, and ``OSError`` if the control channel is in use.  The CAN
+        interfaces are also closed after an error.
         """
         self.robot = robot
         self.twist = twist
@@ -91,18 +92,18 @@ class RunSession:
 
     @property
     def elapsed(self) -> float:
-        """Time since the start of the session in s, by the clock of the first bus."""
+        """Time since the start of the session in s, measured by the clock of the first CAN bus."""
         return self.runner.clock.now - self.start_time
 
     def run(self, watch: Watch | None = None) -> Diagnostic | None:
         """Runs the robot until the end of the run, then stops it and closes the CAN interfaces.
 
         The run ends after its duration, after a fault, or at the signal SIGINT or SIGTERM.
-        ``watch`` is called after each cycle.  Returns the diagnostic of the fault that ended the
-        run, or ``None`` if no fault ended the run.
+        The function ``watch`` is called after each control cycle.  Returns the diagnostic of the
+        fault that ended the run, or ``None`` if no fault ended the run.
         """
-        # A pause of the garbage collector delays the control loop. gc.freeze excludes all present
-        # objects from later collections.
+        # A pause of the garbage collector delays the control loop.  The function gc.freeze excludes
+        # all present objects from later garbage collections.
         gc.collect()
         gc.freeze()
         gc.enable()
@@ -112,8 +113,8 @@ class RunSession:
                 diagnostic = self._verdict()
                 self.runner.shutdown()
             except BaseException:
-                # After an exception, no frame is sent any more, so the drives stop by their own
-                # time-outs.
+                # After an exception, no CAN frame is sent, so the motor controllers stop by their
+                # own time-outs.
                 self.runner.base.close()
                 raise
             finally:
@@ -121,7 +122,7 @@ class RunSession:
         return diagnostic
 
     def request_stop(self) -> None:
-        """Ends the run after the present cycle.
+        """Ends the run after the present control cycle.
 
         A signal handler may call this method.
         """
@@ -143,9 +144,9 @@ class RunSession:
                 signal.signal(number, handler)
 
     def _feed(self, driver: BaseDriver, now: float) -> None:
-        """Commands the twist of the control channel.
+        """Commands the twist that the control channel selects.
 
-        If no source of the control channel drives, the twist of the session is commanded.
+        If no twist source of the control channel is active, the twist of the session is commanded.
         """
         selection = self.control.feed(driver, now)
         is_free = not selection.source and not selection.locks
@@ -159,8 +160,9 @@ class RunSession:
         if self.stop_requested:
             return True
         if runner.state in (BaseState.FAULT, BaseState.ESTOP):
-            # An operator at the control channel can reset a fault, so an attended run continues.  A
-            # run ends if no operator attends it, if a bus is lost, or if the robot was never ready.
+            # With a control channel, an operator can reset a fault, so the run continues after the
+            # fault.  A fault ends the run if the run has no control channel, if a CAN bus is lost,
+            # or if the robot was never ready.
             unattended = self.twist is not None or self.duration < math.inf
             bus_lost = any(c.receiver.lost for c in runner.base.connections)
             return unattended or bus_lost or not runner.base.state_machine.was_ready
@@ -179,7 +181,7 @@ class RunSession:
         return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)
 
     def status_line(self) -> str:
-        """Returns a line of text with the state, twist, pose, battery and timing."""
+        """Returns a line of text with the state, twist, pose, battery and timing of the robot."""
         runner = self.runner
         state = runner.driver.state
         twist, pose = state.odometry.twist, state.pose
@@ -200,9 +202,9 @@ class RunSession:
         return "  ".join(parts)
 
     def summary(self) -> dict[str, Any]:
-        """Returns a summary of the run as plain values in SI units.
+        """Returns a summary of the run as a dictionary with values in SI units.
 
-        The pose is relative to the start of the run.
+        The pose in the summary is relative to the pose at the start of the run.
         """
         runner = self.runner
         state_machine, timing = runner.base.state_machine, runner.timing

@@ -20,7 +20,10 @@ LIMITS = (
     "max_angular_acceleration",
 )
 LARGEST_RADIUS = 5.0
-"""Largest valid wheel radius (m).  A larger value is probably in another unit."""
+"""Largest valid wheel radius (m).
+
+A larger radius is probably given in another unit, such as mm.
+"""
 _NOISE = tuple(field.name for field in dataclasses.fields(Noise))
 
 
@@ -29,7 +32,7 @@ class Parameters:
     """Parameters of a driver.
 
     - ``radii``: wheel radii (m) in the order of ``Robot.wheels``.
-    - ``settings``: settings of the driver, with its limits and noise.
+    - ``settings``: settings of the base driver, including limits and measurement noise.
     """
 
     radii: tuple[float, ...]

@@ -1,8 +1,8 @@
 """The control loop of a robot on its buses, and the services of a running robot.
 
 The loop starts its cycles at absolute deadlines: start, start + T, start + 2T and so on.  Timing
-errors therefore do not accumulate.  If a cycle takes longer than the period T, the loop skips the
-missed deadlines and continues at the next deadline:
+errors therefore do not accumulate.  If a control cycle takes longer than the period T, the loop
+skips the missed deadlines and continues at the next deadline:
 
     deadlines   |--------|--------|--------|--------|
     work        [##]     [################]         [##]
@@ -34,19 +34,19 @@ from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST
 
 Feed = Callable[[BaseDriver, float], object]
-"""Function that is called at the start of each cycle with the driver and the time (s).
+"""Function that is called at the start of each control cycle with the driver and the time (s).
 
-The function may command a twist.  ``Multiplexer.feed`` is such a function.
+The function may command a twist, as ``Multiplexer.feed`` does.
 """
 Watch = Callable[["BaseRunner", DriverState], None]
-"""Function that is called after each cycle with the runner and the state of the driver."""
+"""Function that is called after each control cycle with the runner and the driver's state."""
 T = TypeVar("T")
 
 
 class RequestRefused(ValueError):
     """A service of the robot refused a request and changed nothing.
 
-    The message of the exception contains the reason.
+    The message of the exception contains the reason for the refusal.
     """
 
 
@@ -54,8 +54,8 @@ class StateChange(NamedTuple):
     """A change of the state of the base.
 
     - ``time``: time of the change, s.
-    - ``state``: new state.
-    - ``reason``: reason of the states FAULT and ESTOP.
+    - ``state``: new state of the base.
+    - ``reason``: reason for the state FAULT or ESTOP.
     """
 
     time: float
@@ -67,8 +67,8 @@ class StateChange(NamedTuple):
 class Timing:
     """Statistics of the timing of the control loop.
 
-    - ``cycles``: number of cycles.
-    - ``overruns``: number of cycles that ended after the next deadline.
+    - ``cycles``: number of control cycles.
+    - ``overruns``: number of control cycles that ended after the next deadline.
     - ``skipped``: number of deadlines that the loop skipped because of overruns.
     - ``latest``: longest delay (s) between a deadline and the start of its cycle.
     - ``longest``: longest duration (s) of a cycle.
@@ -89,8 +89,8 @@ class BaseRunner:
     All work of the runner happens in the thread that calls ``cycle`` or ``run``.  Other threads use
     ``submit`` to call a service.  A service raises ``RequestRefused`` if it cannot be executed.
 
-    - ``base``: base on the buses.
-    - ``driver``: base driver.
+    - ``base``: base of the robot on its CAN buses.
+    - ``driver``: base driver that computes the joint commands.
     - ``clock``: CAN interface of the first bus, which measures the time.  The time of a simulated
       bus is virtual.
     """
@@ -119,9 +119,9 @@ class BaseRunner:
         self.changes: list[StateChange] = []
         self.feed: Feed | None = None
         self.pace: Callable[[float], None] | None = None
-        """Function that is called before each cycle with the time (s) of the cycle.
+        """Function that is called before each control cycle with the time (s) of the cycle.
 
-        The function can wait in order to slow down virtual time.
+        The function can sleep to slow down virtual time.
         """
         self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = (
             queue.SimpleQueue()
@@ -139,14 +139,14 @@ class BaseRunner:
 
     @property
     def ready(self) -> bool:
-        """``True`` if the robot follows commands."""
+        """``True`` if the robot is ready to drive."""
         return self.state.drives and not self.base.state_machine.ending
 
     def cycle(self, now: float) -> DriverState:
         """Runs one control cycle at the time ``now`` (s) and returns the state of the driver.
 
-        A cycle executes the requested services, selects the commanded twist, reads the joints,
-        sends the joint commands, and updates the state of the base.
+        A control cycle executes the requested services, selects the commanded twist, reads the
+        joints, sends the joint commands, and updates the state of the base.
         """
         self._run_requests()
         if self.feed is not None:
@@ -170,9 +170,9 @@ class BaseRunner:
         watch: Watch | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        """Runs cycles at absolute deadlines until ``until`` (s) or until ``stop()`` is true.
+        """Runs control cycles until the time ``until`` (s) or until ``stop()`` returns ``True``.
 
-        The loop sends frames only during cycles.
+        CAN frames are sent only during control cycles.
         """
         clock, timing, period = self.clock, self.timing, self.period
         deadline = self._deadline if self._deadline is not None else clock.now
@@ -203,9 +203,9 @@ class BaseRunner:
     def shutdown(self) -> None:
         """Stops the robot, switches the motors off, and closes the CAN interfaces.
 
-        The runner sends a quick stop, then switches the torque off, then sends the NMT command that
-        puts all nodes into the state pre-operational.  The method returns when the robot stands, at
-        the latest after ``Times.stop``.
+        The runner commands a quick stop, then switches the motor torque off, then sends the NMT
+        command that puts all nodes into the state pre-operational.  The method returns when the
+        robot stands still, at the latest after the time ``Times.stop``.
         """
         state_machine = self.base.state_machine
         state_machine.end()
@@ -213,8 +213,8 @@ class BaseRunner:
         try:
             limit = self.clock.now + state_machine.times.stop
             self._deadline = None
-            # The loop runs at least two cycles: the first sends the commands, the second reads the
-            # reports.
+            # At least two cycles run: the first cycle sends the stop commands, and the second cycle
+            # reads the answers of the motor controllers.
             earliest = self.clock.now + 2.5 * self.period
             self.run(limit, stop=lambda: state_machine.ended and self.clock.now > earliest)
             if state_machine.may_send:
@@ -233,7 +233,7 @@ class BaseRunner:
     # -- services ----------------------------------------------------------------------------------
 
     def submit(self, service: Callable[[], T]) -> Future[T]:
-        """Requests that the thread of the loop runs ``service`` in its next cycle.
+        """Requests that the control loop calls ``service`` in its next cycle.
 
         Any thread may call this method.  The returned future contains the result or the exception
         of the service.
@@ -252,11 +252,13 @@ class BaseRunner:
                 continue
             try:
                 future.set_result(service())
-            except Exception as error:  # raised again where the result is read
+            except Exception as error:  # the future raises the exception when its result is read
                 future.set_exception(error)
 
     def safety_stop(self, engaged: bool = True) -> None:
-        """Stops all motors and switches them off.  With ``engaged=False``, releases the stop.
+        """Stops all motors and switches them off.
+
+        With ``engaged=False``, releases the safety stop.
 
         After the release, the service ``reset`` must be called before the robot can drive again.  A
         stop in software is not a safety function.
@@ -264,7 +266,7 @@ class BaseRunner:
         self.base.state_machine.safety_stop(engaged)
 
     def reset(self) -> None:
-        """Leaves the state FAULT or ESTOP.
+        """Resets the base from the state FAULT or ESTOP.
 
         Raises ``RequestRefused`` unless the safety stop is released and no motion is commanded.
         """
@@ -283,9 +285,9 @@ class BaseRunner:
         """Sets the zero of the steering angles to the present angles, of one or all controllers.
 
         ``node`` is the name of a motor controller.  An empty name selects all motor controllers.
-        The controllers store the new zero, and they use it from the next homing on.  Raises
-        ``RequestRefused`` if the robot moves, if a controller is not homed, or if no selected
-        controller counts from a home switch.
+        The motor controllers store the new zero position and use the new zero position from the
+        next homing on.  Raises ``RequestRefused`` if the robot moves, if a selected motor
+        controller is not homed, or if none of the selected motor controllers uses a home switch.
         """
         self._require_standing()
         frames = 0
@@ -317,7 +319,7 @@ class BaseRunner:
         - ``limits``: limits in SI units by name.
 
         All changes take effect together, between two cycles.  Raises ``RequestRefused`` if a name
-        is unknown or a value is invalid.  If the request is refused, no value is changed.
+        is unknown or a value is invalid.  If the request is refused, no parameter is changed.
         """
         try:
             if radii or limits:
@@ -328,7 +330,7 @@ class BaseRunner:
             raise RequestRefused(str(error)) from None
 
     def setup_motor_controller(self, node: str, setting: str, value: float) -> None:
-        """Writes a setting of a motor controller.
+        """Changes a setting of a motor controller.
 
         - ``node``: name of the motor controller.  An empty name selects all motor controllers.
         - ``setting``: name of a value that the settings frame of the motor controller can change.
@@ -346,7 +348,7 @@ class BaseRunner:
                 raise RequestRefused(reason) from None
 
     def mute_devices(self, muted: bool = True) -> None:
-        """Stops relaying frames to foreign devices.  ``False`` resumes relaying."""
+        """Stops relaying CAN frames to foreign devices.  ``muted=False`` resumes relaying."""
         for connection in self.base.connections:
             connection.relay.mute(muted)
 
@@ -370,17 +372,17 @@ class BaseRunner:
         raise RequestRefused(f"there is no IO board `{board}`{known}")
 
     def send_to_device(self, cob_id: int, data: bytes, bus: str = "") -> None:
-        """Relays a frame to a foreign device.  An empty ``bus`` selects the first bus.
+        """Relays a CAN frame to a foreign device.  An empty ``bus`` selects the first CAN bus.
 
-        Raises ``RequestRefused`` if the bus is unknown or the relay drops the frame, for example
-        because the robot file does not allow it.
+        Raises ``RequestRefused`` if the bus is unknown or the relay drops the CAN frame, for
+        example because the robot file does not allow its CAN id.
         """
         connection = self._connection(bus)
         reason = connection.relay.offer(CanFrame(cob_id, data), self.clock.now)
         _raise_if(f"{cob_id:#05x}: {reason}" if reason else "")
 
     def from_devices(self, bus: str = "") -> list[RelayedFrame]:
-        """Returns the frames that foreign devices have sent since the last call."""
+        """Returns the CAN frames that foreign devices have sent since the last call."""
         return self._connection(bus).relay.received()
 
     # -- state -----------------------------------------------------------------------------------
@@ -394,7 +396,7 @@ class BaseRunner:
         return {b.node.name: b.state for c in self.base.connections for b in c.batteries}
 
     def warnings(self) -> list[str]:
-        """Returns warnings for the operator.
+        """Returns warnings about the robot for the operator.
 
         The warnings do not stop the robot.
         """
@@ -410,7 +412,7 @@ class BaseRunner:
         return warnings
 
     def relay_drops(self) -> dict[str, int]:
-        """Returns the number of dropped frames for each CAN id and reason.
+        """Returns the number of CAN frames that the relay dropped, for each CAN id and reason.
 
         A key of the result is a text such as ``0x240 too often``.
         """
@@ -425,8 +427,8 @@ class BaseRunner:
     def _controllers(self, node: str) -> Sequence[tuple[BusConnection, MotorController]]:
         """Returns the motor controllers with the name ``node``, each with its bus connection.
 
-        An empty name selects all motor controllers.  Raises ``RequestRefused`` if the name is
-        unknown.
+        An empty name selects all motor controllers.  Raises ``RequestRefused`` if no motor
+        controller has this name.
         """
         every = [(c, controller) for c in self.base.connections for controller in c.controllers]
         matching = [
@@ -449,6 +451,6 @@ class BaseRunner:
 
 
 def _raise_if(reason: str) -> None:
-    """Raises ``RequestRefused`` if ``reason`` is not empty."""
+    """Raises ``RequestRefused`` with the text ``reason`` if ``reason`` is not empty."""
     if reason:
         raise RequestRefused(reason)

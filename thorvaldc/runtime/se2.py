@@ -12,7 +12,7 @@ The integral of this velocity over 0 <= t <= dt is
     [ sin a / a       -(1 - cos a) / a ]
     [ (1 - cos a) / a   sin a / a      ]  v dt
 
-Near a = 0, the functions compute the quotients by Taylor series.
+For small angles a, the quotients are computed by Taylor series.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Pose2(NamedTuple):
     yaw: float
 
     def moved(self, step: Pose2) -> Pose2:
-        """Returns the pose after the motion ``step``, which is given in the frame of this pose."""
+        """Returns the pose after the motion ``step``, which is relative to the present pose."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(
             self.x + c * step.x - s * step.y,
@@ -72,7 +72,7 @@ class Pose2(NamedTuple):
         )
 
     def relative_to(self, origin: Pose2) -> Pose2:
-        """Returns this pose in the frame of ``origin``."""
+        """Returns the pose relative to the pose ``origin``."""
         c, s = math.cos(origin.yaw), math.sin(origin.yaw)
         dx, dy = self.x - origin.x, self.y - origin.y
         return Pose2(c * dx + s * dy, c * dy - s * dx, self.yaw - origin.yaw)
@@ -83,12 +83,12 @@ ORIGIN = Pose2(0.0, 0.0, 0.0)
 
 
 def _sin_over(a: float) -> float:
-    """Returns sin(a) / a."""
+    """Returns sin(a) / a for an angle a in rad."""
     return 1.0 - a * a / 6.0 * (1.0 - a * a / 20.0) if abs(a) < 1e-3 else math.sin(a) / a
 
 
 def _versin_over(a: float) -> float:
-    """Returns (1 - cos(a)) / a."""
+    """Returns (1 - cos(a)) / a for an angle a in rad."""
     if abs(a) < 1e-3:
         return a / 2.0 * (1.0 - a * a / 12.0)
     half = math.sin(a / 2.0)
@@ -113,7 +113,7 @@ def chord_over_arc(angle: float) -> float:
 def _planar(c: float, s: float, a: float, b: float, p: Cov3) -> Cov3:
     """Returns the matrix product M P M' with M = [[c, s, a], [-s, c, b], [0, 0, 1]].
 
-    The product is an exactly symmetric matrix.
+    The resulting matrix is exactly symmetric, without rounding errors.
     """
     (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
     r13, r23 = c * p13 + s * p23, c * p23 - s * p13
@@ -157,9 +157,9 @@ def integrate(
 
         P <- Ad P Ad' + J Q J' dt^2
 
-    Q is the covariance of the twist, Ad is the adjoint of the inverse motion, and J is the right
-    Jacobian of SE(2) (Sola et al., "A micro Lie theory for state estimation in robotics", 2018,
-    equations 161 and 163).
+    In this formula, Q is the covariance of the twist, Ad is the adjoint of the inverse motion, and
+    J is the right Jacobian of SE(2) (Sola et al., "A micro Lie theory for state estimation in
+    robotics", 2018, equations 161 and 163).
 
     With ``correlation`` = 0, the twist errors of two steps are independent.  If ``correlation`` is
     positive, the correlation of the errors decreases with the time constant ``correlation`` (s), by
@@ -213,9 +213,9 @@ def propagated(
     - ``d2``: factor of Q, s^2.
     """
     c, s, sa, va, p, q = turn
-    x, y = sa * dx - va * dy, va * dx + sa * dy  # the step t, as in `exp`
-    # The adjoint Ad: a small rotation w before the step moves the end of the step by w x t.  In the
-    # frame at the end of the step, the end of the step moves by R' (w x t).
+    x, y = sa * dx - va * dy, va * dx + sa * dy  # the motion t in this step, as in `exp`
+    # Adjoint Ad of the motion: a small rotation w before the motion t moves the final position by w
+    # x t.  In the frame at the end of the motion, the final position moves by R' (w x t).
     moved = _planar(c, s, s * x - c * y, s * y + c * x, covariance)
     added = _planar(sa, va, dx * p - dy * q, dx * q + dy * p, noise)
     (m11, m12, m13), (_, m22, m23), (_, _, m33) = moved

@@ -8,27 +8,27 @@ from thorvaldc.model import DriverSettings
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 LEAD = 0.1
-"""Largest difference (m/s) between the ramp and the twist of the wheels, as a wheel speed."""
+"""Largest difference (m/s) by which the ramp may lead the twist of the wheels."""
 LONGEST_SMOOTHING = 0.5
-"""Longest time (s) over which the ramp is smoothed."""
+"""Longest time (s) over which the twist ramp is smoothed."""
 
 
 class Ramp:
-    """A ramp along a straight line in the space of twists, with smoothed corners.
+    """Ramps a twist towards a commanded twist along a straight line, with smoothed corners.
 
-    In each tick, the straight ramp moves from the twist r to the goal g by the largest allowed
-    share k:
+    In each tick of ``dt`` s, the twist r moves towards the commanded twist g by the largest share k
+    that the acceleration limits allow:
 
         r <- r + k (g - r),   k = min(1, a_max dt / |dv|, alpha_max dt / |dw|)
 
     The direction of the straight ramp is constant.  On a ramp from rest or to rest, the centre of
     rotation therefore does not move.  At a corner of the straight ramp, however, steering joints
-    would have to reach their rate in zero time.  ``twist`` is therefore the mean of r over the last
-    ``smoothing`` s.  ``smoothing`` is the time that steering joints need to reach their rate.  A
-    ramp to zero is not smoothed: the wheels keep their directions, and the stop begins in the same
-    tick.
+    would have to reach their rate in zero time.  The attribute ``twist`` is therefore the mean of
+    the straight ramp over the last ``smoothing`` s, the time that steering joints need to reach
+    their full rate.  A ramp to zero is not smoothed: the wheels keep their directions, and the stop
+    begins in the same tick.
 
-    ``length`` is the lever (m) that converts angular to linear speed.
+    The yaw rate is multiplied by ``length`` (m) to convert the yaw rate to a linear speed.
     """
 
     def __init__(self, settings: DriverSettings, length: float, smoothing: float) -> None:
@@ -39,7 +39,7 @@ class Ramp:
         self._history = [ZERO_TWIST] * count
 
     def step(self, goal: Twist, dt: float) -> Twist:
-        """Moves the ramp towards ``goal`` for ``dt`` s and returns the new twist."""
+        """Moves the twist ramp towards ``goal`` for ``dt`` s and returns the new twist."""
         history = self._history
         if goal == ZERO_TWIST:
             if self.twist != ZERO_TWIST:
@@ -48,7 +48,7 @@ class Ramp:
         last = history[-1]
         if goal == last:
             if history[0] == last and history.count(last) == len(history):
-                self.twist = last  # exactly; the mean would have a rounding error
+                self.twist = last  # exact, because the mean would have a rounding error
                 return last
             new = last
         else:
@@ -72,15 +72,14 @@ class Ramp:
         return goal if share >= 1.0 else _interpolate(start, goal, share)
 
     def limit_lead(self, actual: Twist, aligned: bool = True) -> None:
-        """Limits the lead of the ramp over ``actual``, the twist of the wheels, to ``LEAD``.
+        """Limits the lead of the twist ramp over ``actual``, the twist of the wheels, to ``LEAD``.
 
-        While wheels steer or are at their limits, the robot is slower than the ramp.  If the lead
-        were not limited, the robot would accelerate abruptly as soon as the wheels are ready.
+        While wheels steer or are at their limits, the robot is slower than the ramp.  Without a
+        limit of the lead, the robot would accelerate abruptly when the wheels are ready.
 
-        ``aligned`` is ``False`` if wheels have to turn far.  If wheels have to turn far, the ramp
-        only slows down and keeps its direction.  If the ramp moved towards the actual direction,
-        the wheels that turn the long way because of a steering limit would turn back and never
-        reach their target angles.
+        ``aligned`` is ``False`` if steered wheels have to turn far.  In this case the ramp slows
+        down but keeps the direction of its twist.  With another direction, wheels that turn the
+        long way because of a steering limit would turn back and never reach their target angles.
         """
         vx, vy, wz = self.twist
         if not aligned:
@@ -95,9 +94,9 @@ class Ramp:
         self._history = [_interpolate(actual, twist, share) for twist in self._history]
 
     def _slow_down(self, actual: Twist) -> None:
-        """Scales the ramp down so that it leads the twist ``actual`` by at most ``LEAD``.
+        """Scales the twist ramp down so that it leads the twist ``actual`` by at most ``LEAD``.
 
-        The lead is measured along the direction of the ramp.
+        The lead is measured along the direction of the ramp's twist.
         """
         vx, vy, wz = self.twist
         lever = self._length * self._length
@@ -111,7 +110,7 @@ class Ramp:
             self._history = [twist.scaled(share) for twist in self._history]
 
     def restart(self, twist: Twist) -> None:
-        """Sets the ramp to ``twist``, as if the twist had been constant before."""
+        """Sets the twist ramp to ``twist``, as if the twist had been constant before."""
         self.twist = twist
         self._history = [twist] * len(self._history)
 

@@ -17,7 +17,7 @@ from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 
 _MAX_TWIST_SQUARED = 1e18
-"""Square of a commanded twist (m^2/s^2) from which the twist is rejected as not finite."""
+"""Commanded twists whose square (m^2/s^2) reaches this limit are rejected as not finite."""
 
 
 @dataclass(slots=True)
@@ -26,17 +26,19 @@ class BaseCommand:
 
     - ``joints``: commands of the spin and steering joints of each wheel.
     - ``target``: feasible twist nearest to the commanded twist, scaled to the wheels' speed limits.
-    - ``twist``: twist that these joint commands produce.  ``twist`` differs from ``target`` while
-      wheels steer or accelerate.
+    - ``twist``: twist of the robot under the joint commands.  ``twist`` differs from ``target``
+      while wheels steer or accelerate.
     - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
-    - ``scale``: factor by which the speed limits reduce the twist. 1 if no wheel reaches its limit.
+    - ``scale``: factor by which the speed limits reduce the twist, or 1 if no wheel reaches its
+      speed limit.
     - ``unreachable``: indices of the wheels that stand still because no angle within their steering
-      limits fits the twist.
+      limits points along the commanded motion.
     - ``required_rates``: for each wheel, the steering rate (rad/s) that would reach the target
       angle within the tick.  If the rate limit of a wheel is lower than this rate, the wheel
-      arrives late.  The rates are 0 without a time step.
-    - ``must_stop``: ``True`` if a rolling wheel has to turn around.  In this case all wheels hold
-      their angles until the driver has ramped the twist down to zero.
+      arrives late.  All required rates are 0 if ``command`` is called without ``dt``.
+    - ``must_stop``: ``True`` if a rolling wheel has to turn around its steering axis so far that
+      the robot must stop first.  All wheels hold their steering angles until the driver has ramped
+      the twist down to zero.
     - ``aligned``: ``True`` if every wheel is close enough to its target angle to roll.
     """
 
@@ -53,7 +55,7 @@ class BaseCommand:
 
 @dataclass(frozen=True, slots=True)
 class NoOptions:
-    """Options of a calculator without options."""
+    """Empty options class for base calculators that have no options."""
 
 
 OdometryMethod = Callable[[Any, JointStates], TwistEstimate]
@@ -77,12 +79,13 @@ def finite_result(odometry: OdometryMethod) -> OdometryMethod:
 
 
 class BaseCalculator(abc.ABC):
-    """Computes the joint commands and the odometry of one robot, and stores the last command.
+    """Abstract base calculator: computes the joint commands and the odometry of one robot.
 
-    A subclass defines ``name``, ``summary`` and ``Options``.  ``Options`` is a frozen dataclass of
-    scalars with default values.  The method ``Options.__post_init__`` raises ``ValueError`` for
-    values out of range.  A subclass also overrides ``unsuited_reason`` to reject robots that the
-    calculator cannot drive.
+    A base calculator stores its last joint command.  A subclass defines ``name``, ``summary`` and
+    ``Options``.  The class attribute ``Options`` is a frozen dataclass of scalars with default
+    values.  The method ``Options.__post_init__`` raises ``ValueError`` if an option is out of
+    range.  A subclass also overrides ``unsuited_reason`` to reject robots that the calculator
+    cannot drive.
     """
 
     name: ClassVar[str]
@@ -115,25 +118,26 @@ class BaseCalculator(abc.ABC):
     ) -> BaseCommand:
         """Computes joint commands for a twist of ``base_link``.
 
-        With ``states``, the wheel speeds fit the measured steering angles.  With ``dt``, the time
-        in s since the last command, the joint commands respect the rate and acceleration limits of
-        the motors.  Without ``states`` and ``dt``, the result is the inverse kinematics.
+        With ``states``, the calculator computes wheel speeds that fit the measured steering angles.
+        With ``dt``, the time in s since the last command, the joint commands respect the rate and
+        acceleration limits of the motors.  Without ``states`` and ``dt``, the result is the inverse
+        kinematics without motor limits.
 
-        Raises ``NotFiniteError`` if a value is not a finite number.  If ``command`` raises an
-        error, it does not change the stored last command.
+        Raises ``NotFiniteError`` if the twist, a joint state or ``dt`` is not a finite number.
+        After an error, the stored last command is unchanged.
         """
 
     def odometry(self, states: JointStates) -> TwistEstimate:
         """Estimates the twist from the joint states.
 
-        Raises ``NotFiniteError`` if a value is not a finite number.  Raises ``ValueError`` if the
-        number of wheels is wrong.
+        Raises ``NotFiniteError`` if a joint state is not a finite number.  Raises ``ValueError`` if
+        ``states`` does not have one entry for each wheel.
         """
         return self.estimator.estimate(states)
 
     @abc.abstractmethod
     def reset(self, states: JointStates | None = None) -> None:
-        """Discards the last command.
+        """Discards the last joint command of the calculator.
 
         After a reset, the calculator assumes that the joints are at ``states``.  Without
         ``states``, the calculator assumes that all joints are at zero.
@@ -142,21 +146,21 @@ class BaseCalculator(abc.ABC):
     def with_parameters(self, radii: Sequence[float], noise: Noise) -> Self:
         """Returns a calculator with different wheel radii (m) and measurement noise.
 
-        The returned calculator has no last command.
+        The returned calculator stores no last joint command.
         """
         return type(self)(self.geometry.with_radii(radii), self.options, noise)
 
     def resume(self, previous: Self) -> None:
-        """Copies the last command of ``previous``, a calculator for the same wheels.
+        """Copies the last joint command from ``previous``, a calculator for the same wheels.
 
-        A subclass that stores values between commands overrides this method and copies these
+        A subclass with additional stored values overrides ``resume`` and also copies the additional
         values.
         """
         return
 
     def _check(self, twist: Twist, states: JointStates | None, dt: float | None) -> None:
         vx, vy, wz = twist
-        if not vx * vx + vy * vy + wz * wz < _MAX_TWIST_SQUARED:  # true for a NaN, too
+        if not vx * vx + vy * vy + wz * wz < _MAX_TWIST_SQUARED:  # also rejects NaN
             raise NotFiniteError(f"the commanded twist is {tuple(twist)}")
         if dt is not None and not 0.0 < dt < math.inf:
             raise ValueError(f"the time step is {dt} s; it must be positive")

@@ -12,18 +12,18 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 _SAME_HEADING = math.radians(10.0)
 """Largest difference (rad) between the headings of fixed wheels that form one axle.
 
-Such an axle scrubs a little.  With a larger difference the axle lines intersect, and the robot can
-only turn about the intersection.
+The wheels of an axle with slightly different headings scrub a little.  If the headings differ by
+more, the axle lines intersect, and the robot can only turn about the intersection.
 """
 _SAME_LINE = 1e-3
-"""Largest distance (m) between axle lines that count as one line."""
+"""Two parallel axle lines that are at most this distance (m) apart count as the same line."""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelGeometry:
     """Geometry and limits of one wheel, in ``base_link``.
 
-    ``thorvaldc.model.Wheel`` documents the geometric fields.
+    ``thorvaldc.model.Wheel`` documents the position, direction, radius and offsets of the wheel.
 
     - ``driven``: ``True`` if a motor drives the spin joint.
     - ``steered``: ``True`` if a motor turns the steering joint.
@@ -64,10 +64,10 @@ class WheelGeometry:
     def rows(self, angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Returns the rolling row L and the side-slip row T of the wheel at a steering angle (rad).
 
-        The twist is the vector xi = (vx, vy, wz).  L xi is the speed of the contact point along the
-        rolling direction.  T xi is the speed of the contact point to the left of the rolling
-        direction.  If the wheel has a trail or a lateral offset, a turning steering joint adds to
-        both speeds.  The angle of a fixed wheel is 0.
+        The twist is the vector xi = (vx, vy, wz).  The product L xi is the speed of the contact
+        point along the rolling direction.  The product T xi is the speed of the contact point to
+        the left of the rolling direction.  If the wheel has a trail or a lateral offset, a turning
+        steering joint also moves the contact point.  The steering angle of a fixed wheel is 0.
         """
         direction = self.heading + self.sign * angle
         c, s = math.cos(direction), math.sin(direction)
@@ -82,11 +82,11 @@ class BaseGeometry:
     """The wheels of a robot, and the groups of wheels that share a joint.
 
     - ``steering_groups``: for each steering joint, the indices of its wheels.  Most steering joints
-      have one wheel.
+      turn a single wheel.
     - ``spin_groups``: for each spin joint with several wheels, the indices of its wheels.
     - ``centre``: centroid (m) of the wheels that do not swivel.
-    - ``length``: root mean square distance (m) of these wheels from the centroid.  The calculators
-      use ``length`` as the lever that converts angular to linear speed.
+    - ``length``: root mean square distance (m) from the centroid to the wheels that do not swivel.
+      The calculators multiply the yaw rate by ``length`` to convert the yaw rate to a linear speed.
     """
 
     wheels: tuple[WheelGeometry, ...]
@@ -153,7 +153,7 @@ class BaseGeometry:
     def max_wheel_speed(self) -> float:
         """Speed limit (m/s) of the fastest driven wheel.
 
-        1.5 m/s if no driven wheel has a speed limit.
+        The result is 1.5 m/s if no driven wheel has a speed limit.
         """
         speeds = [w.max_speed * w.radius for w in self.wheels if w.driven]
         return max((v for v in speeds if math.isfinite(v)), default=1.5)
@@ -162,7 +162,7 @@ class BaseGeometry:
     def steering_time(self) -> float:
         """Time (s) that the slowest steering joint needs to accelerate from rest to its full rate.
 
-        0 if no steering joint has an acceleration limit.
+        The result is 0 if no steering joint has an acceleration limit.
         """
         times = [
             w.max_rate / w.max_rate_change
@@ -202,18 +202,20 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
 class FixedWheels:
     """The constraint that fixed wheels impose on the twist.
 
-    Fixed wheels with the same heading act as one axle.  An axle lies at the mean contact point of
-    its wheels.  An axle allows no motion across its wheels: (nx, ny, d) . (vx, vy, wz) = 0, where n
-    = (nx, ny) is the normal of the wheels.  The number of axles determines the feasible twists:
+    Fixed wheels with the same heading act as one axle.  The position of an axle is the mean contact
+    point of its wheels.  The wheels of an axle must not slip sideways: (nx, ny, d) . (vx, vy, wz) =
+    0, where n = (nx, ny) is the unit vector across the wheels, and d is the offset of the axle.
+    The number of axles determines the feasible twists:
 
-    - no axle: every twist is feasible;
-    - one axle: wz and the speed along the wheels are free, and both determine the speed across;
-    - two axles: the robot can only turn about the intersection of the two axle lines;
-    - more axles whose lines do not all meet in one point: no motion is feasible.
+    - no axle: every twist is feasible.
+    - one axle: the yaw rate wz and the speed along the wheels are free, and determine the speed
+      across the wheels.
+    - two axles: the robot can only turn about the intersection of the two axle lines.
+    - three or more axles whose lines do not all meet in one point: the robot cannot move.
 
     ``rows`` contains the coefficients (nx, ny, d) of each axle.  ``skids`` contains the indices of
-    wheels that scrub whenever the robot turns.  A wheel scrubs in turns if the wheels of its axle
-    are not in line.
+    wheels that scrub whenever the robot turns.  The wheels of an axle scrub in turns if their
+    contact points are not in line.
     """
 
     def __init__(self, wheels: Sequence[WheelGeometry]) -> None:
@@ -240,7 +242,7 @@ class FixedWheels:
             norm = math.hypot(tx, ty)
             mean = (tx / norm, ty / norm, tw / norm)
             self.rows.append(mean)
-            # If one wheel is out of line, all wheels of the axle scrub.
+            # If the contact point of one wheel is out of line, all wheels of the axle scrub.
             if any(
                 math.hypot(row[0] - mean[0], row[1] - mean[1]) > 1e-6
                 or abs(row[2] - mean[2]) > _SAME_LINE
@@ -253,7 +255,8 @@ class FixedWheels:
         self._can_turn = True
         if len(self.rows) >= 2:
             (a0, a1, a2), (b0, b1, b2) = self.rows[0], self.rows[1]
-            # The pole is the velocity v that solves n_a . v = -a2 and n_b . v = -b2.
+            # The normals of two axles a and b determine the velocity v: n_a . v = -a2 and n_b . v =
+            # -b2.
             det = a0 * b1 - a1 * b0
             self._pole = ((-a2 * b1 + a1 * b2) / det, (-a0 * b2 + a2 * b0) / det)
             px, py = self._pole
@@ -267,8 +270,9 @@ class FixedWheels:
     def feasible(self, twist: Twist) -> Twist:
         """Returns the feasible twist nearest to ``twist``.
 
-        The feasible twist is a linear function of ``twist``.  With one axle, the feasible twist has
-        the same wz and no side slip: v' = v - n (n . v + d wz).
+        The feasible twist is a linear function of ``twist``.  With one axle of the normal n and the
+        offset d, the feasible twist has the same yaw rate wz and no side slip: v' = v - n (n . v +
+        d wz).
         """
         if not self.rows:
             return twist

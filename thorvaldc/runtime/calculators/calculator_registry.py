@@ -31,7 +31,7 @@ _TYPE_NAMES = {bool: "true or false,", int: "a whole number", float: "a number",
 class CalculatorError(DiagnosticError):
     """The robot file names an invalid calculator or an invalid option.
 
-    ``option`` is the name of the invalid option.  ``option`` is ``None`` if the calculator itself
+    The attribute ``option`` is the name of the invalid option, or ``None`` if the calculator itself
     is invalid.
     """
 
@@ -44,9 +44,9 @@ def calculator_names() -> list[str]:
 
 
 def calculator_class(name: str) -> type[BaseCalculator]:
-    """Returns the calculator class with the name ``name``.
+    """Returns the class of the base calculator with the name ``name``.
 
-    Raises ``CalculatorError`` if the name is unknown or the class cannot be loaded.
+    Raises ``CalculatorError`` if no calculator has this name or its class cannot be loaded.
     """
     cls = PLUGINS.load(name)
     if not isinstance(cls, PluginFailure):
@@ -67,8 +67,9 @@ def calculator_class(name: str) -> type[BaseCalculator]:
 def for_robot(robot: Robot) -> BaseCalculator:
     """Returns the calculator that the robot file names, with its options and noise.
 
-    The calculator uses the ordinary wheel radii.  Raises ``CalculatorError`` if the calculator is
-    unknown, if it cannot drive this robot, or if an option is invalid.
+    The calculator uses the ordinary wheel radii of the robot file, not a parameter set.  Raises
+    ``CalculatorError`` if the calculator is unknown, if it cannot drive this robot, or if an option
+    is invalid.
     """
     for error in calculator_errors(robot):
         raise error
@@ -105,7 +106,8 @@ def calculator_errors(robot: Robot) -> list[CalculatorError]:
 def _read_options(cls: type[BaseCalculator], robot: Robot) -> tuple[Any, list[CalculatorError]]:
     """Returns the robot's calculator options, and all errors in these options.
 
-    The options are an instance of ``cls.Options``.  An invalid option keeps its default value.
+    The options are an instance of ``cls.Options``.  An invalid option of the calculator is replaced
+    by its default value.
     """
     defaults = {field.name: field.default for field in dataclasses.fields(cls.Options)}
     valid: dict[str, Any] = {}
@@ -140,6 +142,6 @@ def _read_options(cls: type[BaseCalculator], robot: Robot) -> tuple[Any, list[Ca
         valid[name] = value
     try:
         return cls.Options(**valid), errors
-    except ValueError as error:  # two values that are valid alone exclude each other
+    except ValueError as error:  # two options with valid values can exclude each other
         report(None, f"base calculator `{cls.name}`: {error}")
         return cls.Options(), errors

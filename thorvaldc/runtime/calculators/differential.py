@@ -1,13 +1,13 @@
-"""The calculator for two or more driven wheels on one axle, without steering.
+"""Base calculator for differential drives: two or more driven wheels on one axle, without steering.
 
 The unit vector e points along the wheels, and the unit vector n points across the wheels.  The
-number a is the position of a wheel along n, and d is the position of the axle along e.  A robot
-with the velocity v and the yaw rate wz satisfies
+position of a wheel along n is a, and the position of the axle along e is d.  For a robot with the
+velocity v and the yaw rate wz:
 
     rolling speed of the wheel:  e . v - a wz        no side slip of the axle:  n . v = -d wz
 
-The odometry fits the line "speed = along - a wz" to the measured wheel speeds by weighted least
-squares.
+The odometry fits the linear function "rolling speed = along - a wz" of the wheel position a to the
+measured wheel speeds by weighted least squares.
 """
 
 from __future__ import annotations
@@ -114,12 +114,13 @@ class Differential(BaseCalculator):
 
     @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
-        if len(self._wheels) > 2:  # redundant: the estimator can reject one
+        if len(self._wheels) > 2:  # with redundant wheels, the estimator can reject a faulty wheel
             return super().odometry(states)
         self.estimator.check(states)
         noise = self.noise
         speeds = states.speeds
-        # The weights depend on the wheel speeds, which an unweighted fit of the line predicts.
+        # The weights of the fit depend on the wheel speeds.  An unweighted fit predicts the wheel
+        # speeds.
         along, turn = self._fit_line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[
             :2
         ]
@@ -133,7 +134,7 @@ class Differential(BaseCalculator):
         p22 = 1.0 / sum(
             1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_positions
         )
-        # Converts the speeds (e, n) at the axle to base_link: v = e along - n d wz.
+        # Converts the speed along the wheels to the velocity v of base_link: v = e along - n d wz.
         d, nx, ny = self._d, self._nx, self._ny
         ex, ey = ny, -nx
         vx, vy = ex * along - nx * d * turn, ey * along - ny * d * turn
@@ -157,9 +158,10 @@ class Differential(BaseCalculator):
     def _fit_line(
         points: list[tuple[float, float, float]],
     ) -> tuple[float, float, float, float, float]:
-        """Fits the line speed = along - a turn to points (a, speed, weight).
+        """Fits the linear function ``speed = along - a turn`` to points (a, speed, weight).
 
-        Returns ``along``, ``turn`` and the upper half of their covariance matrix.
+        Returns the fitted parameters ``along`` and ``turn`` and the upper half of their covariance
+        matrix.
         """
         s0 = s1 = s2 = t0 = t1 = 0.0
         for a, v, w in points:

@@ -1,21 +1,22 @@
-"""The calculator for any arrangement of driven, steered, fixed and swivelling wheels.
+"""Base calculator for any arrangement of driven, steered, fixed and swivelling wheels.
 
-Inverse kinematics: the steering axis of a wheel at (x, y) moves with
+Inverse kinematics: velocity u of the steering axis of a wheel at the position (x, y):
 
     u = (vx - wz y, vy + wz x),   speed v = |u|,   direction phi = atan2(u_y, u_x)
 
-Each steered wheel points along or against the direction phi and rolls at +v or -v.  The module
-``steering_branch`` chooses whether a wheel rolls forwards or backwards.  If a wheel speed v_i
-exceeds its limit v_max, the whole twist is scaled by the factor min(v_max / v_i).  A common factor
-for all wheels keeps the centre of rotation.
+Each steered wheel points along its direction of motion and rolls forwards, or points in the
+opposite direction and rolls backwards.  The module ``steering_branch`` chooses whether a wheel
+rolls forwards or backwards.  If a wheel speed v_i exceeds its limit v_max, the whole twist is
+scaled by the factor min(v_max / v_i).  With the same factor for all wheels, the centre of rotation
+does not change.
 
-While wheels turn to new angles, the wheel speeds of the commanded twist would make the wheels work
-against each other.  Until the wheels are aligned, the wheel speeds realise a different twist xi*,
-which causes the least scrub at the present steering angles theta:
+While wheels turn to new steering angles, the wheel speeds of the commanded twist contradict each
+other and would make wheels slip.  Until the wheels are aligned, the wheel speeds realise a
+different twist xi*, which causes the least scrub at the present steering angles theta:
 
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
-``WheelGeometry.rows`` defines the side-slip row T_i of a wheel.
+T_i is the side-slip row of wheel i (see ``WheelGeometry.rows``), and lambda is a small weight.
 """
 
 from __future__ import annotations
@@ -36,25 +37,27 @@ from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, Twis
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW_WEIGHT = 0.01
-"""Weight lambda of the command against the scrub, for large misalignment."""
+"""Weight lambda of the commanded twist in the least-scrub equation, for large steering errors."""
 _ROLLING = 0.05
-"""Speed (m/s) above which a wheel scrubs noticeably if it points in a wrong direction."""
+"""Above this speed (m/s), a wheel with a wrong steering angle scrubs noticeably."""
 _MAX_TURN_ROLLING = math.pi / 4.0
 """Largest change of the steering angle (rad) that a rolling wheel makes without a stop.
 
 For a larger change, the robot stops before the wheel turns.
 """
 _MIN_SHARE = 0.1
-"""Least share of the change from the last twist to the new twist.
+"""Smallest allowed share of a change of the twist in one tick.
 
-If wheels can follow only a smaller share, a wheel is at a steering limit and must turn around.
+If the wheels can follow only a smaller share of the change, a wheel is at a steering limit and must
+turn to the opposite direction.
 """
 _STANDING = 1e-6
-"""Square of the speed (m^2/s^2) below which a robot is at rest."""
+"""A robot whose squared speed (m^2/s^2) is below this limit is at rest."""
 _ALIGNED = math.radians(1.0)
 """Largest steering error (rad) of an aligned wheel.
 
-Within this error the wheel speeds are not reduced, so that errors of the servo cost no speed.
+Smaller steering errors do not change the wheel speeds, so the usual position errors of the steering
+motors do not slow down the robot.
 """
 
 
@@ -62,8 +65,8 @@ Within this error the wheel speeds are not reduced, so that errors of the servo 
 class SteeringOptions:
     """Options of calculators that steer wheels.
 
-    - ``hysteresis``: time (s) that a wheel must save to change between rolling forwards and
-      backwards.
+    - ``hysteresis``: a steered wheel changes between rolling forwards and backwards only if the
+      change saves more than this time (s).
     - ``arrive_together``: if ``True``, all wheels take the same time to turn to new angles.
     """
 
@@ -103,11 +106,11 @@ class General(BaseCalculator):
 
     The method ``command`` works in these steps:
 
-    1.  Reduce the twist to the part that the fixed wheels allow.
-    2.  Choose the steering angles.
-    3.  Reduce the change of the twist if steering joints cannot follow in time.
-    4.  Move the steering joints.
-    5.  Compute and limit the wheel speeds.
+    1.  Replace the commanded twist by the nearest twist that the fixed wheels allow.
+    2.  Choose the target angles of all steering joints.
+    3.  Reduce the change of the twist if steering joints cannot follow it within one tick.
+    4.  Move the commanded steering angles towards the target angles.
+    5.  Compute the wheel speeds and apply the speed and acceleration limits.
     """
 
     name = "general"
@@ -140,7 +143,7 @@ class General(BaseCalculator):
             )
             for group in geometry.steering_groups
         )
-        # Constants of each wheel for the loops of a tick.  Tuples are faster than attribute
+        # Constants of each wheel, stored in tuples because tuples are faster than attribute
         # lookups.
         self._joints = tuple(
             (s, s.wheels[0], s.wheel.x, s.wheel.y, s.wheel.radius) for s in self._steering
@@ -270,7 +273,8 @@ class General(BaseCalculator):
     ) -> tuple[int, ...]:
         """Chooses the target angle of every steering joint.
 
-        Returns the indices of the wheels that cannot reach any angle that fits the twist.
+        Returns the indices of the wheels whose steering limits exclude every suitable steering
+        angle.
         """
         vx, vy, wz = twist
         unreachable: tuple[int, ...] = ()
@@ -287,8 +291,9 @@ class General(BaseCalculator):
 
         - For each wheel, the steering rate (rad/s) that would reach the target angle within this
           tick.
-        - The number of ticks that the slowest rolling wheel needs.  The number of ticks is infinite
-          if a rolling wheel has to turn by more than ``_MAX_TURN_ROLLING``.
+        - The number of ticks that the slowest rolling wheel needs to reach its target steering
+          angle.  The number of ticks is infinite if a rolling wheel has to turn by more than
+          ``_MAX_TURN_ROLLING``.
         - ``True`` if no wheel has to turn by more than ``_MAX_TURN_ROLLING``.
         """
         if dt is None:
@@ -322,16 +327,16 @@ class General(BaseCalculator):
     ) -> tuple[Twist, tuple[int, ...], bool]:
         """Reduces the change of the twist so that all rolling wheels can follow within one tick.
 
-        ``ticks`` is the number of ticks that the wheels need for ``target``.  The method returns
-        three values:
+        ``ticks`` is the number of ticks in which the wheels reach their steering angles for the
+        twist ``target``.  Returns three values:
 
-        - A twist between the last target and ``target``.
-        - The indices of the wheels that cannot reach any angle that fits this twist.
-        - ``True`` if a wheel at a steering limit must turn around.
+        - A twist between the target twist of the last tick and ``target``.
+        - The indices of the wheels whose steering limits exclude every suitable steering angle.
+        - ``True`` if a wheel at a steering limit must turn to the opposite direction.
         """
         start, share = self._last_target, 1.0
         ratio = self._square(target) / max(self._square(start), 1e-12)
-        if ratio < 1.0:  # a slower command slows the robot down, even while it waits for wheels
+        if ratio < 1.0:  # a slower command slows the robot down even while wheels still steer
             start = start.scaled(math.sqrt(ratio))
         unreachable = self._choose_angles(start, angles, speeds)
         _, start_ticks, _ = self._steering_delay(dt)
@@ -339,8 +344,9 @@ class General(BaseCalculator):
             return start, unreachable, False
         slower = target
         while ticks > 1.0:
-            # If a wheel would turn too far, halve the change of the twist.  If no wheel turns too
-            # far, interpolate to the change for which the wheels need exactly one tick.
+            # If a steered wheel would turn too far, the loop halves the change of the twist.
+            # Otherwise the loop interpolates the change of the twist that the steering joints can
+            # follow within exactly one tick.
             share *= 0.5 if ticks == math.inf else (1.0 - start_ticks) / (ticks - start_ticks)
             if ticks == math.inf and share < _MIN_SHARE:
                 return start, self._choose_angles(start, angles, speeds), True
@@ -358,7 +364,7 @@ class General(BaseCalculator):
     def _move_steering(self, dt: float | None) -> None:
         """Moves the steering joints towards their target angles for ``dt`` s.
 
-        If ``dt`` is ``None``, the joints move to their target angles immediately.
+        If ``dt`` is ``None``, the commanded steering angles jump to the target angles.
         """
         if dt is None:
             for joint in self._steering:
@@ -369,7 +375,8 @@ class General(BaseCalculator):
                 time = abs(joint.target - joint.angle) * joint.seconds_per_rad
                 if time > slowest:
                     slowest = time
-            # A wheel that arrives within two ticks does not wait for the other wheels.
+            # A steering joint that arrives within two ticks does not wait for the other steering
+            # joints.
             together = slowest > 2.0 * dt and self.options.arrive_together
             for joint in self._steering:
                 joint.advance(dt, joint.time_to_target() / slowest if together else 1.0)
@@ -384,7 +391,7 @@ class General(BaseCalculator):
     def _misalignment(self, angles: Sequence[float]) -> float:
         """Returns the largest difference (rad) between a steering angle and its target angle.
 
-        Returns infinity if a wheel cannot reach any angle that fits the twist.
+        Returns infinity if the steering limits of a wheel exclude every suitable steering angle.
         """
         largest = 0.0
         for joint, i, _, _, _ in self._joints:
@@ -411,9 +418,9 @@ class General(BaseCalculator):
         for i, joint, gain, lateral, limit in self._driven_steered:
             v = joint.rolling * gain
             if lateral and not joint.unreachable:
-                # If the contact lies beside the steering axis, the contact moves on a circle around
-                # the axis.  A wheel with a lateral offset therefore rolls even if its axis is at
-                # the centre of rotation.
+                # The contact point of a wheel with a lateral offset moves on a circle around the
+                # steering axis.  A wheel with a lateral offset therefore rolls even if its axis is
+                # at the centre of rotation.
                 v -= lateral * (wz + joint.wheel.sign * joint.rate)
             speeds[i] = v
             if v > limit or v < -limit:
@@ -442,13 +449,13 @@ class General(BaseCalculator):
         """Returns the twist with the least scrub at given steering angles, and its wheel speeds.
 
         The wheel speeds are in rad/s.  The solver computes the difference d = xi* - target, which
-        loses no digits near the target.  With the metric G = diag(1, 1, length^2), d solves the
-        linear system
+        avoids rounding errors near the target twist.  With the metric G = diag(1, 1, length^2), d
+        solves the linear system
 
             (sum T'T + lambda G) d = -sum T' (T target)
 
-        The weight lambda grows to infinity as the misalignment decreases to ``_ALIGNED``.  The
-        twist is therefore a continuous function of the misalignment.
+        The weight lambda grows to infinity as the largest steering error decreases to ``_ALIGNED``.
+        The resulting twist is therefore a continuous function of the steering error.
         """
         follow = _FOLLOW_WEIGHT / (1.0 - (_ALIGNED / misalignment) ** 2)
         vx, vy, wz = target
@@ -475,7 +482,7 @@ class General(BaseCalculator):
             b1 += s * slip
             b2 -= c * slip
             b3 -= t3 * slip
-        # The target is feasible, so the target causes no side slip on the fixed wheels.
+        # The target twist is feasible, so it causes no side slip on the fixed wheels.
         for t1, t2, t3 in self._fixed.rows:
             a11 += t1 * t1
             a12 += t1 * t2

@@ -16,7 +16,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 class DriveMotors:
     """Limits the wheel speeds of the drive motors and stores the last command.
 
-    A command consists of the speed of each wheel (rad/s) and of the twist that the speeds produce.
+    The stored command consists of the speed of each wheel (rad/s) and of the resulting twist.
     """
 
     def __init__(self, geometry: BaseGeometry) -> None:
@@ -32,18 +32,18 @@ class DriveMotors:
     def reset(self, states: JointStates | None = None, twist: Twist = ZERO_TWIST) -> None:
         """Sets the last commanded speeds to the measured speeds in ``states``.
 
-        ``twist`` is the twist that the measured wheel speeds produce.  Without ``states``, the
-        motors start from rest.
+        ``twist`` is the twist that the measured wheel speeds produce.  Without ``states``, all
+        drive motors start from rest.
         """
         self._speeds: tuple[float, ...] = self._zeros if states is None else (*states.speeds,)
         self.twist = twist
 
     def resume(self, previous: DriveMotors) -> None:
-        """Copies the last command of ``previous``."""
+        """Copies the last commanded wheel speeds and twist from ``previous``."""
         self._speeds, self.twist = previous._speeds, previous.twist
 
     def average_shared(self, speeds: list[float]) -> list[float]:
-        """Sets the speeds of wheels that share a motor to their mean, in place."""
+        """Sets the speeds of wheels that share a drive motor to their mean speed, in place."""
         for group in self._shared:
             mean = sum(speeds[i] for i in group) / len(group)
             for i in group:
@@ -67,10 +67,10 @@ class DriveMotors:
         """Limits the change of the wheel speeds and the twist during the next ``dt`` s.
 
         The limited wheel speeds are v0 + k (v - v0), where v0 are the last commanded speeds and v
-        are the requested speeds.  The share k <= 1 is the largest value for which no wheel exceeds
-        its acceleration limit.  The twist changes by the same share k.  If ``dt`` is ``None``, the
-        change of the speeds is not limited.  The method stores the limited twist and speeds as the
-        last command and returns them.
+        are the requested speeds.  The share k <= 1 of the change is as large as the acceleration
+        limits of all wheels allow.  The twist changes by the same share k.  If ``dt`` is ``None``,
+        the change of the wheel speeds is not limited.  The limited twist and wheel speeds are
+        returned and stored as the last command.
         """
         if dt is not None:
             last_speeds = self._speeds

@@ -1,12 +1,13 @@
-"""The calculator for tricycles: one driven and steered wheel, and a fixed axle of passive wheels.
+"""Base calculator for tricycles: a driven and steered wheel, and a fixed axle of passive wheels.
 
-The axle has the normal n = (nx, ny) and constrains the twist to n . v + d wz = 0.  The driven wheel
-at p = (px, py) moves with the velocity u = v + wz (-py, px).  Hence n . u = n . v + wz (ny px - nx
-py), and
+The fixed axle has the normal n = (nx, ny) and the offset d.  The axle allows no side slip: n . v +
+d wz = 0 for the velocity v and the yaw rate wz.  The driven wheel at p = (px, py) moves with the
+velocity u = v + wz (-py, px).  Hence n . u = n . v + wz (ny px - nx py), and
 
     wz = n . u / (ny px - nx py - d),   v = u - wz (-py, px)
 
-The odometry evaluates these equations at the measured rolling speed and steering angle.
+The odometry computes the twist from the measured rolling speed and steering angle of the driven
+wheel.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class OneWheel(BaseCalculator):
     The documentation of the module ``one_wheel`` contains the equations.
 
     The robot can move without scrub at any steering angle of the driven wheel.  The robot therefore
-    does not stop while the wheel turns to its target angle.  While the wheel turns, it rolls at the
-    component of the commanded velocity along its present direction.
+    does not stop while the wheel turns to its target angle.  While the driven wheel turns, its
+    rolling speed is the component of the commanded velocity along the present wheel direction.
     """
 
     name = "one_wheel"
@@ -143,10 +144,10 @@ class OneWheel(BaseCalculator):
         slips = -wheel.trail * turning
         angle = states.angles[i]
         twist = self._motion(angle, rolls, slips)
-        # The twist is a linear function of the rolling speed, the side slip and the slip of the
-        # axle.  The three speeds have independent errors.  The covariance of the twist is therefore
-        # sum sigma_k^2 J_k J_k', where J_k is the twist per unit of speed k, and sigma_k is the
-        # standard deviation of speed k.
+        # The twist is a linear function of three speeds with independent errors: the rolling speed
+        # and the side slip of the driven wheel, and the side slip of the axle.  The covariance of
+        # the twist is therefore sum sigma_k^2 J_k J_k', where J_k is the twist per unit of speed k,
+        # and sigma_k is the standard deviation of speed k.
         a2 = rolls * rolls + slips * slips
         angle2, slip2 = noise.angle**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy
@@ -173,8 +174,8 @@ class OneWheel(BaseCalculator):
     def _motion(self, angle: float, rolls: float, slips: float, drift: float = 0.0) -> Twist:
         """Returns the twist for given speeds (m/s) of the driven wheel and the axle.
 
-        - ``rolls``: speed of the driven wheel's contact along the wheel.
-        - ``slips``: speed of the driven wheel's contact to the left of the wheel.
+        - ``rolls``: rolling speed of the driven wheel.
+        - ``slips``: side slip of the driven wheel, positive to the left.
         - ``drift``: side slip of the fixed axle.
         """
         wheel = self._wheel
@@ -184,7 +185,7 @@ class OneWheel(BaseCalculator):
         py = wheel.y + s * wheel.trail + c * wheel.lateral
         ux, uy = c * rolls - s * slips, s * rolls + c * slips
         nx, ny, d = self._nx, self._ny, self._d
-        # n . u = n . v + wz (ny px - nx py), and n . v + d wz = drift.
+        # Solves n . u = n . v + wz (ny px - nx py) and n . v + d wz = drift for v and wz.
         arm = ny * px - nx * py - d
         wz = (nx * ux + ny * uy - drift) / arm
         return Twist(ux + wz * py, uy - wz * px, wz)

@@ -15,11 +15,11 @@ from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import ZERO_TWIST, Cov3, Twist
 
 COVARIANCE: Cov3 = ((0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.03))
-"""Constant covariance that the original software publishes with every twist."""
+"""Constant covariance that the original Thorvald II software publishes with every twist."""
 _PARALLEL = 1e-9
-"""Sine of the angle between two lines below which they are parallel."""
+"""Two axle lines count as parallel if the sine of the angle between them is smaller."""
 _AT_CENTRE = 0.05
-"""Distance (m) from the centre of rotation below which a wheel speed is not used."""
+"""The speed of a wheel is not used if the wheel is closer (m) to the centre of rotation."""
 
 
 _AxleLine = tuple[float, float, float, float, float | None]
@@ -33,14 +33,14 @@ The speed is ``None`` for a wheel without encoder.
 class RandomPairsOptions(GeneralOptions):
     """Options of the calculator ``random_pairs``, in addition to the options of ``general``.
 
-    - ``seed``: seed of the random number generator that draws the pairs.
-    - ``pairs_per_wheel``: number of pairs per wheel and tick.
+    - ``seed``: seed of the random number generator that draws pairs of wheels.
+    - ``pairs_per_wheel``: number of pairs that are drawn per wheel in each tick.
     - ``special_cases``: if ``True``, the odometry handles parallel wheels and wheels at the centre
-      of rotation.  If most pairs are parallel, the estimated yaw rate is 0.  The speed of a wheel
-      at the centre of rotation is not used.  If ``special_cases`` is ``False``, only exactly
-      parallel lines have no intersection.
-    - ``parallel``: with ``special_cases``, two wheels count as parallel if their directions differ
-      by less than this angle (rad).
+      of rotation.  If most pairs of wheels are parallel, the estimated yaw rate is 0. The speed of
+      a wheel at the centre of rotation is not used.  If ``special_cases`` is ``False``, only pairs
+      of exactly parallel axle lines are left out.
+    - ``parallel``: two wheels count as parallel if their directions differ by less than this angle
+      (rad).  Used only with ``special_cases``.
     """
 
     seed: int = 1
@@ -58,13 +58,13 @@ class RandomPairsOptions(GeneralOptions):
 
 
 class RandomPairs(General):
-    """Odometry that intersects the axle lines of random pairs of wheels and averages the points.
+    """Odometry that averages the intersections of the axle lines of random pairs of wheels.
 
     Source: Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
     section 3.3.1.  The calculator ``random_pairs`` computes the same joint commands as the
     calculator ``general``.  The covariance of the twist is constant.  The odometry of random pairs
-    is only a baseline for comparisons.  With noise, two almost parallel lines intersect at any
-    point, so the mean intersection is useless.
+    is only a baseline for comparisons.  With measurement noise, two almost parallel axle lines can
+    intersect anywhere, which makes the mean intersection useless.
     """
 
     name = "random_pairs"
@@ -79,7 +79,7 @@ class RandomPairs(General):
     ) -> None:
         self._pairs = options or RandomPairsOptions()
         self._random = random.Random()
-        # Index and geometry of the wheels whose direction is known.
+        # Index and geometry of each wheel whose direction is known.
         self._guiding = tuple((i, w) for i, w in enumerate(geometry.wheels) if not w.swivel)
         super().__init__(geometry, self._pairs, noise)
 
@@ -118,7 +118,8 @@ class RandomPairs(General):
     def _centre_of_rotation(self, lines: list[_AxleLine]) -> tuple[float, float] | None:
         """Returns the mean intersection (m) of the axle lines of random pairs of wheels.
 
-        Returns ``None`` if too few pairs of lines intersect, because the robot does not turn.
+        Returns ``None`` if too few pairs of axle lines intersect.  In this case the robot does not
+        turn.
         """
         options = self._pairs
         draw, n = self._random.randrange, len(lines)
@@ -130,7 +131,8 @@ class RandomPairs(General):
             j = draw(n - 1)
             xi, yi, ci, si, _ = lines[i]
             xj, yj, cj, sj, _ = lines[j if j < i else j + 1]
-            # A point p lies on the axle line if (c, s) . (p - contact) = 0.
+            # A point p lies on the axle line of a wheel with the direction (c, s) if (c, s) . (p -
+            # contact) = 0.
             det = ci * sj - si * cj
             if abs(det) < tolerance:
                 continue
@@ -143,7 +145,7 @@ class RandomPairs(General):
         return x / count, y / count
 
     def _turning_about(self, lines: list[_AxleLine], xc: float, yc: float) -> Twist:
-        """Returns the twist about the centre of rotation with the mean yaw rate of the wheels."""
+        """Returns the twist of a rotation about (xc, yc), with the mean yaw rate of the wheels."""
         min_distance = _AT_CENTRE if self._pairs.special_cases else 1e-9
         count, total = 0, 0.0
         for x, y, c, s, speed in lines:

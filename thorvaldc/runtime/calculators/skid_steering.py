@@ -11,15 +11,15 @@ class SkidSteering:
 
     With Coulomb friction and equal loads, the yaw rate is the least-squares fit of a twist to the
     surface velocities of the wheels.  Wheel i has the position a_i across the wheels and l_i along
-    the wheels, both relative to the mean position.  If wheel i rolls at the speed v_i, the robot
-    turns at the yaw rate
+    the wheels, both relative to the mean position.  Yaw rate wz of the robot if each wheel i rolls
+    at the speed v_i:
 
         wz = -sum a_i v_i / (sum a_i^2 + sum l_i^2)
 
-    Without skidding, a turn at wz' would need the wheel speeds v_i = -a_i wz'. With the wheel
-    speeds of pure rolling, a skidding robot turns only at g wz', where g = sum a_i^2 / (sum a_i^2 +
-    sum l_i^2).  For four wheels at (+-a, +-b), g = b^2 / (a^2 + b^2).  The compensation therefore
-    computes the wheel speeds for the yaw rate wz / g.
+    Without skidding, a robot with the wheel speeds v_i = -a_i wz' would turn at the yaw rate wz'.
+    With the same wheel speeds, a skidding robot turns only at g wz', where g = sum a_i^2 / (sum
+    a_i^2 + sum l_i^2).  For four wheels at (+-a, +-b), the factor is g = b^2 / (a^2 + b^2).  To
+    turn at wz, the compensation computes the wheel speeds for the yaw rate wz / g.
     """
 
     def __init__(self, inverse_gain: float, middle: float, normal: tuple[float, float]) -> None:
@@ -29,12 +29,12 @@ class SkidSteering:
 
     @staticmethod
     def from_geometry(geometry: BaseGeometry, fixed: FixedWheels) -> SkidSteering | None:
-        """Returns the compensation, or ``None`` if the robot does not turn by skidding."""
+        """Returns the skid compensation, or ``None`` if the robot turns without skidding."""
         if geometry.steering_groups or not fixed.skids or len(fixed.rows) != 1:
             return None
         wheels = [w for w in geometry.wheels if w.fixed]
         driven = [w for w in wheels if w.driven]
-        # The normal of the wheels is (t1, t2), so the rolling direction is (t2, -t1).
+        # The normal of the fixed wheels is (t1, t2), so their rolling direction is (t2, -t1).
         t1, t2, _ = fixed.rows[0]
         across = [t1 * w.x + t2 * w.y for w in driven]
         middle = sum(across) / len(across)
@@ -49,8 +49,8 @@ class SkidSteering:
     def compensate(self, twist: Twist) -> Twist:
         """Returns the twist whose wheel speeds make the skidding robot move with ``twist``.
 
-        The added rotation is about the middle of the driven wheels, so it does not change the mean
-        speed of the driven wheels.
+        The compensation adds a rotation about the middle of the driven wheels, so the mean speed of
+        the driven wheels does not change.
         """
         t1, t2 = self._normal
         added_turn = (self._inverse_gain - 1.0) * twist.wz

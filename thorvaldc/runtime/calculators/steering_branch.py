@@ -1,24 +1,27 @@
-"""Choice of the steering angle of one wheel, and its motion to that angle.
+"""Chooses the steering angle of one wheel and moves the steering joint to the chosen angle.
 
-The steering axis of a wheel moves in the direction phi.  The wheel can stand at any angle c = phi +
-k pi.  For even k, the wheel rolls forwards (*forward branch*).  For odd k, the wheel rolls
-backwards.  Angles are not wrapped, because the motor cable limits the steering angle.  The angles c
-and c + 2 pi are therefore two different candidates.  Among all candidates within the steering
-limits, ``SteeringJoint`` chooses the candidate with the smallest cost in seconds:
+If the steering axis of a wheel moves in the direction phi, each steering angle c = phi + k pi with
+an integer k lets the wheel roll without side slip.  The wheel rolls forwards at phi and backwards
+at phi + pi.  The code calls both cases the forward branch and the backward branch.  Steering angles
+are not wrapped, because the motor cable limits the steering angle.  The steering angles c and c + 2
+pi are therefore two different candidates.  Among all candidates within the steering limits,
+``SteeringJoint`` chooses the steering angle with the smallest cost in seconds:
 
     cost(c) = max(|c - angle| / rate, reversal of the wheel speed) + V(c) / rate + hysteresis
 
-The hysteresis is added only to candidates on the other branch.  V is the expected travel of the
-joint to the next candidate, if the next direction of motion is uniformly distributed.  Far from its
-limits, the joint turns to the nearer of two opposite directions: by at most pi/2, and by pi/4 on
-average.  With a limit at a distance d < pi/2 on one side, the joint turns by at most d to that side
-and by at most pi - d to the other side.  The expected travel V of a joint near a limit is
+The hysteresis is added only to candidates for which the wheel must reverse its rolling direction.
+V(c) is the expected travel of the steering joint from c to its next target angle, if the next
+direction of motion is uniformly distributed.  Far from its limits, the steering joint turns by at
+most pi/2, and by pi/4 on average.  If the joint is at a distance d < pi/2 from a steering limit,
+the joint turns by at most d towards the limit and by at most pi - d away from the limit.  Expected
+travel V of a steering joint near a limit:
 
     V = (1/pi) (integral of t from 0 to d + integral of t from 0 to pi - d)
       = (d^2 + (pi - d)^2) / (2 pi)
 
-V keeps steering joints away from their limits.  The mean travel is within 0.3 % of the optimum,
-which was computed by dynamic programming for limits of +-180 deg and independent random directions.
+V keeps steering joints away from their limits.  The mean travel of a steering joint with this cost
+is within 0.3 % of the optimum.  The optimum was computed by dynamic programming for limits of +-180
+deg and independent random directions.
 """
 
 from __future__ import annotations
@@ -37,10 +40,10 @@ HOLD_BELOW = 1e-3
 RESUME_ABOVE = 2e-3
 """Speed (m/s) above which a steering joint that holds its angle follows the motion again."""
 LIMIT_TOLERANCE = 1e-4
-"""Distance (rad) past a limit up to which a candidate is clamped to the limit."""
+"""A steering angle beyond a limit by at most this angle (rad) is clamped to the limit."""
 _HOLD2 = HOLD_BELOW**2
 _TIE = 1e-9
-"""Largest difference (s) between two costs that count as equal."""
+"""Two costs of steering angles count as equal up to this difference (s)."""
 
 
 class SteeringJoint:
@@ -49,16 +52,16 @@ class SteeringJoint:
     All angles are joint positions in rad and are not wrapped.
 
     - ``target``: chosen steering angle.
-    - ``angle``, ``rate``: commanded steering angle and its rate in rad/s.
-    - ``direction``: 1.0 on the forward branch, -1.0 if the wheel rolls backwards.
+    - ``angle``, ``rate``: commanded steering angle (rad) and commanded steering rate (rad/s).
+    - ``direction``: 1.0 if the wheel rolls forwards, -1.0 if the wheel rolls backwards.
     - ``rolling``: rolling speed (m/s) of the steering axis at the target angle.
-    - ``holding``: ``True`` if the joint keeps its angle, either because the axis does not move or
-      because no candidate is within the limits.
-    - ``unreachable``: ``True`` if no candidate is within the limits.
-    - ``wheels``: indices of the wheels on the joint.
-    - ``wheel``: geometry of the first of these wheels.
+    - ``holding``: ``True`` if the joint keeps its steering angle because the steering axis does not
+      move, or because no candidate is within the steering limits.
+    - ``unreachable``: ``True`` if no candidate is within the steering limits.
+    - ``wheels``: indices of the wheels that the steering joint turns.
+    - ``wheel``: geometry of the first wheel on the steering joint.
     - ``acceleration``: acceleration limit (m/s^2) of the rolling speed.
-    - ``seconds_per_rad``: time that the joint needs per rad at its full rate.
+    - ``seconds_per_rad``: time (s) that the joint needs to turn by 1 rad at its full steering rate.
     """
 
     __slots__ = (
@@ -100,7 +103,7 @@ class SteeringJoint:
         self.reset(0.0)
 
     def reset(self, angle: float) -> None:
-        """Discards the last chosen angle.  After a reset, the joint is at rest at ``angle``."""
+        """Discards the last chosen steering angle and sets the joint to rest at ``angle`` (rad)."""
         self.angle = min(max(angle, self._lower), self._upper)
         self.target = self.angle
         self.rate = 0.0
@@ -110,20 +113,21 @@ class SteeringJoint:
         self.unreachable = False
 
     def resume(self, previous: SteeringJoint) -> None:
-        """Copies the state of ``previous``, an object for the same joint."""
+        """Copies the steering angle and branch from ``previous``, an object for the same joint."""
         self.angle, self.target, self.rate = previous.angle, previous.target, previous.rate
         self._set_branch(previous.direction)
         self.rolling, self.holding = previous.rolling, previous.holding
         self.unreachable = previous.unreachable
 
     def _set_branch(self, direction: float) -> None:
-        """Sets the branch of the wheel: 1.0 for forward, -1.0 for backwards."""
+        """Sets the rolling direction of the wheel: 1.0 for forwards, -1.0 for backwards."""
         self.direction = direction
-        # Steering angle at which a wheel on this branch rolls along the x axis of base_link.
+        # Steering angle at which the wheel moves along the x axis of base_link with this rolling
+        # direction.
         self._base = -self._sign * self.wheel.heading + (PI if direction < 0.0 else 0.0)
 
     def expected_travel(self, angle: float) -> float:
-        """Returns the expected travel V (rad) from ``angle`` to the next candidate.
+        """Returns the expected travel V (rad) of the joint from ``angle`` to its next target.
 
         The documentation of the module ``steering_branch`` derives the formula for V.
         """
@@ -142,12 +146,12 @@ class SteeringJoint:
         - ``angle``: present steering angle (rad).
         - ``speed``: present rolling speed (m/s) of the wheel.
 
-        The target angle does not change in three cases: the robot stands still, the steering axis
-        is at the centre of rotation, or no candidate is within the limits.
+        The target angle does not change if the robot stands still, if the steering axis is at the
+        centre of rotation, or if no candidate is within the steering limits.
         """
         if not (self.holding or self._has_trail):
-            # Fast path: a candidate on the present branch within 45 deg of the present angle is
-            # always the best.
+            # Fast path: a candidate with the present rolling direction is always the best if it is
+            # within 45 deg of the present steering angle.
             v2 = ux * ux + uy * uy
             turn = self._base + self._sign * atan2(uy, ux) - angle
             if not -_QUICK < turn < _QUICK:
@@ -166,7 +170,7 @@ class SteeringJoint:
         self._search(ux, uy, wz, angle, speed)
 
     def _search(self, ux: float, uy: float, wz: float, angle: float, speed: float) -> None:
-        """Chooses the best of all candidates within the steering limits."""
+        """Chooses the steering angle with the smallest cost among all angles within the limits."""
         v = math.hypot(ux, uy)
         self.unreachable = False
         bend = wz * self.wheel.trail
@@ -174,20 +178,21 @@ class SteeringJoint:
             self.holding = True
             self.rolling = 0.0
             return
-        # The contact lies `trail` ahead of the axis along the wheel's direction theta.  The contact
-        # has no side slip if v sin(phi - theta) + wz trail = 0.  One solution is theta = phi +
-        # asin(wz trail / v).  In the other solution, theta = phi + pi - asin(wz trail / v), the
-        # wheel rolls backwards.
+        # The contact point lies at the distance `trail` ahead of the steering axis, in the wheel's
+        # direction theta.  The contact point has no side slip if v sin(phi - theta) + wz trail = 0.
+        # One solution is theta = phi + asin(wz trail / v).  With the other solution, theta = phi +
+        # pi - asin(wz trail / v), the wheel rolls backwards.
         phi = math.atan2(uy, ux) - self.wheel.heading
         lead = math.asin(bend / v) if bend else 0.0
         sign = self.wheel.sign
         lower, upper = self._lower, self._upper
-        # For a joint without limits, one full turn to each side contains the best candidate.
+        # For a steering joint without limits, the best steering angle is at most one full turn
+        # away.
         first = max(lower - LIMIT_TOLERANCE, angle - TWO_PI)
         last = min(upper + LIMIT_TOLERANCE, angle + TWO_PI)
         rate = self._max_rate if self._max_rate < math.inf else 1.0
-        # Between free_low and free_high, the joint can make a quarter turn to both sides, so V =
-        # pi/4.
+        # Between free_low and free_high, the steering joint can make a quarter turn to both sides,
+        # so the expected travel V is pi/4.
         free_low, free_high = lower + PI / 2.0, upper - PI / 2.0
         best_cost, best_angle, best_direction, excess = math.inf, 0.0, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
@@ -228,24 +233,24 @@ class SteeringJoint:
     def _preferred(
         self, angle: float, direction: float, best_angle: float, best_direction: float
     ) -> bool:
-        """Checks whether a candidate is better than the best candidate so far at equal cost.
+        """Checks whether a steering angle is better than the best one so far, at equal cost.
 
-        At equal cost, the following rules apply in turn: a candidate on the present branch is
-        better, then a smaller absolute angle, then the forward branch, then a positive angle.
+        Of two steering angles with equal cost, the angle that keeps the rolling direction is
+        better, then the smaller absolute angle, then rolling forwards, then the positive angle.
         """
         candidate = (direction != self.direction, abs(angle), -direction, -angle)
         best = (best_direction != self.direction, abs(best_angle), -best_direction, -best_angle)
         return candidate < best
 
     def time_to_target(self) -> float:
-        """Returns the time (s) that the joint needs to reach its target at full rate."""
+        """Returns the time (s) to reach the target angle at full steering rate."""
         return abs(self.target - self.angle) * self.seconds_per_rad
 
     def advance(self, dt: float, share: float) -> None:
-        """Moves the commanded ``angle`` towards the target angle for ``dt`` s, without overshoot.
+        """Moves the commanded steering angle towards the target for ``dt`` s, without overshoot.
 
         ``share`` is the allowed share of the joint's rate limit.  The acceleration limit of the
-        joint limits the change of the steering rate.
+        steering joint is respected.
         """
         error = self.target - self.angle
         if error == 0.0 and self.rate == 0.0:
@@ -289,6 +294,6 @@ class SteeringJoint:
             self.rate = 0.0
 
     def jump(self) -> None:
-        """Sets the commanded angle to the target angle without regard to rate limits."""
+        """Sets the commanded steering angle to the target angle and ignores the rate limit."""
         self.angle = self.target
         self.rate = 0.0

@@ -6,13 +6,15 @@ The estimator works in these steps (``twist_fit`` derives the equations):
 2.  One Gauss-Newton step computes the weighted fit, with weights from the predicted velocities.
    After one step, the estimate is within a few percent of the maximum-likelihood estimate.  The
    option ``EstimatorOptions.polish`` adds more Gauss-Newton steps.
-3.  A chi-square test compares each wheel with the other wheels.
+3.  A chi-square test compares the measurements of each wheel with the measurements of all other
+    wheels.
 4.  If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
 
 For every wheel that does not swivel, a side slip of 0 counts as a measurement.  Every wheel with an
 encoder measures its rolling speed.  If the contact of a wheel lies beside or behind its steering
-axis, a turning steering joint moves the contact.  The measurements include this motion of the
-contact.  A gyro (``JointStates.yaw_rate``) adds one measurement.
+axis, a turning steering joint moves the contact.  The measurements include the motion of the
+contact about the steering axis.  A gyro (``JointStates.yaw_rate``) adds a measurement of the yaw
+rate.
 """
 
 from __future__ import annotations
@@ -54,13 +56,13 @@ __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 _MIN_PROBABILITY = 0.6
 """Least probability of a hypothesis whose wheels are reported as faulty.
 
-Such a hypothesis is clearly more likely than all other hypotheses.
+A hypothesis with this probability is clearly more likely than all other hypotheses.
 """
 _UNBOUNDED = "the joint states are out of all bounds"
 RANK_TOLERANCE = 1e-8
-"""Least determinant of the scaled normal matrix at rank 3.
+"""The normal matrix has rank 3 if its scaled determinant is at least this large.
 
-The determinant is divided by the cube of the mean eigenvalue.
+The scaled determinant is the determinant divided by the cube of the mean eigenvalue.
 """
 
 
@@ -69,13 +71,15 @@ class TwistEstimate(NamedTuple):
 
     - ``twist``: estimated twist of ``base_link``.
     - ``covariance``: covariance of vx, vy and wz, in SI units.
-    - ``rank``: number of directions of the twist that the joints determine, 0 to 3.  In all other
-      directions, the estimator assumes a speed of 0 with the top speed as the standard deviation.
+    - ``rank``: number of components of the twist that the joint states determine, 0 to 3. For
+      undetermined components, the estimator assumes a speed of 0 with the top speed as the standard
+      deviation.
     - ``chi_squares``: for each wheel, the chi-square of its disagreement with the other wheels.
-      The chi-square has two degrees of freedom, or one for a passive wheel.  The chi-square of a
-      wheel without a test is 0.  The tuple is empty if the calculator does not test wheels.
-    - ``dropped``: indices of the wheels of which one or all measurements are left out.  A dropped
-      wheel slips, stalls or has a wrong steering angle.
+      Each chi-square has two degrees of freedom, or one degree of freedom for a passive wheel.  The
+      chi-square of an untested wheel is 0. ``chi_squares`` is empty if the calculator does not test
+      wheels.
+    - ``dropped``: indices of the faulty wheels.  The estimator has left out one or both
+      measurements of each faulty wheel.
     """
 
     twist: Twist
@@ -90,8 +94,8 @@ class EstimatorOptions:
     """Options of the twist estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
-    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2.  If ``faulty`` is 0, wheels
-      are only tested.
+    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2. If ``faulty`` is 0, wheels
+      are tested but never left out.
     - ``polish``: number of additional Gauss-Newton steps.  Each additional step brings the estimate
       closer to the maximum-likelihood estimate.
     """
@@ -114,16 +118,16 @@ class TwistEstimator:
 
     The documentation of the module ``twist_estimator`` lists the steps of an estimate.
 
-    Only the wrong measurement of a faulty wheel is left out: a slipping wheel still measures its
-    direction.  If no hypothesis explains the misfit, the estimator uses all wheels and increases
-    the covariance with the misfit.
+    The estimator leaves out only the wrong measurement of a faulty wheel, because a slipping wheel
+    still measures its direction.  If no combination of faulty wheels explains the misfit, the
+    estimator uses all wheels and increases the covariance with the misfit.
 
     - ``wheels``: constants of the wheels that do not swivel.
-    - ``gates``: for each of these wheels, the chi-square D above which the wheel is suspect.
+    - ``gates``: chi-square above which a wheel is suspect, for each wheel that does not swivel.
     - ``inverse``: upper half of the inverse of the unweighted normal matrix, and the rank of this
       matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
-      estimator uses the prior if the rank is below 3.
+      estimator uses the prior only if the joint states do not determine the whole twist.
     """
 
     def __init__(
@@ -145,7 +149,7 @@ class TwistEstimator:
                 continue
             c, s = math.cos(w.heading), math.sin(w.heading)
             flags = ROLL_AND_SIDE if w.encoder else SIDE_ONLY
-            if i in skids:  # a skidding wheel disagrees with the others in every turn
+            if i in skids:  # a skidding wheel disagrees with the other wheels in every turn
                 flags &= ~(TEST_ROLL | TEST_SIDE)
             x = w.x - xm + c * w.trail - s * w.lateral
             y = w.y - ym + s * w.trail + c * w.lateral
@@ -159,7 +163,8 @@ class TwistEstimator:
         self.length2 = geometry.length**2
         self.prior = (1.0 / top_speed**2, self.length2 / top_speed**2)
         # The permitted rate of false alarms is divided equally among the wheels.  The gates are the
-        # quantiles of chi-square with 2 and 1 degrees of freedom for this rate.
+        # quantiles of the chi-square distribution with 2 and 1 degrees of freedom for the rate of
+        # each wheel.
         share = self.options.gate / max(len(wheels), 1)
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
@@ -170,13 +175,13 @@ class TwistEstimator:
     def check(self, states: JointStates) -> None:
         """Checks joint states.
 
-        Raises ``ValueError`` if the number of wheels is wrong.  Raises ``NotFiniteError`` if a
-        value is NaN or infinite.
+        Raises ``ValueError`` if ``states`` does not have one entry for each wheel.  Raises
+        ``NotFiniteError`` if a joint state is NaN or infinite.
         """
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
-        # The sum of all values is finite only if each value is finite.  One test of the sum is
-        # faster than a test of each value.
+        # The sum of all joint states is finite only if each joint state is finite.  A single test
+        # of the sum is faster than a test of each joint state.
         total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates)
         positions = states.positions
         if positions is None:
@@ -203,7 +208,7 @@ class TwistEstimator:
         raise NotFiniteError(_UNBOUNDED)
 
     def estimate(self, states: JointStates) -> TwistEstimate:
-        """Returns the twist that agrees best with the joint states, with its covariance and rank.
+        """Estimates the twist that agrees best with the joint states, with its covariance and rank.
 
         Raises ``NotFiniteError`` if a joint state is not a finite number, or so large that the
         result is not finite.
@@ -228,9 +233,9 @@ class TwistEstimator:
         return self._result(fit, tests, rank)
 
     def least_squares(self, states: JointStates) -> Twist:
-        """Returns the twist of the unweighted least-squares fit.
+        """Returns the twist of an unweighted least-squares fit to the joint states.
 
-        Raises the same errors as ``check``.
+        Raises ``ValueError`` or ``NotFiniteError`` for unusable joint states, as ``check`` does.
         """
         self.check(states)
         (vx, vy, wz), _ = self._unweighted_fit(*self._measurements(states), states.yaw_rate)
@@ -240,9 +245,10 @@ class TwistEstimator:
     def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:
         """Returns the slip velocity of each wheel's contact over the ground, for a given twist.
 
-        Each entry is the slip velocity (m/s) along the wheel's direction and to the left of the
-        wheel.  A wheel that spins in mud slips backwards.  The slip along the wheel is 0 for a
-        wheel without encoder.  Both components of the slip velocity are 0 for a caster.
+        The result contains, for each wheel, the slip velocity (m/s) along the wheel's direction and
+        to the left of the wheel.  A wheel that spins in mud slips backwards.  The slip along the
+        wheel is 0 for a wheel without encoder.  Both components of the slip velocity are 0 for a
+        caster.
         """
         slips = [(0.0, 0.0)] * self._n
         vx, vy, wz = twist
@@ -261,10 +267,10 @@ class TwistEstimator:
     def _measurements(
         self, states: JointStates
     ) -> tuple[list[Measurement], tuple[float, float, float]]:
-        """Returns the measurements of all wheels, and the vector b = sum L' z_L.
+        """Returns the measurements of all wheels, and the right-hand side b of the fit.
 
-        The vector b is the right-hand side of the unweighted fit for wheels without trail and
-        lateral offset.
+        The vector is b = sum L' z_L, which is valid only if all wheels have no trail and no lateral
+        offset.
         """
         speeds, angles = states.speeds, states.angles
         cosine, sine = math.cos, math.sin
@@ -277,8 +283,8 @@ class TwistEstimator:
                 direction = heading + sign * angles[i]
                 cos, sin = cosine(direction), sine(direction)
                 if trail or lateral:
-                    # The contact moves about the steering axis.  The position of the contact
-                    # depends on the steering angle, and its velocity on the steering rate.
+                    # The position of the contact point depends on the steering angle, and its
+                    # velocity about the steering axis depends on the steering rate.
                     x += (cos - c) * trail - (sin - s) * lateral
                     y += (sin - s) * trail + (cos - c) * lateral
                     turning = sign * states.angle_rates[i]
@@ -298,7 +304,7 @@ class TwistEstimator:
         right_side: tuple[float, float, float],
         yaw_rate: float | None,
     ) -> tuple[tuple[float, float, float], int]:
-        """Returns the unweighted least-squares twist about the centroid, and the rank."""
+        """Returns the unweighted least-squares twist about the wheels' centroid, and the rank."""
         if self.inverse is None or yaw_rate is not None:
             return self._solve(unweighted_normal_equations(measurements), yaw_rate)
         b1, b2, b3 = right_side
@@ -315,8 +321,8 @@ class TwistEstimator:
     ) -> tuple[tuple[float, float, float], int]:
         """Solves the unweighted normal equations.  Returns the twist and the rank.
 
-        The rank is counted with the yaw rate multiplied by ``length``, so that all eigenvalues have
-        the same unit.
+        For the rank, the yaw rate is multiplied by ``length``, so that all eigenvalues of the
+        normal matrix have the same unit.
         """
         a11, a12, a13, a22, a23, a33, b1, b2, b3 = equations
         k = self.length2
@@ -332,8 +338,9 @@ class TwistEstimator:
         rank = 3
         if det <= RANK_TOLERANCE * k * mean * mean * mean:
             rank = self._count_rank(a11, a12, a13, a22, a23, a33)
-            # A small number is added to the diagonal, so that the system has a solution.  `prior`
-            # is not suitable for unweighted rows, because it contains inverse variances.
+            # A small number is added to the diagonal of the normal matrix, so that the normal
+            # equations have a solution.  `prior` contains inverse variances and is not suitable for
+            # unweighted rows.
             weak = 1e-6 * max(mean, 1.0)
             a11, a22, a33 = a11 + weak, a22 + weak, a33 + weak * k
         return solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3), rank
@@ -356,7 +363,7 @@ class TwistEstimator:
         Returns ``None`` if the matrix depends on the steering angles.  The matrix is independent of
         the steering angle of a wheel if the wheel has an encoder and no offset from its steering
         axis.  A wheel with an encoder and no offset measures both components of the contact's
-        velocity, and L'L + T'T = H'H for any direction.
+        velocity, and L'L + T'T = H'H for any direction of the wheel.
         """
         if any(w.steered and (not w.flags & USE_ROLL or w.trail or w.lateral) for w in self.wheels):
             return None
@@ -386,8 +393,8 @@ class TwistEstimator:
     ) -> TwistEstimate:
         """Returns the estimate without the faulty wheels.
 
-        If no hypothesis explains the misfit, the estimate uses all wheels and has a larger
-        covariance.
+        If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
+        a larger covariance.
         """
         steps = 1 + self.options.polish
 
@@ -428,10 +435,10 @@ class TwistEstimator:
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        The covariance of the estimate is multiplied by ``growth``.
+        The parameter ``growth`` is a factor of the covariance.
 
-        The fit is about the centroid (xm, ym).  The twist of ``base_link`` is xi' = A xi and its
-        covariance is P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
+        A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
+        ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
         """
         vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
         xm, ym = self._centre

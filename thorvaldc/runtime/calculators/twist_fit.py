@@ -1,24 +1,26 @@
 """Weighted least-squares fit of a twist to the wheel measurements, and a test of each wheel.
 
-If the robot moves with the twist xi = (vx, vy, wz), the contact of a wheel at (x, y) moves with the
-velocity
+Velocity u of the contact point of a wheel at (x, y), if the robot moves with the twist xi = (vx,
+vy, wz):
 
     u = H xi,   H = [1  0  -y]
                     [0  1   x]
 
-A wheel with the rolling direction d = (c, s) and the normal n = (-s, c) gives two measurements of
-u:
+Two measurements of the velocity u by a wheel with the rolling direction d = (c, s) and the normal n
+= (-s, c):
 
     L xi = z_L,   L = d' H = [ c,  s,  s x - c y]   rolling: the encoder's speed
     T xi = z_T,   T = n' H = [-s,  c,  c x + s y]   no side slip: 0
 
-The errors of both measurements are independent and grow with the speed a = |u| of the contact:
+The two measurements of a wheel have independent errors, which grow with the speed a = |u| of the
+contact point.  Variances of the errors:
 
     sigma_L^2 = (speed_ratio a)^2 + speed_floor^2
     sigma_T^2 = (angle a)^2 + slip_floor^2
 
-The speed a is predicted by a first estimate of the twist.  If the measured speed were used, a
-stalled encoder would report 0 m/s with a very small variance and dominate the fit.
+The speed a of the contact point is predicted by a first estimate of the twist.  If the measured
+speed were used, a stalled encoder would report 0 m/s with a very small variance and dominate the
+fit.
 
 With the weights w = 1 / sigma^2, the information matrix W of one wheel about u and the normal
 equations are
@@ -27,9 +29,9 @@ equations are
     M = sum H' W H + prior,   b = sum H' W m,   m = z_L d + z_T n
     xi = M^-1 b,   covariance P = M^-1
 
-Positions are relative to the centroid of the wheels, which keeps M well conditioned.  The fit runs
-in every tick of the driver.  For speed, the code uses plain Python numbers and computes each
-component of a matrix separately.
+Positions of wheels are relative to the centroid of the wheels, which keeps the matrix M well
+conditioned.  The fit runs in every tick of the driver.  For speed, the code uses plain Python
+numbers and computes each component of a matrix separately.
 """
 
 from __future__ import annotations
@@ -39,10 +41,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-# Flags of a measurement.  USE_ROLL and USE_SIDE mean that the fit uses the row L (rolling) or T
-# (side slip).  TEST_ROLL and TEST_SIDE mean that the row is tested against the other wheels.  A
-# rejected wheel is not used, but it is still tested to determine its chi-square.  A skidding wheel
-# is used, but not tested.
+# Flags of a measurement.  With USE_ROLL and USE_SIDE, the fit uses the rolling speed (row L) and
+# the side slip (row T).  With TEST_ROLL and TEST_SIDE, the rolling speed and the side slip are
+# tested against the other wheels.  The fit does not use a rejected wheel, but the wheel is still
+# tested to determine its chi-square.  The fit uses a skidding wheel without a test.
 USE_ROLL, USE_SIDE, TEST_ROLL, TEST_SIDE = 1, 2, 4, 8
 SIDE_ONLY = USE_SIDE | TEST_SIDE
 ROLL_AND_SIDE = USE_ROLL | TEST_ROLL | SIDE_ONLY
@@ -67,9 +69,9 @@ the contact (m/s). sigma_L^2 and sigma_T^2 are the variances along and across th
 NoiseSquares = tuple[float, float, float, float, float, float]
 
 STILL = 2.5e-13
-"""(0.5e-6 m/s)^2.  At lower speeds, rounding errors determine the direction of motion."""
+"""Below this squared speed, (0.5e-6 m/s)^2, rounding errors determine the direction of motion."""
 UNTESTABLE = 1e-6
-"""Least share of a measurement's variance that its residual must keep for a test."""
+"""A measurement is tested only if its residual keeps at least this share of its variance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,7 @@ class Noise:
 
     @property
     def squares(self) -> NoiseSquares:
-        """Variances in the order of the fields, without ``correlation``."""
+        """Squared standard deviations in the order of the fields, without ``correlation``."""
         return (
             _bounded_square(self.speed_ratio),
             _bounded_square(self.angle),
@@ -119,7 +121,7 @@ class Noise:
 def _bounded_square(noise: float) -> float:
     """Returns the square of ``noise``, which is first limited to 1e-12 to 1e12.
 
-    Within these limits, products and quotients of squares neither overflow nor underflow.
+    The limits prevent overflow and underflow in products and quotients of the squares.
     """
     return min(max(noise, 1e-12), 1e12) ** 2
 
@@ -131,7 +133,7 @@ class WheelConstants(NamedTuple):
     - ``cos``, ``sin``: rolling direction of the wheel at the steering angle 0.
     - ``x``, ``y``: position of the contact at the steering angle 0, relative to the centroid (m).
     - ``radius``: wheel radius (m). 0 for a wheel without encoder.
-    - ``flags``: flags of the wheel's measurements.
+    - ``flags``: bit flags that select which measurements of the wheel are used and tested.
     - ``steered``: ``True`` if a motor steers the wheel.
     - ``skids``: ``True`` if the wheel skids in turns.
     """
@@ -178,7 +180,7 @@ def fit_twist(
     prior: tuple[float, float],
     yaw_rate: float | None,
 ) -> Fit:
-    """Computes one Gauss-Newton step of the weighted fit, from a predicted twist.
+    """Computes a Gauss-Newton step of the weighted least-squares fit, from a predicted twist.
 
     - ``vx``, ``vy``, ``wz``: predicted twist about the centroid.
     - ``noise``: variances from ``Noise.squares``.
@@ -187,9 +189,9 @@ def fit_twist(
 
     The measured direction of a steered wheel has an error.  If the rows L and T used the measured
     direction, this error would reduce the measured speed by its cosine.  The rows L and T therefore
-    use the predicted direction u / a.  Relative to the predicted direction, the wheel measures z_T
-    = -a asin(n . u / a), where n is the normal of the measured direction.  The value z_T is the
-    length of the arc between the measured and the predicted direction.
+    use the predicted direction u / a.  The measured side slip relative to the predicted direction
+    is the arc length z_T = -a asin(n . u / a), where n is the normal of the measured direction, u
+    is the predicted velocity, and a = |u|.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
@@ -219,7 +221,7 @@ def fit_twist(
             if t2 < 0.25 * a2 - STILL:
                 k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
                 c, s = ux / k, uy / k
-                # Series of a asin(across / a) to third order.
+                # Taylor series of a asin(across / a) to third order.
                 z_t -= across * (1.0 + t2 / (6.0 * a2))
         elif skids:
             if skid_variance == 0.0:
@@ -232,7 +234,8 @@ def fit_twist(
         if flags != ROLL_AND_SIDE:
             w_t = w_t if flags & USE_SIDE else 0.0
             k = 1.0 / v_l - w_t if flags & USE_ROLL else -w_t
-        # Computes W = w_t 1 + k d d' and the products H' W and H' W H.
+        # Computes the information matrix W = w_t 1 + k d d' of the wheel, and the products H' W and
+        # H' W H.
         kc = k * c
         w11, w12, w22 = w_t + kc * c, kc * s, w_t + k * s * s
         tx, ty = w12 * x - w11 * y, w22 * x - w12 * y
@@ -287,25 +290,27 @@ def _mean_square_roll(
 
 
 def chi_squares(fit: Fit) -> list[float]:
-    """Returns the chi-square D of each wheel: its disagreement with the other wheels.
+    """Returns the chi-square D of each wheel: a measure of disagreement with other wheels.
 
     The residual of a wheel is r = m - H xi.  If the fit uses the wheel, the residual has the
     covariance S = R - H P H', where R is the covariance of the measurement.  The minus sign appears
     because the fit follows the error of every wheel that it uses, which makes the residual smaller.
-    If the fit does not use the wheel, S = R + H P H'. The statistic
+    If the fit does not use the wheel, the residual has the covariance S = R + H P H'.  Chi-square
+    statistic:
 
         D = r' S^-1 r
 
-    has a chi-square distribution with 2 degrees of freedom, or with 1 for a wheel without encoder.
-    If the fit uses the wheel, D is also the decrease of the total misfit when this wheel is left
-    out.  D is 0 if the other wheels give no redundant measurement for this wheel.
+    D has a chi-square distribution with 2 degrees of freedom, or with 1 degree of freedom for a
+    wheel without encoder.  If the fit uses the wheel, D is also the decrease of the total misfit
+    when this wheel is left out.  The chi-square D is 0 if the other wheels give no redundant
+    measurement for this wheel.
     """
     vx, vy, wz, p11, p12, p13, p22, p23, p33, measurements = fit
     result: list[float] = []
     for measurement in measurements:
         flags, c, s, x, y, mx, my, v_l, v_t = measurement
         if flags == ROLL_AND_SIDE:
-            # Covariance of the measurement: R = v_t 1 + (v_l - v_t) d d'.
+            # Covariance of the wheel's measurement: R = v_t 1 + (v_l - v_t) d d'.
             k = v_l - v_t
             kc = k * c
             s11 = v_t + kc * c - p11 - y * (y * p33 - 2.0 * p13)
@@ -338,12 +343,12 @@ class Comparison(NamedTuple):
 def compare_with_others(fit: Fit, measurement: WeightedMeasurement) -> Comparison:
     """Computes the chi-square D of a wheel, and of its two measurements separately.
 
-    ``chi_squares`` explains D. The computation uses the wheel's frame (along, across), in which R
-    is diagonal.
+    The documentation of ``chi_squares`` defines D. The computation uses the wheel's frame (along,
+    across), in which the covariance R of the measurement is diagonal.
     """
     vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
     flags, c, s, x, y, mx, my, v_l, v_t = measurement
-    # H P H' in base_link, and its diagonal elements in the wheel's frame.
+    # The matrix H P H' in base_link, and its diagonal elements in the wheel's frame.
     u11 = p11 + y * (y * p33 - 2.0 * p13)
     u12 = p12 + x * p13 - y * (p23 + x * p33)
     u22 = p22 + x * (x * p33 + 2.0 * p23)
@@ -366,15 +371,15 @@ def compare_with_others(fit: Fit, measurement: WeightedMeasurement) -> Compariso
     if det > UNTESTABLE * v_l * v_t:
         both = (s_t * r_l * r_l - 2.0 * s_lt * r_l * r_t + s_l * r_t * r_t) / det
         return Comparison(both, roll, side, True)
-    # S has rank 1, because the other wheels determine only one direction of u.  The residual r lies
-    # in the direction of u that the other wheels determine.
+    # The covariance S has rank 1, because the other wheels determine only one component of the
+    # wheel's velocity u.  The residual r lies in the direction of this component.
     scale = s_l / v_l + s_t / v_t
     both = (r_l * r_l / v_l + r_t * r_t / v_t) / scale if scale > UNTESTABLE else 0.0
     return Comparison(both, roll, side, False)
 
 
 def misfit(fit: Fit) -> float:
-    """Returns the misfit: the sum of squared residuals over their variances, of all used rows."""
+    """Returns the sum of squared residuals over variances of all used measurements."""
     vx, vy, wz = fit[:3]
     total = 0.0
     for flags, c, s, x, y, mx, my, v_l, v_t in fit.measurements:
@@ -401,9 +406,10 @@ class NormalEquations(NamedTuple):
 
 
 def unweighted_normal_equations(measurements: Sequence[Measurement]) -> NormalEquations:
-    """Returns the normal equations of all used rows with equal weights.
+    """Returns the normal equations of a fit in which all used measurements have equal weights.
 
-    The matrix is the sum of L'L and T'T. The right-hand side is the sum of L'z_L and T'z_T.
+    The matrix of the normal equations is the sum of all L'L and T'T. The right-hand side is the sum
+    of all L'z_L and T'z_T.
     """
     a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
     for flags, c, s, x, y, z_l, z_t, _, _ in measurements:

@@ -1,19 +1,19 @@
-"""Rejection of faulty wheels by a search over hypotheses.
+"""Rejects faulty wheels by a search over hypotheses about which wheels are faulty.
 
 A wheel that slips, stalls or has a wrong steering angle disagrees with the other wheels.  The
 chi-square D of a faulty wheel therefore exceeds a threshold, the gate (see
-``twist_fit.chi_squares``).  One faulty wheel also changes the fitted twist, so healthy wheels can
-exceed their gates, too.  With few wheels, a healthy wheel can even have the largest D. The search
-therefore fits the twist without each wheel in turn (leave-one-out).  If no single wheel explains
-the misfit, the search also leaves out pairs of wheels.  The cost of the hypothesis "the wheels F
-are faulty" is
+``twist_fit.chi_squares``).  A faulty wheel also changes the fitted twist, so the chi-squares of
+healthy wheels can exceed their gates.  On a robot with few wheels, a healthy wheel can even have
+the largest chi-square.  The search therefore fits the twist without each wheel in turn
+(leave-one-out).  If no single wheel explains the misfit, the search also leaves out pairs of
+wheels.  Cost of the hypothesis that the wheels of a set F are faulty:
 
-    cost = misfit of the rows in use + sum over the k-th wheel of F of k * price
+    cost = misfit of the used measurements + sum over the k-th wheel of F of k * price
 
-The cost is -2 log of the likelihood of the hypothesis up to a constant.  ``price`` is the
-chi-square that a healthy wheel exceeds with the permitted rate of false rejections.  Because of the
-factor k, a second fault counts as rarer than the first fault.  Hypotheses of nearly equal cost are
-averaged with the weights exp(-cost / 2).
+Up to a constant, the cost of a hypothesis is -2 log of its likelihood.  ``price`` is the chi-square
+that a healthy wheel exceeds with the permitted rate of false rejections.  Because of the factor k,
+the search assumes that two faulty wheels are less likely than one.  Hypotheses of nearly equal cost
+are averaged with the weights exp(-cost / 2).
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ from thorvaldc.runtime.calculators.twist_fit import (
 )
 
 _CREDIBLE = 6.63
-"""Largest chi-square at which the fit still uses one row of a faulty wheel.
+"""The fit still uses one of the two measurements of a faulty wheel up to this chi-square.
 
-1 % quantile of the distribution with 1 degree of freedom.
+The number is the 1 % quantile of the chi-square distribution with 1 degree of freedom.
 """
 _NEGLIGIBLE = 9.2
-"""Difference from the smallest cost at which the weight of a hypothesis falls below 1 %."""
+"""A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _PAIR_SEEDS = 3
-"""Number of single wheels, the most likely ones first, that the search extends to pairs."""
+"""Number of the most likely single faulty wheels that the search extends to pairs of wheels."""
 
 
 class Hypothesis(NamedTuple):
     """The assumption that certain wheels are faulty, and the fit of the twist without these wheels.
 
     - ``rejected``: indices of the measurements of the faulty wheels.
-    - ``measurements``: all measurements.  The fit uses no row of a rejected wheel, or one row if
-      this row agrees with the other wheels.
-    - ``fit``: fitted twist.
+    - ``measurements``: all measurements.  The fit uses at most one measurement of a rejected wheel,
+      which must agree with the other wheels.
+    - ``fit``: fitted twist without the rejected measurements.
     - ``cost``: cost of the hypothesis, by the formula in the documentation of the module
       ``wheel_rejection``.
-    - ``worst_ratio``: largest quotient D / gate of the wheels that are not rejected.  A wheel with
-      a quotient above 1 is suspect.
+    - ``worst_ratio``: largest quotient of chi-square and gate of the wheels that are not rejected.
+      A wheel with a quotient above 1 is suspect.
     """
 
     rejected: tuple[int, ...]
@@ -67,14 +67,14 @@ class Hypothesis(NamedTuple):
 class HypothesisSearch:
     """Searches for the faulty wheels of a robot.
 
-    - ``gates``: for each measurement, the chi-square D above which the wheel is suspect.
+    - ``gates``: for each measured wheel, the chi-square above which the wheel is suspect.
     - ``price``: cost of a rejected wheel, as explained in the documentation of the module
       ``wheel_rejection``.
     - ``max_rejected``: largest number of faulty wheels, 0 to 2.
     - ``fit_anew``: function that fits the twist, with weights from the unweighted fit of the same
       measurements.  With ``fit_anew``, the weights of the healthy wheels are independent of the
       faulty wheels.
-    - ``refit``: function that fits the twist, with weights from a previous fit.
+    - ``refit``: function that fits the twist with weights from a previous fit.
     """
 
     def __init__(
@@ -92,10 +92,11 @@ class HypothesisSearch:
         self._refit = refit
 
     def likely_hypotheses(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
-        """Returns all hypotheses with a considerable probability, the most likely hypothesis first.
+        """Returns all likely hypotheses about faulty wheels, the most likely hypothesis first.
 
-        ``fit`` is the fit of all measurements.  The result includes the hypothesis that all wheels
-        are healthy.  Returns an empty list if no hypothesis explains the misfit.
+        ``fit`` is the fitted twist with all measurements.  The returned list includes the
+        hypothesis that all wheels are healthy.  Returns an empty list if no hypothesis explains the
+        misfit.
         """
         all_healthy = self._hypothesis((), measurements, fit)
         singles = self._reject_one_more(all_healthy)
@@ -103,12 +104,12 @@ class HypothesisSearch:
         hypotheses = [all_healthy, *singles]
         if singles and self._max_rejected > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
-                # The list already contains the pairs with a more likely wheel.
+                # The list already contains all pairs of wheels with a more likely faulty wheel.
                 visited = [s.rejected[0] for s in singles[:rank]]
                 hypotheses += self._reject_one_more(single, visited)
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
-        if best.worst_ratio > 2.0:  # twice the gate: about the square of its probability
+        if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
         return [
             h._replace(fit=self._refit(h.measurements, h.fit)) if h.rejected else h
@@ -119,7 +120,7 @@ class HypothesisSearch:
     def _reject_one_more(
         self, hypothesis: Hypothesis, visited: Sequence[int] = ()
     ) -> list[Hypothesis]:
-        """Returns all hypotheses that reject one wheel more than ``hypothesis``.
+        """Returns all hypotheses with one more faulty wheel than ``hypothesis``.
 
         ``visited`` contains the indices of the wheels that are not rejected again.  A wheel can be
         rejected only if the other wheels determine the twist without it.
@@ -143,7 +144,7 @@ class HypothesisSearch:
     def _hypothesis(
         self, rejected: tuple[int, ...], measurements: list[Measurement], fit: Fit
     ) -> Hypothesis:
-        """Computes the cost of a hypothesis and uses one row of a rejected wheel if the row agrees.
+        """Computes the cost of a hypothesis, and keeps the correct measurement of a faulty wheel.
 
         A slipping wheel still measures its direction correctly.  A wheel with a wrong steering
         angle still measures its speed correctly.
@@ -170,10 +171,11 @@ class HypothesisSearch:
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
-    """Returns the mixture of all hypotheses, and the probability of the first hypothesis.
+    """Returns the mean fit of all hypotheses, and the probability of the first hypothesis.
 
-    With probabilities p_i, means xi_i and covariances P_i, the mixture has the mean xi = sum p_i
-    xi_i.  The mixture has the covariance P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
+    The fits of the hypotheses are averaged as a mixture of normal distributions.  With the
+    probabilities p_i, means xi_i and covariances P_i of the hypotheses, the mixture has the mean xi
+    = sum p_i xi_i and the covariance P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
     """
     best = hypotheses[0]
     if len(hypotheses) == 1:
@@ -203,8 +205,8 @@ def _cost(hypothesis: Hypothesis) -> float:
 
 
 def _with_use(measurement: Measurement, use: int) -> Measurement:
-    """Returns a copy of the measurement in which only the given rows are used by the fit.
+    """Returns a copy of a measurement with different flags for its use by the fit.
 
-    ``use`` is ``USE_ROLL``, ``USE_SIDE`` or 0 for no row.
+    ``use`` is ``USE_ROLL``, ``USE_SIDE``, or 0 if the fit must not use the measurement.
     """
     return (measurement[0] & ~(USE_ROLL | USE_SIDE) | use, *measurement[1:])
