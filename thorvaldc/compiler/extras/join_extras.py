@@ -1,4 +1,6 @@
-"""Checks the links and joints of extras, and adds them to the kinematic tree of the robot."""
+"""Checks the links and joints of added xacro files, and adds them to the kinematic tree of the
+robot.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from thorvaldc.model import Joint, Link, Mesh, Pose
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A mounting position on a link.
+    """A mounting position for a xacro file on a link of the robot.
 
     - ``link``: name of the link.
     - ``pose``: pose of the mounting position in the link frame.
@@ -24,15 +26,15 @@ class Attachment:
     pose: Pose
 
 
-# A function that returns the mounting position for the value of `parent` in an entry.  The value
-# `None` selects the root module of the robot.  The function returns `None` if the robot has no
-# module, module port or link of this name.
+# Function that returns the mounting position for the value of the key `parent` in the section
+# `extras`.  The value `None` of `parent` selects the root module of the robot.  A robot without a
+# module, module port or link with the name in `parent` gives `None`.
 FindAttachment = Callable[[str | None], Attachment | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Position of the root links of a xacro file on the robot.
+    """Position on the robot at which the root links of a xacro file are mounted.
 
     - ``span``: source span of the entry in the robot file.
     - ``parent``: value of ``parent`` in the entry, or ``None`` for the root module of the robot.
@@ -47,12 +49,12 @@ class Placement:
 
 
 class ExtrasJoiner:
-    """Adds the links and joints of extras to a robot, one xacro file after the other.
+    """Adds the links and joints of xacro files (extras) to a robot, one file after the other.
 
     - ``links``: source span of each link of the robot and of the extras already added.
     - ``joints``: source span of each joint of the robot and of the extras already added.
 
-    An extra can be mounted on a link of an extra that was added earlier.
+    A xacro file can be mounted on a link of a xacro file that was added earlier.
     """
 
     def __init__(
@@ -87,8 +89,8 @@ class ExtrasJoiner:
         children: dict[str, list[Joint]] = {}
         for joint in (*mounts, *joint_to.values()):
             children.setdefault(joint.parent, []).append(joint)
-        # Visit the joints depth first, from the links of the robot, in the order of the file.
-        # The depth-first order ensures that each link comes after its parent link.
+        # Depth-first search along the joints of the xacro file, starting at the links of the robot.
+        # The depth-first search visits each link after its parent link.
         stack = [
             joint
             for parent in reversed(children)
@@ -105,16 +107,17 @@ class ExtrasJoiner:
             self.new_joints.append(joint)
             stack += reversed(children.get(joint.child, []))
         unreached = [link for link in links.values() if link.name not in reached]
-        # If every root link is mounted on the robot, an unreached link belongs to a cycle.
+        # If every root link is mounted on the robot, a link that the search does not reach belongs
+        # to a closed loop.
         if unreached and len(mounts) == len(roots):
             self.report_cycle(unreached[0], joint_to)
         self.check_masses(links, children)
 
     def new_file_links(self, links: Sequence[Link]) -> dict[str, Link]:
-        """Returns the new links of a xacro file by name.
+        """Returns the links that a xacro file adds to the robot, by name.
 
-        A xacro file can refer to a link of the robot by an empty URDF link of the same name.
-        Empty URDF links that refer to a link of the robot are not new links.
+        A xacro file can refer to a link of the robot by an empty URDF link of the same name.  An
+        empty URDF link that refers to a link of the robot does not add a link.
         """
         new: dict[str, Link] = {}
         for link in links:
@@ -226,9 +229,9 @@ class ExtrasJoiner:
         return mounts
 
     def report_cycle(self, link: Link, joint_to: Mapping[str, Joint]) -> None:
-        """Reports a cycle of joints.
+        """Reports a closed loop of parent and child links in a xacro file.
 
-        The path from ``link`` along the parent links ends in the cycle.
+        The path from ``link`` along the parent links ends in the closed loop.
         """
         path = [link.name]
         while path[-1] not in path[:-1]:
@@ -242,7 +245,9 @@ class ExtrasJoiner:
         )
 
     def check_masses(self, links: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
-        """Checks that each moving link, together with the links fixed to it, has a mass."""
+        """Checks that each moving link of a xacro file has a mass, including the mass of the links
+        fixed to it.
+        """
 
         def mass(name: str, visited: tuple[str, ...]) -> float:
             inertial = links[name].inertial
@@ -264,9 +269,10 @@ class ExtrasJoiner:
                     )
 
     def check_mimics(self) -> None:
-        """Checks that the leader of each mimic joint exists.
+        """Checks that the leader joint of each mimic joint exists.
 
-        Call this method after adding the last file, because a later file can define the leader.
+        Call this method after adding the last xacro file, because a later file can define the
+        leader joint.
         """
         for joint in self.new_joints:
             if joint.mimic is not None and joint.mimic.joint not in self.joints:

@@ -1,8 +1,8 @@
 """Loads extras.  An extra is a xacro file whose links and joints are added to the robot.
 
-The module ``xacro_expand`` expands a xacro file.  The module ``urdf_reader`` converts the
-expanded file to links and joints.  The module ``join_extras`` adds the links and joints to the
-robot.
+The module ``xacro_expand`` evaluates the macros and expressions of a xacro file.  The module
+``urdf_reader`` converts the expanded xacro file to links and joints.  The module ``join_extras``
+adds the links and joints of xacro files to the robot.
 """
 
 from __future__ import annotations
@@ -44,12 +44,13 @@ __all__ = ["Attachment", "ExtraParts", "load_extras"]
 
 @dataclass(frozen=True, slots=True)
 class ExtraParts:
-    """Links, joints and meshes of all extras of a robot.
+    """Links, joints and meshes from all xacro files in the section ``extras`` of a robot file.
 
-    - ``links``: new links.  A parent link comes before its child links.
+    - ``links``: new links.  In the list of links, a parent link comes before its child links.
     - ``urdf_extensions``: XML text of the elements that are written only to URDF.
-    - ``files``: path of each xacro file, by the name of the file in source spans.  A path begins
-      with the path of the folder of the robot file, unless an installed package contains the file.
+    - ``files``: path of each xacro file, by the name of the file in source spans.  The path of a
+      file begins with the folder of the robot file, unless the file belongs to an installed ROS
+      package.
     """
 
     links: tuple[Link, ...] = ()
@@ -68,17 +69,17 @@ def load_extras(
     attach: FindAttachment,
     report: Report,
 ) -> ExtraParts:
-    """Loads the extras of a robot.
+    """Loads the xacro files in the section ``extras`` of a robot file.
 
     - ``entries``: entries of the section ``extras`` in the robot file.
     - ``base_dir``: folder of the robot file.
     - ``links``: source span of each link of the robot, by the name of the link.
     - ``joints``: source span of each joint of the robot, by the name of the joint.
     - ``attach``: function that finds the mounting position of an entry.
-    - ``report``: report that receives the errors.  If an extra has errors, the result does not
-      contain all its links and joints.
+    - ``report``: report that receives the errors.  If a xacro file has errors, some of its links
+      and joints are missing in the result.
 
-    If ``entries`` is empty, no worker process is started.
+    If ``entries`` is empty, no worker process for xacro is started.
     """
     if not entries:
         return ExtraParts()
@@ -190,9 +191,10 @@ def _text(node: Node) -> str:
 
 
 def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
-    """Returns a vector of three quantities in SI units.
+    """Returns a YAML list of three quantities as a vector in SI units.
 
-    - ``node``: a list of three numbers or quantities.  A missing node gives the zero vector.
+    - ``node``: a list of three numbers or quantities.  If the YAML list is missing, returns the
+      zero vector.
     - ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
     """
     if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
@@ -212,7 +214,7 @@ def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
 
 # -- from an expanded file to parts -------------------------------------------------
 
-# Kind of an `ExpansionError` -> (name of the diagnostic code, message, hint).
+# Errors of the xacro expansion: kind of error -> (name of the diagnostic code, message, hint).
 _FAILURES = {
     "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
     "root": ("extra-xml", "the root element of a xacro file must be <robot>, not {text}", None),

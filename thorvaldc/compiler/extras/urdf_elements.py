@@ -1,7 +1,7 @@
 """Reads the attributes of URDF elements.
 
-The table ``ELEMENTS`` lists all supported elements and attributes of URDF.  The reader ignores
-other elements and attributes, and reports a warning.
+The table ``ELEMENTS`` lists all supported elements and attributes of URDF.  Other URDF elements and
+attributes are ignored, and the user gets a warning.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _FRACTION: _Range = (lambda value: 0.0 <= value <= 1.0, "must be between 0 and 1
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """A URDF attribute that contains numbers in SI units.
+    """A numeric attribute of a URDF element, in SI units.
 
     - ``count``: required number of numbers in the attribute.
-    - ``default``: text that the reader uses if the attribute is missing.  An attribute without a
-      default is required.
+    - ``default``: text that the reader uses if the attribute is missing.  A numeric URDF attribute
+      without a default is required.
     - ``range``: allowed range of each number.
     - ``range_code``: name of the diagnostic for a number outside the range.
     """
@@ -45,7 +45,7 @@ class _Numbers:
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """The allowed content of a URDF element.
+    """The child elements and attributes that a URDF element can have.
 
     - ``children``: names of the supported child elements.
     - ``text``: names of the attributes that contain text.
@@ -104,9 +104,9 @@ ELEMENTS: dict[str, _Content] = {
 
 
 def call_labels(element: Element) -> tuple[Label, ...]:
-    """Returns labels at the macro calls that created an element.
+    """Returns labels that show the xacro macro calls that created a URDF element.
 
-    The label at the innermost macro call comes first.
+    The label of the innermost xacro macro call comes first.
     """
     return tuple(Label(span, "in the macro called here") for span in element.calls[:4])
 
@@ -117,7 +117,7 @@ class ElementReader:
     - ``report``: report that receives the errors.
     - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
 
-    If an attribute has an error, a method adds a diagnostic and returns ``None``.
+    If a URDF attribute has an error, a method adds a diagnostic and returns ``None``.
     """
 
     def __init__(self, report: Report, macros: Collection[str]) -> None:
@@ -140,7 +140,9 @@ class ElementReader:
         )
 
     def check_content(self, element: Element) -> None:
-        """Reports a warning for each child element or attribute that is not in ``ELEMENTS``."""
+        """Reports a warning for each child element and attribute of a URDF element that is not in
+        ``ELEMENTS``.
+        """
         content = ELEMENTS[element.tag]
         for child in element.children:
             if child.tag in content.ignored:
@@ -157,18 +159,19 @@ class ElementReader:
                 self.add("extra-left-out", message, element, did_you_mean(name, attributes))
 
     def text(self, element: Element, name: str) -> str | None:
-        """Returns the value of a required text attribute."""
+        """Returns the value of a required text attribute of a URDF element."""
         value = element.attributes.get(name, "").strip()
         if not value:
             self.add("extra-element", f"<{element.tag}> has no attribute `{name}`", element)
         return value or None
 
     def numbers(self, element: Element, names: Sequence[str] | None = None) -> Any:
-        """Returns the values of the numeric attributes of an element, by name.
+        """Returns the values of the numeric attributes of a URDF element, by name.
 
-        - ``names``: names of the attributes to read.  ``None`` reads all numeric attributes.
+        - ``names``: names of the attributes to read.  The value ``None`` selects all numeric
+          attributes of the URDF element.
 
-        The value of an attribute is a float, or a tuple of floats for several numbers.
+        The value of a URDF attribute is a float, or a tuple of floats for several numbers.
         """
         self.check_content(element)
         attributes = ELEMENTS[element.tag].numbers

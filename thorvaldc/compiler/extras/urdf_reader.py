@@ -1,7 +1,7 @@
-"""Converts URDF elements to links and joints of the model.
+"""Converts URDF elements to links and joints of the robot model.
 
-The module ``urdf_elements`` lists the supported URDF elements.  A diagnostic about an element
-has the source span of the element in the xacro file.
+The module ``urdf_elements`` lists the supported URDF elements.  A diagnostic about a URDF element
+shows the line of the element in the xacro file.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from thorvaldc.model.spatial import clean, clean3, norm, scale
 
 RGBA = tuple[float, float, float, float]
 
-# Colour of a visual without a material.
+# Colour of a URDF visual without a material.
 DEFAULT_COLOR: RGBA = (0.6, 0.6, 0.6, 1.0)
 # Colours of materials that many URDF files use without defining them.
 _COMMON_COLORS: dict[str, RGBA] = {
@@ -55,7 +55,7 @@ MeshLoader = Callable[[str, Element, Vec3], Mesh | None]
 
 @dataclass(frozen=True, slots=True)
 class UrdfParts:
-    """The links, joints, meshes and URDF extensions of one file, in the order of the file."""
+    """The links, joints, meshes and URDF extensions of one xacro file, in the order of the file."""
 
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
@@ -70,11 +70,12 @@ def read_urdf(
     report: Report,
     macros: Collection[str] = (),
 ) -> UrdfParts:
-    """Converts the child elements of ``<robot>`` to links and joints of the model.
+    """Converts the child elements of the URDF element ``<robot>`` to links and joints of the robot
+    model.
 
     - ``module``: name that identifies the extra in the model.
     - ``load_mesh``: function that loads the mesh file of an element.  The arguments of
-      ``load_mesh`` are the file name, the element and the scale.
+      ``load_mesh`` are the file name, the URDF element and the scale factors.
     - ``report``: report that receives the errors.
     - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
     """
@@ -82,7 +83,7 @@ def read_urdf(
 
 
 class _Reader(ElementReader):
-    """Converts the URDF elements of one file."""
+    """Converts the URDF elements of one xacro file to links and joints."""
 
     def __init__(
         self, module: str, load_mesh: MeshLoader, report: Report, macros: Collection[str]
@@ -166,8 +167,8 @@ class _Reader(ElementReader):
         if inertial.mass == 0.0 and high > tolerance:
             self.add("extra-inertia", f"link `{link}` has an inertia but no mass", mass_element)
             return None
-        # The principal moments of inertia of a rigid body are not negative.  The largest moment
-        # is at most the sum of the other moments (triangle inequality).
+        # The principal moments of inertia of a rigid body are not negative.  The largest principal
+        # moment of inertia is at most the sum of the other two (triangle inequality).
         if low < -tolerance or high > low + middle + tolerance:
             reason = "one is negative" if low < -tolerance else "one exceeds the sum of the others"
             moments = ", ".join(f"{moment:.4g}" for moment in (low, middle, high))
@@ -218,9 +219,9 @@ class _Reader(ElementReader):
     # -- materials ---------------------------------------------------------------
 
     def collect_materials(self, element: Element) -> None:
-        """Collects the named materials of an element and its child elements.
+        """Collects the named materials of a URDF element and its child elements.
 
-        A visual can refer to a named material that any other element of the file defines.
+        A URDF visual can refer to a named material that any other element of the file defines.
         """
         if element.tag == "material":
             self.check_content(element)
@@ -242,8 +243,9 @@ class _Reader(ElementReader):
             return self.materials[name]
         color = material.find("color")
         if color is not None:
-            # A material without a name defines the colour of a single visual.  If a material has
-            # a name but is not in `materials`, its colour is invalid and already reported.
+            # A URDF material without a name defines the colour of a single visual.  If a URDF
+            # material has a name but is not in `materials`, an error about its colour is already
+            # reported.
             values = self.numbers(color) if not name else None
             return values["rgba"] if values is not None else DEFAULT_COLOR
         if material.find("texture") is not None:
@@ -327,9 +329,10 @@ class _Reader(ElementReader):
         return clean3(scale(1.0 / length, values["xyz"]))
 
     def limits(self, joint: Element, kind: str, name: str) -> dict[str, float] | None:
-        """Returns the limits of a joint by the names of the URDF attributes.
+        """Returns the limits of a URDF joint by the names of the attributes of ``<limit>``.
 
-        - ``kind``: type of the joint, such as ``revolute``.  A continuous joint needs no limits.
+        - ``kind``: type of the joint, such as ``revolute``.  A URDF joint of the type
+          ``continuous`` needs no limits.
         """
         element = joint.find("limit")
         if kind == "continuous":

@@ -1,13 +1,13 @@
 """Expands xacro files in a worker process, and returns XML elements with source spans.
 
-The diagram shows the protocol between the compiler and the worker (``xacro_worker``):
+Protocol between the compiler and the worker process (``xacro_worker``):
 
     compiler                                worker
        | -- stdin: one JSON request, EOF ---> |
        | <--- stdout: one JSON line per file- |  at most WALL_SECONDS per line
        | -- SIGKILL ------------------------> |  if a line is late or too long
 
-If the worker process ends early, another worker process expands the remaining files.
+If the worker process ends early, another worker process expands the remaining xacro files.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Element:
     - ``span``: source span at which a xacro file defines the element.
     - ``calls``: source spans of the macro calls that created the element, the innermost first.
     - ``file``: xacro file that defines the element.
-    - ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The XML text is empty for all
-      other elements.
+    - ``xml``: XML text of a URDF extension such as ``<gazebo>``.  The XML text is empty for
+      elements that are not URDF extensions.
     """
 
     tag: str
@@ -54,7 +54,9 @@ class Element:
     xml: str = ""
 
     def find(self, tag: str) -> Element | None:
-        """Returns the first child element with the name ``tag``, or ``None``."""
+        """Returns the first XML child element with the name ``tag``, or ``None`` if there is
+        none.
+        """
         return next((child for child in self.children if child.tag == tag), None)
 
 
@@ -138,9 +140,9 @@ class DisplayPaths:
     - ``display``: name of this folder in source spans.
     - ``installed``: folder of each installed ROS package, by the name of the package.
 
-    The name of a file in an installed package has the form ``package://...``.  The name of any
-    other file is ``display`` with the path of the file relative to ``folder``.  Messages and
-    outputs therefore do not depend on the folder of a checkout.
+    The name of a file in an installed ROS package has the form ``package://...``.  The name of any
+    other file is its path relative to ``folder``, after the prefix ``display``.  With relative
+    paths, messages and outputs do not depend on the location of the project folder.
     """
 
     folder: Path
@@ -148,7 +150,7 @@ class DisplayPaths:
     installed: dict[str, str]
 
     def name(self, file: str) -> str:
-        """Returns the name of a file for messages and outputs.
+        """Returns the file name that messages and outputs show instead of an absolute path.
 
         - ``file``: absolute path of the file.
         """
@@ -159,7 +161,9 @@ class DisplayPaths:
         return os.path.normpath(os.path.join(self.display, relative)).replace(os.sep, "/")
 
     def text(self, message: str) -> str:
-        """Replaces each absolute path in a text by the name of the file in messages."""
+        """Replaces each absolute path in a message by a path relative to the robot file or the ROS
+        package.
+        """
         for package, folder in self.installed.items():
             message = message.replace(os.path.join(folder, ""), f"package://{package}/")
         prefix = os.path.join(self.display, "") if self.display else ""
@@ -183,9 +187,9 @@ def _split(paths: str) -> list[str]:
 
 
 def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[ExpandedFile]:
-    """Expands several xacro files, and returns one result per file in the same order.
+    """Expands several xacro files, and returns one result per xacro file in the same order.
 
-    One worker process expands all files, unless the process ends early.
+    One worker process expands all xacro files, unless the process ends early.
     """
     search = search_paths()
     entries = [
@@ -208,10 +212,10 @@ def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[Ex
 
 
 def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Starts a worker process and returns its answers, one per xacro file.
+    """Starts a worker process for xacro and returns its answers, one per xacro file.
 
-    If the worker process ends early, the last answer is a failure.  The files after the failure
-    have no answer.
+    If the worker process ends early, the last answer describes the failure.  The xacro files after
+    a failure have no answer.
     """
     if find_spec("xacro") is None:
         text = "the package xacro is not installed"
@@ -227,15 +231,16 @@ def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without the variable SYSTEMROOT
         environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
     process = subprocess.Popen(
-        # The Python options exclude the site packages, the folder of the user and the folder of
-        # the script from the module path.  The option -B prevents the writing of .pyc files.
+        # The Python options of the worker exclude the site packages, the folder of the user and the
+        # folder of the script from the module path.  The Python option -B prevents the writing of
+        # .pyc files.
         [sys.executable, "-s", "-S", "-P", "-B", xacro_worker.__file__],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=environment,
-        # In a separate session, the worker does not receive Ctrl-C.  The compiler receives
-        # Ctrl-C and then ends the worker.
+        # The worker process runs in a separate process session and does not receive Ctrl-C.  The
+        # compiler receives Ctrl-C and then ends the worker process.
         start_new_session=True,
     )
     stdin, stdout = process.stdin, process.stdout
@@ -285,7 +290,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]:
-    """Returns the answer for a file during whose expansion the worker process ended.
+    """Returns the error answer for a xacro file if the worker process ended while it expanded the
+    file.
 
     - ``received``: number of bytes of the incomplete answer.
     - ``timed_out``: whether the compiler ended the worker after ``WALL_SECONDS``.

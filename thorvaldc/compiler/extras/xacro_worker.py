@@ -1,17 +1,18 @@
 """Expands xacro files in a separate process with limits.
 
 A xacro file contains Python expressions and can read any file.  For security, the compiler runs
-this module in a separate process.  The process has an empty environment, limits on time and
-memory, and no right to write files.  The compiler sends one JSON request to the standard input
-of the process.  The process writes one line of JSON per xacro file to its standard output.
-This module is a single file and imports only xacro and the standard library, because the package
-``thorvaldc`` is not on the module path of the process.
+this module in a separate process.  The worker process has no environment variables, limited time
+and memory, and no right to write files.  The compiler sends one JSON request to the standard input
+of the worker process.  The worker process writes one line of JSON per xacro file to its standard
+output.  The worker imports only xacro and the standard library, because it cannot import
+``thorvaldc``.
 
-xacro does not keep line numbers.  The class ``_Builder`` therefore stores the position of each
-XML element as DOM user data.  A clone of an element keeps the position of the original element.
-The method ``Expansion.patches`` replaces functions of xacro by wrappers that use the positions.
-Each element of the expanded file has the line at which a xacro file defines the element, and the
-macro calls that created the element.  Each error has the position of the element that causes it.
+The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` therefore
+stores the position of each XML element as DOM user data.  A clone of an XML element keeps the
+position of the original element.  The method ``Expansion.patches`` replaces functions of xacro by
+wrappers that use these positions.  Each element of the expanded file has the line of its definition
+in a xacro file, and the macro calls that created the element.  Each error of the xacro expansion
+has the position of the XML element that causes the error.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class ExpansionError(Exception):
     """Raised if a xacro file cannot be expanded.
 
     - ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``
-      or ``expression``.  The compiler reports a different diagnostic for each kind.
+      or ``expression``.  The compiler reports a different diagnostic for each kind of error.
     - ``text``: description of the error.
     - ``position``: position of the error, or ``None`` if it is unknown.
     """
@@ -59,7 +60,7 @@ def find_package(
 ) -> str | None:
     """Returns the folder of a ROS package, or ``None`` if the package is not found.
 
-    The function searches the package in this order:
+    Search order for a ROS package:
 
     1. the folders in ``packages``, which the robot file sets
     2. the folders ``share/<name>`` in the install prefixes ``search["ament"]``
@@ -153,16 +154,16 @@ class Expansion:
         self.properties: dict[str, Position | None] = {}
         self.packages: dict[str, str] = {}
         self.error_position: Position | None = None
-        # Includes, macro calls and property definitions that lead to an error.
+        # Xacro includes, macro calls and property definitions that lead to an error.
         self.trail: list[tuple[Position, str]] = []
         self.current: Any = None  # element whose attributes xacro reads
 
     # -- replacements of functions of xacro --------------------------------------
 
     def parse(self, inp: Any, filename: str | None = None) -> Any:
-        """Replaces the function ``parse`` of xacro.
+        """Replaces the function ``parse`` of xacro, which parses a xacro file.
 
-        Limits the size of a file and stores the position of each element.
+        Limits the size of a xacro file and stores the position of each XML element.
         """
         if inp is not None or filename is None:
             return inp
@@ -170,10 +171,10 @@ class Expansion:
             with open(filename, "rb") as file:
                 data = file.read(MAX_SOURCE_BYTES + 1)
         except OSError as error:
-            # As in xacro, the error belongs to the file that contains the include.
+            # The error of a failed include belongs to the xacro file that contains the include.
             self.xacro.filestack.pop()
             text = f"file `{filename}` cannot be read: {error.strerror}"
-            # For an optional include, xacro expects an OSError inside a XacroException.
+            # If an optional include fails, xacro expects an OSError inside a XacroException.
             raise self.xacro.XacroException(exc=OSError(text)) from error
         if len(data) > MAX_SOURCE_BYTES:
             raise ExpansionError(
@@ -189,9 +190,10 @@ class Expansion:
             raise ExpansionError("xml", text, (index, error.lineno, error.offset + 1)) from error
 
     def with_position(self, function: Callable[..., Any], label: str = "") -> Callable[..., Any]:
-        """Wraps a function of xacro whose first argument is an element.
+        """Wraps a function of xacro whose first argument is an XML element.
 
-        If the function raises an exception, the wrapper stores the position of the element.
+        If the xacro function raises an exception, the wrapper stores the position of the XML
+        element.
 
         - ``label``: text of the entry that the wrapper adds to the trail of the error.
         """
@@ -215,7 +217,9 @@ class Expansion:
         return call
 
     def with_current(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``reqd_attrs`` of xacro, and stores the element whose attributes xacro reads."""
+        """Wraps ``reqd_attrs`` of xacro, and stores the XML element whose attributes xacro
+        reads.
+        """
 
         def call(node: Any, names: Any) -> Any:
             self.current = node
@@ -226,7 +230,7 @@ class Expansion:
     def with_calls(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps the function ``replace_node`` of xacro.
 
-        Stores the position of the macro call in each element that the macro call inserts.
+        Stores the position of a xacro macro call in each XML element that the macro call inserts.
         """
 
         def call(node: Any, by: Any, content_only: bool = False) -> None:
@@ -242,7 +246,7 @@ class Expansion:
         return call
 
     def recording_property(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``grab_property`` of xacro, and stores the position of a property definition."""
+        """Wraps ``grab_property`` of xacro, and stores the position of each property definition."""
 
         def call(node: Any, table: Any) -> Any:
             self.properties[node.getAttribute("name")] = _position(node)
@@ -253,7 +257,7 @@ class Expansion:
     def recording_macro(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps the function ``grab_macro`` of xacro.
 
-        Stores the required parameters and the position of each macro definition.
+        Stores the required parameters and the position of each xacro macro definition.
         """
 
         def call(node: Any, macros: Any) -> Any:
@@ -278,7 +282,8 @@ class Expansion:
     def with_definition(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps the method ``Table._resolve_`` of xacro.
 
-        If a property has an error, adds the position of its definition to the trail of the error.
+        If a xacro property has an error, the error message also shows the definition of the
+        property.
         """
 
         def call(table: Any, key: str) -> Any:
@@ -295,8 +300,8 @@ class Expansion:
     def find(self, name: str) -> str:
         """Replaces the xacro substitution ``$(find name)``.
 
-        Returns the folder of a ROS package.  The original function of xacro would search the
-        ROS installation.
+        Returns the folder of a ROS package.  The original ``$(find)`` of xacro would search the ROS
+        installation.
         """
         near = self.xacro.filestack[-1] or self.entry["file"]
         folder = find_package(name, self.entry["packages"], self.entry["search"], near)
@@ -308,7 +313,7 @@ class Expansion:
     def with_packages(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps the function ``abs_filename_spec`` of xacro.
 
-        An include can then have a URL that begins with ``package://`` or ``file://``.
+        A xacro include can then have a URL that begins with ``package://`` or ``file://``.
         """
 
         def call(spec: str) -> Any:
@@ -322,8 +327,8 @@ class Expansion:
     def with_substitutions(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps the function ``eval_extension`` of xacro.
 
-        The substitution ``$(find)`` then calls ``find_package``.  The substitution ``$(env)``
-        raises an error, because the worker process has an empty environment.
+        The xacro substitution ``$(find)`` then calls ``find_package``.  The xacro substitution
+        ``$(env)`` raises an error, because the worker process has no environment variables.
         """
 
         def environment(name: str) -> str:
@@ -347,7 +352,7 @@ class Expansion:
         return call
 
     def warn(self, *words: Any, **_: Any) -> str:
-        """Replaces the functions ``warning`` and ``error`` of xacro, and stores the message."""
+        """Replaces the functions ``warning`` and ``error`` of xacro, and stores their messages."""
         text = " ".join(str(w) for w in words)
         if "deprecated" not in text:
             self.warnings.append((text, _position(self.current) if self.current else None))
@@ -356,7 +361,9 @@ class Expansion:
     # -- the run -----------------------------------------------------------------
 
     def patches(self) -> dict[str, Any]:
-        """Returns the functions that replace functions of the module xacro, by name."""
+        """Returns the replacements for functions of the module xacro, by the name of the
+        function.
+        """
         x = self.xacro
         return {
             "parse": self.parse,
@@ -374,7 +381,9 @@ class Expansion:
         }
 
     def run(self) -> dict[str, Any]:
-        """Expands the xacro file.  The caller must have replaced the functions of xacro."""
+        """Evaluates the macros and expressions of the xacro file.  Replace the functions of xacro
+        by ``patches`` before calling this method.
+        """
         path = self.entry["file"]
         arguments = _Arguments(self.entry["args"])
         self.xacro.init_stacks(path)
@@ -397,10 +406,10 @@ class Expansion:
         }
 
     def answer(self) -> dict[str, Any]:
-        """Returns the JSON answer with the expanded file or the reason of a failure.
+        """Returns the JSON answer with the expanded xacro file or the reason of a failure.
 
-        The answer also contains the list of the files that xacro read.  A position refers to a
-        file by its index in this list.
+        The JSON answer also contains the list of the files that xacro read.  A position in the JSON
+        answer contains the index of a file in this list.
         """
         x = self.xacro
         resolve, evaluate = x.Table._resolve_, x.safe_eval
@@ -436,7 +445,7 @@ class Expansion:
         }
 
     def describe(self, error: Exception) -> dict[str, Any]:
-        """Returns the description of a failure for the JSON answer.
+        """Returns the description of a failed xacro expansion for the JSON answer.
 
         - ``error``: exception that the method ``run`` raised.
         """
@@ -460,9 +469,9 @@ def _ignore(*_: Any, **__: Any) -> str:
 
 
 def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wraps the function ``safe_eval`` of xacro.
+    """Wraps the function ``safe_eval`` of xacro, which evaluates a Python expression.
 
-    For a syntax error, raises a ``ValueError`` whose message contains the expression.
+    If the expression has a syntax error, raises ``ValueError`` with the expression in the message.
     """
 
     def call(expression: str, symbols: Any, more: Any = None) -> Any:
@@ -475,9 +484,9 @@ def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _find_cause(error: BaseException | None, type_: type[Any]) -> Any:
-    """Searches an exception and its causes for an exception of type ``type_``.
+    """Searches a Python exception and its causes for an exception of the class ``type_``.
 
-    Returns the first exception of this type, or ``None``.
+    Returns the first exception of the class ``type_``, or ``None``.
     """
     count = 0
     while error is not None and count < 50:
@@ -499,7 +508,7 @@ def _walk(node: Any) -> Iterator[Any]:
 def _encode(node: Any, root: Any) -> dict[str, Any]:
     """Converts an XML element to a JSON object for the answer.
 
-    The object of a URDF extension, such as ``<gazebo>``, contains the XML text of the element.
+    The JSON object of a URDF extension, such as ``<gazebo>``, contains the XML text of the element.
     """
     position, calls = node.getUserData(_KEY) or (None, ())
     element = {
@@ -529,10 +538,9 @@ def _encode(node: Any, root: Any) -> dict[str, Any]:
 
 
 def _set_limits() -> None:
-    """Limits the memory and the file access of this process.
+    """Limits the memory and the file access of the worker process.
 
-    On a system without the Python module ``resource``, the limits cannot be set.  The time-out
-    of the compiler is then the only limit.
+    On a system without the Python module ``resource``, memory and file access are not limited.
     """
     try:
         import resource
@@ -551,7 +559,7 @@ def _set_limits() -> None:
 
 
 def _set_cpu_limit() -> None:
-    """Limits the processor time of the next expansion to ``CPU_SECONDS`` (s)."""
+    """Limits the processor time for the next xacro file to ``CPU_SECONDS`` (s)."""
     try:
         import resource
 

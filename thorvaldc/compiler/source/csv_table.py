@@ -1,6 +1,6 @@
-"""Reads CSV files that contain numbers over time.
+"""Reads CSV files with a time column and columns of numbers.
 
-The first line of a file contains the names of the columns.  One column has the name ``time``.
+The first line of a CSV file contains the names of the columns.  One column has the name ``time``.
 """
 
 from __future__ import annotations
@@ -54,15 +54,16 @@ class Table:
         return len(self.columns[TIME])
 
     def span_of(self, column: str) -> Span:
-        """Returns the source span of a column name in the first line of the file."""
+        """Returns the source span of a column name in the first line of the CSV file."""
         return cell_span(self.display, 1, self.header, list(self.columns).index(column))
 
 
 def read_table(path: Path, display: str, report: Report) -> Table | None:
-    """Reads the CSV record of a run.  Returns ``None`` if the file contains an error.
+    """Reads the CSV record of a run.  Returns ``None`` if the CSV file contains an error.
 
-    An empty cell gives nan.  An empty cell in the column ``time`` is an error.
-    An incomplete last line gives a warning, and the reader ignores the line.
+    The value of an empty cell is nan.  An empty cell in the column ``time`` of the CSV file is an
+    error.  If the last line of the CSV file is incomplete, the reader ignores the line and reports
+    a warning.
     """
     text = read_utf8(path, display, report)
     if text is None:
@@ -91,14 +92,14 @@ def _header_error(names: Sequence[str]) -> str | None:
 def read_columns(
     lines: Sequence[str], names: Sequence[str], display: str, report: Report, rules: RowRules
 ) -> dict[str, list[float]] | None:
-    """Returns the numbers of each column, or ``None`` if a line is invalid.
+    """Returns the numbers in each column of a CSV file, or ``None`` if a line is invalid.
 
     - ``lines``: all lines of the file, including the first line with the column names.
     - ``names``: names of the columns, in the order of the file.
     - ``rules``: diagnostic codes for invalid lines.
 
-    Each invalid line gives a diagnostic with line and column.  Reading stops after
-    ``_MAX_INVALID_LINES`` invalid lines.
+    Each invalid line of the CSV file is reported with its line and column number.  Stops after
+    ``_MAX_INVALID_LINES`` invalid lines of the CSV file.
     """
     rows: list[list[float]] = []
     invalid_lines, last_time, time_index = 0, -math.inf, names.index(TIME)
@@ -138,9 +139,9 @@ def read_columns(
 def _value_error(
     cells: Sequence[str], names: Sequence[str], time_index: int, rules: RowRules
 ) -> tuple[int | None, str] | None:
-    """Returns the error of a line as (cell index, message), or ``None`` if the line is valid.
+    """Returns the error in a CSV line as (cell index, message), or ``None`` if the line is valid.
 
-    The cell index is ``None`` if the line has the wrong number of cells.
+    The cell index is ``None`` if the CSV line has the wrong number of cells.
     """
     if len(cells) != len(names):
         return None, f"the line has {len(cells)} values; there are {len(names)} columns"
@@ -167,7 +168,7 @@ def read_utf8(path: Path, display: str, report: Report) -> str | None:
 
 
 def parse_number(cell: str) -> float:
-    """Returns the number in a cell, or nan if the cell does not contain a number."""
+    """Returns the number in a CSV cell, or nan if the cell does not contain a number."""
     try:
         # Python's `float` accepts the text `1_000`, which is not a number in a CSV file.
         return math.nan if "_" in cell else float(cell)
@@ -176,7 +177,7 @@ def parse_number(cell: str) -> float:
 
 
 def cell_span(display: str, line_number: int, line: str, index: int) -> Span:
-    """Returns the source span of the cell at position ``index`` (from 0) of a line."""
+    """Returns the source span of the CSV cell with the number ``index`` (from 0) in a line."""
     cells = line.split(",")
     start = sum(len(cell) + 1 for cell in cells[:index]) + 1
     end = start + len(cells[index]) if index < len(cells) else start

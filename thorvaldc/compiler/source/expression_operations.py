@@ -1,10 +1,10 @@
-"""Names, operators and functions of the expression language.
+"""Names, operators and functions in the expressions of module documents (``${...}``).
 
-Each public function returns a closure that computes the value of one part of an expression.
-The parser calls these functions once and builds a tree of closures.  To evaluate an expression
-means to call the outermost closure with a scope.  A scope maps each known name to its value.
-The parameter ``offset`` is the position of an operator or name in the text of the expression.
-Error messages contain the offset.
+Each public function of this module returns a closure that computes the value of one part of an
+expression.  The expression parser builds a tree of closures.  The outermost closure returns the
+value of the whole expression.  The argument of a closure is the scope, which maps each known name
+to its value.  The parameter ``offset`` is the position of an operator or name in the text of the
+expression.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _CONSTANTS: dict[str, Any] = {
 
 
 def show(value: Any, bare: bool = False) -> str:
-    """Formats the value of an expression for a message.
+    """Formats the value of an expression as text for an error message.
 
     - ``bare``: returns only the value, such as ``a`` instead of ``the text `a```.
     """
@@ -62,10 +62,11 @@ def _require_number(value: Any, offset: int, name: str) -> Number:
 
 
 def _require_truth(value: Any, offset: int, name: str) -> bool:
-    """Returns the truth value of an operand.
+    """Returns an operand of an expression as a truth value.
 
-    A parameter that selects a module is true.  A parameter with the value ``none`` is false.
-    Raises ``ExpressionError`` if the operand has no truth value.
+    A parameter of a robot module counts as true if its value is another module.  A parameter of a
+    robot module counts as false if its value is ``none``.  Raises ``ExpressionError`` if the
+    operand cannot be converted to a truth value.
     """
     if isinstance(value, bool):
         return value
@@ -79,9 +80,10 @@ def _require_truth(value: Any, offset: int, name: str) -> bool:
 
 
 def _require_finite(value: Any, offset: int) -> Any:
-    """Checks the result of an operation, and returns the result unchanged.
+    """Checks the range of the result of an arithmetic operation, and returns the result unchanged.
 
-    Raises ``ExpressionError`` if a float is not finite or an integer exceeds 64 bits.
+    Raises ``ExpressionError`` if the result is an infinite float, nan or an integer of more than 64
+    bits.
     """
     if isinstance(value, float):
         in_range = math.isfinite(value)
@@ -188,13 +190,12 @@ def choose(condition: Evaluate, value: Evaluate, otherwise: Evaluate, offset: in
 
 
 def logical(word: str, decisive: bool, operands: list[Evaluate], offset: int) -> Evaluate:
-    """Returns a closure for the operator ``and`` or ``or``.
+    """Returns a closure that computes a chain of ``and`` operators or a chain of ``or`` operators.
 
     - ``word``: name of the operator in error messages.
-    - ``decisive``: operand value that decides the result.  The decisive value is false for ``and``
-      and true for ``or``.
+    - ``decisive``: operand value that decides the result.  The operator ``and`` stops at the first
+      false operand, and ``or`` at the first true operand.
 
-    The closure does not evaluate operands after the first decisive operand.
     """
 
     def run(scope: Scope) -> bool:
@@ -207,7 +208,7 @@ def logical(word: str, decisive: bool, operands: list[Evaluate], offset: int) ->
 
 
 def negate(operand: Evaluate, count: int, offset: int) -> Evaluate:
-    """Returns a closure that applies the operator ``not`` to an operand ``count`` times."""
+    """Returns a closure that computes the logical negation of an operand ``count`` times."""
     odd = count % 2 == 1
     return lambda scope: _require_truth(operand(scope), offset, "not") is not odd
 
@@ -221,7 +222,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 
 
 def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
-    """Returns a closure for a chain of comparisons, such as ``a < b <= c``.
+    """Returns a closure that computes a chain of comparisons, such as ``a < b <= c``.
 
     - ``first``: operand before the first operator.
     - ``rest``: a tuple (operator, right operand, offset) for each comparison of the chain.
@@ -241,7 +242,8 @@ def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
 
 def _is_true(symbol: str, left: Any, right: Any, offset: int) -> bool:
     if symbol in ("==", "!="):
-        # In Python, 1 equals True.  In an expression, a number never equals a truth value.
+        # In Python, 1 equals True.  In the expressions of module documents, a number never equals a
+        # truth value.
         equal = isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
         return equal is (symbol == "==")
     left = _require_number(left, offset, symbol)
@@ -258,12 +260,12 @@ def signed(operand: Evaluate, minus: bool, offset: int) -> Evaluate:
 
 
 def chain(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
-    """Returns a closure for arithmetic operators of one level, such as ``a + b - c``.
+    """Returns a closure that computes a chain of arithmetic operators, such as ``a + b - c``.
 
     - ``first``: operand before the first operator.
     - ``rest``: a tuple (operator, right operand, offset) for each operator.
 
-    The closure applies the operators from left to right.
+    Arithmetic operators of equal precedence are applied from left to right.
     """
 
     def run(scope: Scope) -> Any:
@@ -350,8 +352,8 @@ def call(name: str, arguments: list[Evaluate], offset: int) -> Evaluate:
     return run
 
 
-# Name of each function -> (Python function, number of arguments).
-# The number 0 marks a function that takes one or more arguments.
+# Functions of the expression language: name -> (Python function, number of arguments).  The number
+# of arguments is 0 for a function that takes one or more arguments.
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
     "min": (lambda *values: min(values), 0),
     "max": (lambda *values: max(values), 0),

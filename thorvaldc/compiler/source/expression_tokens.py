@@ -1,4 +1,4 @@
-"""Splits an expression into tokens.
+"""Tokenizer for the expressions of module documents.
 
 A token is a number with or without a unit, a name, a text in quotes, a keyword or an operator.
 """
@@ -13,7 +13,7 @@ from thorvaldc.compiler.source.units import UNIT_NAME, UNIT_POWER, UnitError, pa
 
 
 class ExpressionError(Exception):
-    """Raised for an expression that has a syntax error or no value.
+    """Raised if an expression has a syntax error, or if its value cannot be computed.
 
     - ``offset``: position of the error in the expression, in characters from 0.
     - ``hint``: hint of the diagnostic.
@@ -43,11 +43,12 @@ def syntax_error(message: str, offset: int, hint: str | None = None) -> Expressi
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 _KEYWORDS = ("and", "or", "not", "if", "else")
 _NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
-# A number token includes all units that follow the number: `20 N m / s` is one token.
-# A name before `(`, `.` or `[` is not read as a further unit.  For example, `min` is a function
-# in `60 s/min(2, 3)`.  The keywords are never read as units.  Elsewhere in a document `%` means
-# percent, and a quote means inch or foot.  In an expression `%` is the remainder operator, and
-# a quote starts a text.
+# A number token includes all units that follow the number: `20 N m / s` is one token.  A name
+# before `(`, `.` or `[` is a function or a variable and never a unit.  For example, `min` in the
+# expression `60 s/min(2, 3)` is a function and not the unit minute.  The keywords of the expression
+# language, such as `and`, are never read as units.  Outside expressions, `%` is the unit percent,
+# and a quote is the unit inch or foot.  Inside expressions, `%` is the remainder operator, and a
+# quote starts a text.
 _UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{UNIT_NAME})(?:{UNIT_POWER})?"
 _TOKENS = re.compile(
     rf"""\s*(?:
@@ -76,7 +77,7 @@ END = "end"
 
 @dataclass(slots=True)
 class Token:
-    """A token of an expression.
+    """A token of an expression, such as a number, a name or an operator.
 
     - ``kind``: kind of the token, which is number, name, text, operator, keyword or end.
     - ``text``: source text of the token.
@@ -94,9 +95,10 @@ class Token:
 
 
 def tokenize(text: str) -> list[Token]:
-    """Returns the tokens of an expression.  The last token has the kind ``END``.
+    """Returns the tokens of an expression.  The last token of the list is an end marker of the kind
+    ``END``.
 
-    Raises ``ExpressionError`` for a syntax error.
+    Raises ``ExpressionError`` if the expression has a syntax error.
     """
     tokens: list[Token] = []
     text = text.rstrip()

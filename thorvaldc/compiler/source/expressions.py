@@ -1,12 +1,12 @@
 """Parses and evaluates the expressions of module documents: ``${length / 2 - 20 mm}``.
 
-The compiler does not use Python's own parser for these expressions.  Numbers in an expression
-have units, errors need a position, and an expression must not execute Python code.  Limits on
-the length and the nesting depth of an expression bound the parsing time.  The parser converts
-each expression once to closures, which the module ``expression_operations`` defines.
+The compiler does not use Python's own parser for these expressions.  The numbers in an expression
+have units, error messages contain a position, and an expression must not execute Python code.  The
+length and the nesting depth of an expression are limited, so that parsing is always fast.  The
+parser converts an expression to a tree of closures from the module ``expression_operations``.
 
-The grammar lists the operators from the weakest to the strongest.  In the grammar, ``?`` marks
-an optional part and ``*`` a repeated part:
+Grammar of an expression, from the operator that binds weakest to the operator that binds strongest
+(``?``: optional part, ``*``: repeated part):
 
     choice     = either ("if" either "else" choice)?
     either     = both ("or" both)*
@@ -49,23 +49,24 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
     """Returns the value of an expression in SI units.
 
     - ``text``: the expression, which a document contains between ``${`` and ``}``.
-    - ``scope``: value of each known name.  A value is a number in SI, a truth value, a text, a list
-      or a mapping.  An expression reads an entry of a mapping as an attribute: ``a.key``.
+    - ``scope``: value of each known name.  The value of a name is a number in SI units, a truth
+      value, a text, a list or a mapping.  An expression reads an entry of a mapping as an
+      attribute: ``a.key``.
 
-    Evaluation looks up a name only when the expression needs the value of the name.  A scope may
-    therefore compute a value on access.  A ``KeyError`` of ``scope`` means an unknown name.
-    Raises ``ExpressionError`` if the expression has an error.  All other exceptions of ``scope``
-    reach the caller.
+    A name is looked up in ``scope`` only when the expression needs its value.  The mapping
+    ``scope`` can therefore compute a value when it is read.  If ``scope`` raises ``KeyError``, the
+    name is unknown.  Raises ``ExpressionError`` if the expression has a syntax error, an unknown
+    name or no value.  Other exceptions that ``scope`` raises are not caught.
     """
     return _compile(text)(scope)
 
 
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
-    """Evaluates the ``${...}`` expressions in a text.
+    """Evaluates the ``${...}`` expressions in a text of a module document.
 
-    If the whole text is one expression, returns the value of the expression.  If the text has
-    other parts, returns the text with each expression replaced by its value.  The ``offset`` of
-    an ``ExpressionError`` counts from the start of ``text``.
+    If the whole text is one expression, returns the value of the expression.  If the text has other
+    parts, returns the text with each expression replaced by its value.  The attribute ``offset`` of
+    an ``ExpressionError`` is the position of the error in ``text``.
     """
     parts = split_text(text)
     if not any(is_expression for _, _, is_expression in parts):
@@ -87,11 +88,11 @@ def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
 
 @functools.lru_cache(maxsize=4096)
 def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
-    """Splits a text at its ``${...}`` expressions.
+    """Splits a text into its ``${...}`` expressions and the text between the expressions.
 
-    Returns a tuple (part, offset, is_expression) for each part of the text.  The part of an
-    expression does not include ``${`` and ``}``.  ``offset`` is the position of the part in the
-    text.  Raises ``ExpressionError`` if a closing brace is missing.
+    Returns a tuple (part, offset, is_expression) for each part of the text.  For an expression,
+    ``part`` is the text between ``${`` and ``}``.  ``offset`` is the position of the part in the
+    text.  Raises ``ExpressionError`` if the closing brace of an expression is missing.
     """
     parts: list[tuple[str, int, bool]] = []
     position = 0
@@ -108,14 +109,15 @@ def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
     return tuple(parts)
 
 
-# This pattern matches an expression and its closing brace.  A text in quotes can contain a brace.
+# Regular expression for the text of an expression and its closing brace.  A text in quotes inside
+# an expression can contain a brace.
 _INSIDE = re.compile(r"((?:[^}'\"]|'[^']*'|\"[^\"]*\"|['\"](?=[^'\"]*\}))*)\}")
 
 
 # -- parser -------------------------------------------------------------------------
 
-# Levels of binary operators, from the weakest to the strongest.  Each level is a tuple
-# (symbols of the operators, function that combines the operands).
+# Precedence levels of the binary operators, beginning with the lowest precedence.  Each precedence
+# level is a tuple (symbols of the operators, function that combines the operands).
 _LEVELS = (
     (("==", "!=", "<", "<=", ">", ">="), operations.compare),
     (("+", "-"), operations.chain),
@@ -138,7 +140,8 @@ def _compile(text: str) -> Evaluate:
 class _Parser:
     """A recursive-descent parser.
 
-    Each method parses one rule of the grammar and returns a closure that computes the value.
+    Each method of the parser parses one rule of the grammar, and returns a closure that computes
+    its value.
     """
 
     def __init__(self, tokens: list[Token]) -> None:
@@ -151,9 +154,9 @@ class _Parser:
         return self.tokens[self.position]
 
     def take(self, text: str) -> Token | None:
-        """Consumes the next token if it is the operator or keyword ``text``.
+        """Advances to the following token if the next token is the operator or keyword ``text``.
 
-        Returns the consumed token, or ``None`` if the next token is different.
+        Returns the token, or ``None`` if the next token is not the operator or keyword ``text``.
         """
         token = self.token
         if token.kind in ("operator", "keyword") and token.text == text:
@@ -284,7 +287,9 @@ class _Parser:
         raise syntax_error(f"expected a value, got `{token.text}`", token.offset)
 
     def elements(self, closing: str) -> list[Evaluate]:
-        """Parses values that are separated by commas, up to the closing bracket ``closing``."""
+        """Parses expressions that are separated by commas, up to the closing bracket
+        ``closing``.
+        """
         elements: list[Evaluate] = []
         while not self.take(closing):
             if elements:

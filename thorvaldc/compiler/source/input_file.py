@@ -1,4 +1,4 @@
-"""Reads the bytes of an input file, and reports a diagnostic if the file is not readable."""
+"""Reads the bytes of an input file, and reports an error if the file is not readable."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def read_bytes(
     If the file cannot be read, adds a diagnostic to ``report`` and returns ``None``.
 
     - ``display``: name of the file in messages.
-    - ``limit``: maximum number of bytes to read.  A negative limit reads the whole file.
+    - ``limit``: maximum number of bytes to read.  If the limit is negative, the whole file is read.
     - ``folder_hint``: hint of the diagnostic if the path is a folder.
     """
     try:

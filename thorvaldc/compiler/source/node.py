@@ -1,4 +1,4 @@
-"""A tree of YAML values with source spans."""
+"""YAML values with the lines and columns at which they stand in a file (source spans)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Value = None | bool | int | float | str | tuple["Node", ...] | dict[str, "Node"]
 
 
 class Node(NamedTuple):
-    """A YAML value with its source span.
+    """A YAML value with its source span (file, line and column).
 
     - ``value``: a scalar, a tuple of nodes for a list, or a dict of nodes for a mapping.
     - ``span``: source span of the value.
@@ -24,14 +24,14 @@ class Node(NamedTuple):
     quoted: bool = False
 
     def get(self, key: str) -> Node | None:
-        """Returns the entry of a mapping with this key.
+        """Returns the value of the key ``key`` in a YAML mapping.
 
-        Returns ``None`` if the mapping has no such key, or if the node is not a mapping.
+        Returns ``None`` if the YAML mapping has no such key, or if the YAML value is not a mapping.
         """
         return self.value.get(key) if isinstance(self.value, dict) else None
 
     def plain(self) -> Any:
-        """Returns the value as plain Python dicts, lists and scalars, without source spans."""
+        """Returns a YAML value as plain Python dicts, lists and scalars, without source spans."""
         if isinstance(self.value, dict):
             return {key: node.plain() for key, node in self.value.items()}
         if isinstance(self.value, tuple):
@@ -40,5 +40,5 @@ class Node(NamedTuple):
 
     @property
     def where(self) -> Span:
-        """Source span of the key, or of the value if the node has no key."""
+        """Source span of the YAML key, or of the YAML value if the value has no key."""
         return self.key_span or self.span

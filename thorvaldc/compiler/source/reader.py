@@ -1,9 +1,10 @@
-"""Reads a YAML document as a tree of nodes with source spans.
+"""Reads YAML documents, and keeps the line and column of each value (source span).
 
-PyYAML parses the text.  The module ``scalars`` converts unquoted scalars by the core schema of
-YAML 1.2.  This module also reports values such as ``on`` and ``010``, which YAML readers
-interpret differently.  If a value has an error, the reader returns the most likely value.
-Later stages of the compiler can then continue, and one run also reports errors of later stages.
+The package PyYAML parses the text of a YAML document.  The module ``scalars`` converts unquoted
+YAML scalars by the core schema of YAML 1.2.  Values such as ``on`` and ``010`` are reported,
+because YAML 1.1 and YAML 1.2 interpret them differently.  If a YAML value has an error, the reader
+returns the most likely value.  Later stages of the compiler can then continue, and one run also
+reports errors of later stages.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ MAX_DEPTH = 50
 
 
 def read_file(path: Path, display: str, report: Report) -> Node | None:
-    """Reads a YAML file.  Returns ``None`` if the file is not readable.
+    """Reads a YAML file.  Returns ``None`` if the YAML file is not readable.
 
     - ``display``: name of the file in messages.
     """
-    # Reading one byte more than the size limit is enough to detect a file that is too large.
+    # The reader reads one byte more than the size limit, to detect a file that is too large.
     hint = "name the file in it, such as `robot.yaml`"
     data = read_bytes(path, display, report, limit=MAX_BYTES + 1, folder_hint=hint)
     if data is None:
@@ -44,7 +45,7 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
     - ``file``: file name in source spans.
     - ``report``: report that receives the errors.
 
-    If single values have errors, returns the document with the most likely values.
+    If some YAML values have errors, returns the document with the most likely values.
     """
     root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
     if root is None:
@@ -61,9 +62,9 @@ def compose(
 ) -> Any | None:
     """Parses a YAML document and returns PyYAML's tree of nodes.
 
-    If the document has an error, adds a diagnostic to ``report`` and returns ``None``.
-    The size and the nesting depth of a document are limited.  Scalars remain text.  A PyYAML
-    node has a tag only if the document contains an explicit tag.
+    If the document has an error, adds a diagnostic to ``report`` and returns ``None``.  The size
+    and the nesting depth of a YAML document are limited.  Scalars remain text.  A PyYAML node has a
+    tag only if the document contains an explicit tag.
     """
     text = _decode(data, file, report)
     if text is None:
@@ -89,10 +90,10 @@ _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 # -- characters -------------------------------------------------------------------
 
-# A document must not contain C0 or C1 control characters, surrogates, the characters U+FFFE and
-# U+FFFF, or a byte order mark inside the text.  The characters U+0085, U+2028 and U+2029 are also
-# forbidden.  YAML 1.1 reads these characters as line breaks, but editors do not, so the line
-# numbers in messages would be wrong.
+# A YAML document must not contain control characters (C0 and C1), surrogates, U+FFFE, U+FFFF, or a
+# byte order mark inside the text.  The Unicode line separators U+0085, U+2028 and U+2029 are also
+# forbidden in a YAML document.  YAML 1.1 reads Unicode line separators as line breaks, but editors
+# do not, so the line numbers in messages would be wrong.
 _FORBIDDEN = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]"
 )
@@ -106,10 +107,10 @@ _CHARACTER_NAMES = {
 
 
 def _decode(data: bytes, file: str, report: Report) -> str | None:
-    """Returns the text of a document.
+    """Returns the text of a YAML document.
 
-    If the size, the encoding or a character is not allowed, adds a diagnostic to ``report`` and
-    returns ``None``.
+    If the size, the encoding or a character of the document is not allowed, adds a diagnostic to
+    ``report`` and returns ``None``.
     """
     if len(data) > MAX_BYTES:
         report.add(
@@ -162,7 +163,7 @@ def _span_at(text: str, index: int, file: str) -> Span:
 
 
 class _YamlError(Exception):
-    """Raised for a document that exceeds a limit or contains a recursive alias.
+    """Raised if a YAML document exceeds a size limit or contains a recursive alias.
 
     - ``mark``: position of the error as a PyYAML ``Mark``.
     """
@@ -178,9 +179,9 @@ class _YamlError(Exception):
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """A YAML loader with limits on the nesting depth and the number of values.
 
-    The composer of libyaml is recursive C code, and a deeply nested document would overflow the
-    stack.  To prevent a stack overflow, the loader checks the depth while the composer runs.
-    The loader sets the tag of a node only if the document contains an explicit tag.
+    The YAML composer of libyaml is recursive C code, so a deeply nested document would overflow the
+    stack.  To prevent a stack overflow, the loader checks the nesting depth while the YAML composer
+    runs.  The loader sets the tag of a YAML node only if the document contains an explicit tag.
     """
 
     def __init__(self, text: str) -> None:
@@ -227,10 +228,10 @@ class _Reader:
 
     - ``aliases``: whether the document can contain aliases.
 
-    With aliases, a PyYAML node can occur several times in the tree.  The reader converts each
-    PyYAML node once.  The values inside an aliased node count towards ``MAX_VALUES`` at each
-    occurrence of the node.  The limit ``MAX_VALUES`` stops a small document that expands to
-    billions of values ("billion laughs" attack).
+    A PyYAML node with YAML aliases occurs several times in the tree of nodes.  Each PyYAML node is
+    converted only once, even if YAML aliases refer to the node.  The values inside an aliased node
+    count towards ``MAX_VALUES`` at each occurrence of the node.  The limit ``MAX_VALUES`` stops a
+    small document that expands to billions of values ("billion laughs" attack).
     """
 
     def __init__(self, file: str, report: Report, aliases: bool) -> None:
@@ -283,15 +284,16 @@ class _Reader:
         return Span(self.file, start.line + 1, start.column + 1, end.line + 1, end.column + 1)
 
     def _collection_span(self, raw: Any, last: Span | None) -> Span:
-        """Returns the source span of a list or mapping.
+        """Returns the source span of a YAML list or mapping.
 
         - ``last``: source span of the last value in the list or mapping.
 
-        PyYAML ends a block list or mapping at the next token, which can be several lines later.
-        The returned span ends at the end of the last value.
+        PyYAML ends a YAML list or mapping at the next token, which can be several lines later.  The
+        returned source span ends at the end of the last value in the list or mapping.
         """
         span = self._span(raw)
-        # If the last value is an alias, its span can lie before the list or mapping.
+        # If the last value of a YAML list is an alias, the source span of the value can lie before
+        # the list.
         if raw.flow_style or last is None or last[1:3] < span[1:3]:
             return span
         return Span(self.file, span.line, span.column, last.end_line, last.end_column)
@@ -325,9 +327,9 @@ class _Reader:
         return Node(values, span, key_span)
 
     def _key(self, raw: Any, key_span: Span) -> str | None:
-        """Returns the text of a mapping key, or ``None`` if the entry must be skipped.
+        """Returns the text of a YAML mapping key, or ``None`` if the key is invalid.
 
-        A key that is a list or a mapping and the merge key ``<<`` are errors.
+        A YAML key that is a list, a mapping or the merge key ``<<`` is an error.
         """
         if raw.id != "scalar":
             self.report.add(

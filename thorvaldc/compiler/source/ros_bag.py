@@ -31,7 +31,7 @@ SUFFIXES = (".mcap", ".db3", ".bag")
 class MissingPackageError(Exception):
     """Raised if an optional Python package is not installed.
 
-    The message is a single line that tells the user how to install the package.
+    The message of the exception is one line that explains how to install the Python package.
     """
 
 
@@ -51,7 +51,7 @@ class Bag:
 
     - ``topics``: message type of every topic in the bag.
     - ``messages``: list of tuples (time, message) for each selected topic, in order of time.  The
-      time is in s since the start of the bag.
+      times of the messages are in seconds since the start of the ROS bag.
     """
 
     topics: Mapping[str, str]
@@ -59,9 +59,9 @@ class Bag:
 
 
 def is_bag(path: Path) -> bool:
-    """Returns whether a path is a ROS bag.
+    """Returns whether a file or folder is a ROS bag.
 
-    A file is recognised by its suffix, and a folder by its file ``metadata.yaml``.
+    A ROS bag file is recognised by its suffix, and a ROS bag folder by its file ``metadata.yaml``.
     """
     return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
 
@@ -73,7 +73,7 @@ def read_bag(
     choose: Callable[[Mapping[str, str]], Collection[str]],
     report: Report,
 ) -> Bag | None:
-    """Reads selected topics of a ROS bag.  Returns ``None`` if the bag is not readable.
+    """Reads selected topics from a ROS bag.  Returns ``None`` if the ROS bag is not readable.
 
     - ``display``: name of the bag in messages.
     - ``span``: source span of the diagnostics about the bag.
@@ -94,7 +94,7 @@ def read_bag(
                 name: [] for name in topics if name in selected
             }
             connections = [c for c in reader.connections if c.topic in selected]
-            # If the list of connections is empty, rosbags reads all topics.
+            # If the list of connections is empty, the package rosbags reads all topics.
             for connection, time, data in reader.messages(connections) if connections else ():
                 message = reader.deserialize(data, connection.msgtype)
                 seconds = (time - reader.start_time) / 1e9

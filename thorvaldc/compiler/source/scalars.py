@@ -1,8 +1,8 @@
 """Converts unquoted YAML scalars to Python values by the core schema of YAML 1.2.
 
-Some values mean different things to YAML 1.1 and YAML 1.2 readers.  For example, YAML 1.1 reads
+YAML 1.1 and YAML 1.2 interpret some unquoted values differently.  For example, YAML 1.1 reads
 ``on`` as true and ``010`` as 8.  YAML 1.2 reads ``on`` as a text and ``010`` as 10.  The compiler
-reports an error for each such value.
+reports an error for each value that YAML 1.1 and YAML 1.2 interpret differently.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ _AMBIGUOUS = {
 def plain_scalar(text: str, span: Span, report: Report) -> Value:
     """Returns the Python value of an unquoted YAML scalar.
 
-    If the scalar has an error, adds a diagnostic to ``report`` and returns the most likely value.
+    If the YAML scalar has an error, adds a diagnostic to ``report`` and returns the most likely
+    value.
     """
     if text in _WORDS:
         return _WORDS[text]
@@ -104,9 +105,9 @@ def _too_large(text: str, span: Span, report: Report) -> Value:
 
 
 def key_kind(text: str) -> str | None:
-    """Returns the kind of an unquoted mapping key, or ``None`` if the key is a text.
+    """Returns the kind of an unquoted YAML mapping key, or ``None`` if the key is a text.
 
-    The keys ``on`` and ``y`` are texts, because all YAML 1.2 readers read them as texts.
+    The YAML mapping keys ``on`` and ``y`` are texts, because YAML 1.2 reads them as texts.
     """
     if text in _WORDS:
         return "null" if _WORDS[text] is None else "a truth value"

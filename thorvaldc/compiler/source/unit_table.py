@@ -1,8 +1,8 @@
 """Tables of the units and the kinds of quantities that documents can use.
 
-The conversion factor of a unit to SI is an exact fraction times a power of pi.
-The radian is a separate dimension in these tables, although the radian has no dimension in SI.
-The dimension of the radian allows the compiler to distinguish ``rad/s`` from ``Hz``.
+The conversion factor of a unit to SI is an exact fraction times a power of pi.  The radian is a
+separate dimension in the tables of units, although it has no dimension in SI.  With a dimension for
+the radian, the compiler can distinguish ``rad/s`` from ``Hz``.
 """
 
 from __future__ import annotations
@@ -35,15 +35,16 @@ class Quantity(NamedTuple):
         return f"{self.article} {self.name.replace('_', ' ')}"
 
     def format_value(self, value: float) -> str:
-        """Returns a value in SI as a text with its unit, such as ``1.5 m/s``."""
+        """Returns a physical value as a text with its SI unit, such as ``1.5 m/s``."""
         return f"{value:.6g}" if self.unit == "1" else f"{value:.6g} {self.unit}"
 
 
 class Unit(NamedTuple):
-    """A unit with its dimension and its conversion to SI.
+    """A physical unit with its dimension and its conversion factor to SI.
 
-    SI value = number * numerator / denominator * pi**pi_power + offset / 100.
-    The field ``offset`` is in hundredths of a kelvin.  Only the unit degree Celsius has an offset.
+    Conversion: SI value = number * numerator / denominator * pi**pi_power + offset / 100.  The
+    field ``offset`` of a unit is in hundredths of a kelvin.  Only the unit degree Celsius has an
+    offset.
     """
 
     dimension: Dimension
@@ -146,7 +147,7 @@ LONG_PREFIXABLE = _words(
     "watt watts joule joules hertz pascal amp amps ampere"
 )
 
-# Units with a prefix that "did you mean" hints can suggest.
+# Units with a prefix, such as ``mm``, that the hint "did you mean" can suggest.
 _PREFIXED = (
     "kg mg mm cm km ms us kN kNm mNm kW mW mV kV mA kHz MHz kbit Mbit kB kPa kWh mAh mrad "
     "millimeter millimetre centimeter centimetre kilometer kilometre kilogram milligram"

@@ -1,10 +1,11 @@
-"""Converts quantities to floats in SI units.  A quantity is a number with a unit.
+"""Converts quantities to floats in SI units.  A quantity is a number with a unit, such as ``650
+mm``.
 
-The conversion factor of a unit is an exact fraction times a power of pi.  A decimal number is
-an integer times a power of ten.  Therefore a quantity in SI is a quotient of two integers if
-its unit does not contain pi.  For example, 1.5 cm = (15 * 10**-1) * (1 / 100) m = 15 / 1000 m.
-Python divides two integers with a single rounding, so ``650 mm`` gives the float nearest to 0.65.
-The product of the floats 1.5 and 0.01 would contain two roundings.
+The conversion factor of a unit to SI is an exact fraction times a power of pi.  The number before
+the unit is an integer times a power of ten.  If the unit does not contain pi, the value in SI units
+is therefore a quotient of two integers.  For example, 1.5 cm = (15 * 10**-1) * (1 / 100) m = 15 /
+1000 m.  Python divides two integers with a single rounding, so ``650 mm`` gives the float nearest
+to 0.65.  A product of two floats, such as 650.0 * 0.001, would be rounded more than once.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MAX_POWER = 9
 
 
 class UnitError(Exception):
-    """Raised for a text that is not a quantity of the expected kind.
+    """Raised if a text is not a quantity of the expected kind, such as a length.
 
     - ``message``: message of the diagnostic.
     - ``hint``: hint of the diagnostic.
@@ -52,12 +53,12 @@ class UnitError(Exception):
         self.code = code
 
 
-# A robot often has several modules of one type, so the same quantities occur many times.
+# Results are cached, because a robot has several modules of one type with the same quantities.
 @functools.lru_cache(maxsize=4096)
 def parse_quantity(text: str, quantity: str) -> float:
     """Returns the value of a quantity in SI units.
 
-    - ``text``: a number with a unit.  A number without a unit is in SI units.
+    - ``text``: a number with a unit.  A number without a unit counts as a value in SI units.
     - ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
 
     Raises ``UnitError`` if the text is not a quantity of the expected kind.
@@ -74,7 +75,7 @@ def parse_quantity(text: str, quantity: str) -> float:
 
 
 def parse_any(text: str) -> float:
-    """Returns the value of a quantity of any kind in SI units.
+    """Returns the value of a quantity in SI units, with any physical dimension.
 
     Raises ``UnitError`` if the text is not a quantity.
     """
@@ -90,9 +91,9 @@ def parse_unit(text: str) -> Unit:
 
 
 def describe(dimension: Dimension) -> str:
-    """Returns the name of a dimension, such as ``a length``.
+    """Returns the name of a physical dimension, such as ``a length``.
 
-    If the dimension has no name, returns its base units, such as ``in m kg``.
+    If the physical dimension has no name, returns its base units, such as ``in m kg``.
     """
     for quantity in QUANTITIES.values():
         if dimension == quantity.dimensions[0]:
@@ -113,8 +114,8 @@ _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
 def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     """Returns the SI value and the unit of a quantity.
 
-    The unit is ``None`` for a number without a unit.  Every kind of quantity allows a number
-    without a unit.
+    The unit is ``None`` for a number without a unit.  A number without a unit is allowed for every
+    kind of quantity.
     """
     shown = _shorten(text)
     example = f"write a number with a unit, as in `{kind.example if kind else '650 mm'}`"
@@ -144,7 +145,9 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
 
 
 def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
-    """Returns the integers (mantissa, exponent) with number = mantissa * 10**exponent."""
+    """Returns a decimal number as two integers (mantissa, exponent): number = mantissa *
+    10**exponent.
+    """
     sign, whole, fraction, only_fraction, power = number.groups()
     decimals = fraction or only_fraction or ""
     mantissa = int((whole or "") + decimals or "0")
@@ -158,7 +161,7 @@ def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
 def _value(mantissa: int, exponent: int, unit: Unit, shown: str) -> float:
     """Returns the SI value of the quantity mantissa * 10**exponent in ``unit``.
 
-    The SI value is rounded only once, except for units that contain pi.
+    The value in SI units is rounded only once, except for units that contain pi.
     """
     numerator = mantissa * unit.numerator
     denominator = unit.denominator
@@ -169,7 +172,7 @@ def _value(mantissa: int, exponent: int, unit: Unit, shown: str) -> float:
     try:
         value: float
         if unit.pi_power:
-            # The conversion factor is rounded first, as in `math.radians`.
+            # The conversion factor with pi is rounded first, as in `math.radians`.
             plain = mantissa * 10**exponent if exponent >= 0 else mantissa / 10**-exponent
             value = plain * (unit.numerator * math.pi**unit.pi_power / unit.denominator)
         elif unit.offset:
@@ -217,7 +220,7 @@ _SUPERSCRIPT = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻", "0123456789+-"
 def _parse_unit(text: str) -> Unit:
     """Parses a unit such as ``kg m^2``, ``N s/m``, ``m/s²`` or ``J/(kg K)``.
 
-    The operators are applied from left to right.
+    The operators ``*`` and ``/`` in a unit are applied from left to right.
     """
     known_unit = _find_unit(text)
     if known_unit is not None:
@@ -229,12 +232,13 @@ def _parse_unit(text: str) -> Unit:
 
 
 def _parse_product(text: str, position: int, depth: int) -> tuple[Unit, int]:
-    """Parses a product of units up to the end of the text or a closing parenthesis.
+    """Parses a product of units, such as ``kg m^2``, up to the end of the text or a closing
+    parenthesis.
 
     - ``position``: position in the text at which parsing starts.
     - ``depth``: number of parentheses that are open at this position.
 
-    Returns the unit and the position at which parsing ended.
+    Returns the parsed unit and the position at which parsing ended.
     """
     result: Unit | None = None
     sign = 1
@@ -324,7 +328,9 @@ def _raise_to_power(unit: Unit, power: str | None, text: str) -> Unit:
 
 
 def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
-    """Returns the unit a * b if ``sign`` is 1, or a / b if ``sign`` is -1."""
+    """Returns the product of the units ``a`` and ``b`` if ``sign`` is 1, or their quotient if
+    ``sign`` is -1.
+    """
     if a.offset or b.offset or max(map(abs, (*a.dimension, *b.dimension))) > 4 * _MAX_POWER:
         _raise_error(text, text)
     numerator, denominator = b.numerator, b.denominator
@@ -339,7 +345,7 @@ def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
 
 
 def _raise_error(text: str, part: str) -> NoReturn:
-    """Raises ``UnitError`` for an invalid unit.
+    """Raises ``UnitError`` if the unit is invalid.
 
     - ``text``: text of the whole unit, such as ``kg m^2``.
     - ``part``: part of the text that is not a valid unit.
@@ -353,7 +359,7 @@ def _raise_error(text: str, part: str) -> NoReturn:
     raise UnitError(f"unknown unit `{_shorten(part or text)}`", _unit_hint(part or text))
 
 
-_JOINED = re.compile(r"(kg|g|kN|mN|N)(m|mm|cm|s|ms)")  # `kgm^2`: two units without a space
+_JOINED = re.compile(r"(kg|g|kN|mN|N)(m|mm|cm|s|ms)")  # such as `kgm^2` without a space
 
 
 def _unit_hint(name: str) -> str:

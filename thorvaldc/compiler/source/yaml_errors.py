@@ -1,9 +1,10 @@
 """Converts YAML syntax errors of libyaml to diagnostics with plain messages and hints.
 
-libyaml reports two positions of a syntax error.  The problem mark is the position at which the
-parser detected the error.  The context mark is the start of the enclosing list, mapping or text
-in quotes.  If a closing bracket or quote is missing, the problem mark can be many lines after
-the mistake.  The diagnostic for a missing bracket or quote marks the opening bracket or quote.
+libyaml reports two positions of a syntax error.  The problem mark is the position at which the YAML
+parser detected a syntax error.  The context mark is the start of the YAML list, mapping or text in
+quotes around a syntax error.  If a closing bracket or quote is missing, the YAML parser can report
+an error many lines after the mistake.  The error message for a missing bracket or quote therefore
+shows the opening bracket or quote.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from thorvaldc.diagnostics import Label, Report, Span
 
 _EXPRESSION = 'inside `{...}` and `[...]` an expression must be quoted, as in `"${width}"`'
 
-# Each row contains a message of libyaml, the message of the diagnostic, and the hint.
+# Syntax errors of libyaml: (message of libyaml, message of the diagnostic, hint).
 _MESSAGES: tuple[tuple[str, str, str], ...] = (
     (
         "mapping values are not allowed",
@@ -157,12 +158,12 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
 
 
 def _is_unclosed(lines: list[str], opened: Span, stopped: Span) -> bool:
-    """Returns whether a closing bracket is probably missing.
+    """Returns whether a closing bracket is probably missing in a YAML file.
 
     - ``opened``: source span of the opening bracket.
     - ``stopped``: source span at which the parser stopped.
 
-    A bracket is probably missing if the parser stopped at a later line, and this line is not
+    A closing bracket is probably missing if the YAML parser stops at a later line that is not
     indented more than the line of the opening bracket.
     """
 
@@ -179,9 +180,10 @@ def _character(lines: list[str], span: Span) -> str:
 
 
 def _span(mark: Any, lines: list[str], file: str) -> Span:
-    """Returns the source span of the character at a PyYAML mark.
+    """Returns the line and column of a PyYAML mark as a source span of one character.
 
-    If the mark is after the last line, returns the span after the last character of the text.
+    If the PyYAML mark is after the last line, returns the source span after the last character of
+    the text.
     """
     if mark is None:
         return Span(file)
@@ -192,9 +194,10 @@ def _span(mark: Any, lines: list[str], file: str) -> Span:
 
 
 def _tab(line: str, span: Span) -> int | None:
-    """Returns the column of the tab that causes a syntax error, or ``None`` if there is no tab.
+    """Returns the column of the tab that causes a YAML syntax error, or ``None`` if there is no
+    tab.
 
-    The tab is in the indentation of the line or at the position of the error.
+    A tab in the indentation of a YAML line or at the position of a syntax error causes the error.
     """
     indentation = line[: len(line) - len(line.lstrip())]
     if "\t" in indentation:

@@ -1,10 +1,10 @@
 """Checks documents against the JSON Schemas in ``thorvaldc/schema``.
 
 The module ``thorvaldc.schema.gate`` checks each document with a fast validator.  If the fast
-validator rejects a document, the package jsonschema lists the errors of the document.
-The module ``schema_diagnostics`` converts errors of jsonschema to diagnostics with source spans.
-This module also checks the numbers and units of quantities.  In a schema, the keyword
-``x-quantity`` names the allowed kinds of quantity of a value.
+validator rejects a document, the package jsonschema lists the schema errors of the document.  The
+module ``schema_diagnostics`` converts errors of jsonschema to diagnostics with source spans.
+Quantities such as ``1.5 m/s`` are also checked for a valid number and unit.  The schema keyword
+``x-quantity`` lists the allowed kinds of quantity, such as a length.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ MAX_DIAGNOSTICS = 1000
 
 
 def check(node: Node, kind: Kind, report: Report) -> bool:
-    """Checks a document against the schema of its kind.
+    """Checks a YAML document against the JSON Schema for this kind of document.
 
-    Returns whether the document is valid.  Adds a diagnostic to ``report`` for each error, and
-    stops if the report has more than ``MAX_DIAGNOSTICS`` diagnostics.  If a value already has
-    an error in ``report``, the check adds no further diagnostic for the value.
+    Returns whether the document matches the JSON Schema.  Adds a diagnostic to ``report`` for each
+    schema error, and stops if the report has more than ``MAX_DIAGNOSTICS`` diagnostics.  If
+    ``report`` already contains an error about a value, no further diagnostic about the value is
+    added.
     """
     schema = inlined(kind)
-    # The YAML reader returns the most likely value of an invalid scalar.  A further diagnostic
-    # about the most likely value could be misleading.
+    # The YAML reader returns the most likely value of an invalid scalar.  A schema error about the
+    # most likely value of an invalid scalar could be misleading.
     reported = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     valid = True
     plain = node.plain()
@@ -55,8 +56,8 @@ def _validator(kind: Kind) -> Any:
     from jsonschema import Draft202012Validator, ValidationError
     from jsonschema.validators import extend
 
-    # JSON Schema accepts 3.0 as an integer.  The compiler rejects 3.0 as an integer, because a
-    # device id, for example, has no decimal point.
+    # JSON Schema accepts the number 3.0 as an integer.  The compiler rejects the number 3.0 as an
+    # integer, because a device id, for example, has no decimal point.
     checker = Draft202012Validator.TYPE_CHECKER.redefine(
         "integer", lambda _, value: isinstance(value, int) and not isinstance(value, bool)
     )
@@ -74,10 +75,10 @@ def _validator(kind: Kind) -> Any:
 def without_invalid_values(node: Node, report: Report) -> Node:
     """Returns a copy of a document in which ``None`` replaces each invalid value.
 
-    A value is invalid if ``report`` contains an error at the source span of the value.
-    Later stages of the compiler can process the copy, so one run also reports errors of later
-    stages.
-    A replaced value keeps its key and its source span.
+    A value of a document is invalid if ``report`` contains an error at the source span of the
+    value.  Later stages of the compiler can process the copy without the invalid values, so one run
+    also reports errors of later stages.  The value ``None`` that replaces an invalid value keeps
+    the key and the source span.
     """
     spans = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
     return _blanked(node, spans) if spans else node
@@ -125,11 +126,11 @@ def _quantity_errors(
 
 
 def _quantity_error(text: str, quantities: str | list[str]) -> UnitError | None:
-    """Returns the error of a quantity, or ``None`` if the quantity is valid.
+    """Returns the error message for an invalid quantity, or ``None`` if the quantity is valid.
 
     - ``text``: a number with a unit.
-    - ``quantities``: one or several allowed kinds of quantity.  The value ``any`` allows every kind
-      of quantity.
+    - ``quantities``: one or several allowed kinds of quantity.  The value ``any`` of ``x-quantity``
+      allows every kind of quantity.
     """
     names = [quantities] if isinstance(quantities, str) else quantities
     first: UnitError | None = None

@@ -1,4 +1,4 @@
-"""Recognises the kind of a document by its top-level keys."""
+"""Recognises a document as a robot, fleet or scenario document by its top-level keys."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from thorvaldc.diagnostics import Report
 
 
 def is_scenario(document: Node | None) -> bool:
-    """Returns whether the document is a scenario."""
+    """Returns whether a YAML document is a scenario."""
     return document is not None and document.get("scenario") is not None
 
 
 def is_fleet(document: Node | None) -> bool:
-    """Returns whether the document has the key ``robots``.
+    """Returns whether a YAML document has the key ``robots``.
 
     Fleet documents and scenario documents have the key ``robots``.
     """
     return document is not None and document.get("robots") is not None
 
 
-# Kinds of documents that a user may pass instead of a robot, fleet or scenario document.
-# Each row is a tuple (key that only this kind of document has, name of the kind, hint).
+# Kinds of documents that a user may pass instead of a robot, fleet or scenario document.  Each kind
+# of document is a tuple (key that only this kind of document has, name of the kind, hint).
 _WRONG_KINDS = (
     (
         "motor_drives",
@@ -34,10 +34,10 @@ _WRONG_KINDS = (
 
 
 def report_wrong_kind(document: Node, report: Report) -> bool:
-    """Reports a document that is neither a robot nor a fleet nor a scenario.
+    """Reports an error if a YAML document is neither a robot nor a fleet nor a scenario.
 
-    Returns whether the document has a wrong kind.  If the document has a wrong kind, the schema
-    check is skipped, because errors of the robot schema would be misleading.
+    Returns whether this error is reported.  For a YAML document of a wrong kind, the schema check
+    is skipped, because errors of the robot schema would be misleading.
     """
     if document.get("name") is None:
         for key, description, hint in _WRONG_KINDS:

@@ -1,4 +1,4 @@
-"""Converts errors of the package jsonschema to diagnostics with source spans and hints."""
+"""Converts schema errors of the package jsonschema to diagnostics with source spans and hints."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ _ID_HINT = "a name has lower-case letters, digits and `_`, and begins with a let
 
 
 def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Report) -> None:
-    """Adds the diagnostics for one error of jsonschema to ``report``.
+    """Converts a schema error of the package jsonschema to diagnostics, and adds them to
+    ``report``.
 
     - ``root``: root node of the document.
-    - ``reported``: source spans that already have a diagnostic.  An error at one of these source
-      spans gives no further diagnostic.  The function adds the source spans of new diagnostics to
+    - ``reported``: source spans that already have a diagnostic.  Errors at source spans in
+      ``reported`` are not reported again.  The source spans of new diagnostics are added to
       ``reported``.
     """
     path = list(error.absolute_path)
@@ -53,9 +54,9 @@ def _find(node: Node, path: list[str | int]) -> Node:
 
 
 class _Explanation:
-    """Reports the diagnostics for one error of jsonschema.
+    """Reports the diagnostics for one schema error of the package jsonschema.
 
-    A method ``_<keyword>`` reports an error of the schema keyword with this name.
+    A method such as ``_required`` reports the errors of the JSON Schema keyword ``required``.
     """
 
     def __init__(
@@ -90,10 +91,10 @@ class _Explanation:
 
     @property
     def value_name(self) -> str:
-        """Name of the invalid value in messages.
+        """Name of the invalid value in error messages.
 
-        The name of a value in a mapping is its key.  The name of an element of a list is derived
-        from the key of the list.
+        The name of a value in a YAML mapping is its key.  The name of an element of a YAML list is
+        derived from the key of the list.
         """
         names = [step for step in self.path if isinstance(step, str)]
         if not names:
@@ -103,10 +104,10 @@ class _Explanation:
 
     @property
     def start(self) -> Span:
-        """Source span that a diagnostic about a mapping marks.
+        """Source span for a diagnostic about a YAML mapping.
 
-        Returns the span of the key of the mapping.  If the mapping has no key, returns the span
-        of the first character.
+        Returns the source span of the key of the YAML mapping.  If the YAML mapping has no key,
+        returns the source span of its first character.
         """
         if self.node.key_span is not None:
             return self.node.key_span
@@ -150,7 +151,8 @@ class _Explanation:
             if key in entries or f"'{key}'" not in self.error.message:
                 continue
             span = self.start
-            # `self.add` reports one error per span, but several keys can be missing in a mapping.
+            # `self.add` reports one error per source span, but several keys can be missing in a
+            # YAML mapping.
             self.report.add(
                 "missing-key",
                 f"{self.value_name} has no `{key}`",
@@ -348,12 +350,14 @@ class _Explanation:
         self.add("out-of-range", message, self.node.span)
 
     def unspecific(self) -> None:
-        """Reports an error of a schema keyword for which this class has no method."""
+        """Reports an error of a JSON Schema keyword for which this class has no method."""
         self.add("wrong-type", f"{self.value_name} does not match the schema", self.start)
 
 
 def _expected(schema: dict[str, Any]) -> str:
-    """Returns a description of the allowed kinds of value, such as ``a length or a mapping``."""
+    """Returns a description of the types of value that a schema allows, such as ``a length or a
+    mapping``.
+    """
     quantity = schema.get("x-quantity")
     words: list[str] = []
     if quantity is not None and quantity != "any":
@@ -376,9 +380,9 @@ def _expected(schema: dict[str, Any]) -> str:
 
 
 def _example(schema: dict[str, Any]) -> str | None:
-    """Returns the first example of a schema as YAML text.
+    """Returns the first example in a JSON Schema as YAML text.
 
-    Returns ``None`` if the schema has no example, or if the first example is an expression.
+    Returns ``None`` if the JSON Schema has no example, or if the first example is an expression.
     """
     examples = schema.get("examples")
     if not examples or (isinstance(examples[0], str) and examples[0].startswith("${")):
@@ -389,7 +393,7 @@ def _example(schema: dict[str, Any]) -> str | None:
 
 
 def _yaml_text(value: Any) -> str:
-    """Returns a value as YAML text in one line."""
+    """Returns a Python value as YAML text in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, dict):
@@ -405,7 +409,7 @@ def _text(node: Node) -> str:
 
 
 def _actual(node: Node) -> str:
-    """Returns a description of the actual value for a message, such as ``a list``."""
+    """Returns a description of an invalid value for an error message, such as ``a list``."""
     if isinstance(node.value, dict):
         return "a mapping"
     if isinstance(node.value, tuple):
