@@ -1,6 +1,6 @@
 """Table of all diagnostic codes.
 
-The first digit of a diagnostic code is the subject of the diagnostic:
+Subject of a diagnostic, by the first digit of the diagnostic code:
 
 - 1: YAML
 - 2: schema and units
@@ -12,8 +12,8 @@ The first digit of a diagnostic code is the subject of the diagnostic:
 - 8: runtime, simulation and commissioning
 - 9: files and import
 
-If a diagnostic code is removed, its number is never used again.
-The page ``docs/diagnostics/<number>.md`` explains each code.
+The number of a removed diagnostic code, such as TV501, is never used again.  The page
+``docs/diagnostics/<number>.md`` explains each diagnostic code.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from dataclasses import dataclass
 class Code:
     """A diagnostic code.
 
-    - ``number``: number of the code, such as ``TV501``.  The number of a code never changes.
+    - ``number``: number of the code, such as ``TV501``.  The number of a diagnostic code, such as
+      ``TV501``, never changes.
     - ``name``: name of the code, such as ``can-id-duplicate``.
     - ``severity``: severity of all diagnostics with this code.
     - ``summary``: description of the problem in one line.
     - ``outside``: whether the cause is outside the input files, for example on the CAN bus or in
-      another program.  If ``outside`` is true, the exit status of the command is 3.
+      another program.  If ``outside`` is true, the exit status of the command line program is 3.
     """
 
     number: str

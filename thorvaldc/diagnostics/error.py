@@ -1,4 +1,4 @@
-"""An exception that carries a diagnostic."""
+"""A Python exception that contains a diagnostic."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from thorvaldc.diagnostics.report import Diagnostic, Span
 
 
 class DiagnosticError(Exception):
-    """Raised if an operation is not possible.
+    """Raised if an operation fails for the reason in the diagnostic.
 
     - ``diagnostic``: diagnostic with the reason and a hint.
 
-    A function without a ``Report`` raises this exception.  A caller with a ``Report`` adds the
-    diagnostic to its report.
+    A function without a parameter of the type ``Report`` raises ``DiagnosticError`` instead of
+    adding to a report.  A caller that has a ``Report`` adds the diagnostic of the exception to the
+    report.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""Converts source lines and source spans to terminal columns.
+"""Computes the terminal columns of a source line and its source span, for error messages.
 
-A terminal shows a combining mark in 0 columns and an East Asian wide character in 2 columns.
-A tab takes up to 4 columns, and most other characters take 1 column.  The marker under a source
-line is therefore positioned by terminal columns instead of by characters.
+A terminal shows a combining mark in 0 columns and an East Asian wide character in 2 columns.  A tab
+takes up to 4 terminal columns, and most other characters take 1 terminal column.  The marker
+``^^^`` under a source line is therefore positioned by terminal columns, not by characters.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ def printable(text: str) -> str:
 
 
 def json_text(document: Any) -> str:
-    """Returns a value as indented JSON without control characters."""
+    """Returns a Python value as indented JSON text without control characters."""
     text = json.dumps(document, indent=2, ensure_ascii=False)
-    # The module `json` escapes the C0 control characters.  Other control characters can occur
-    # only inside the strings of the JSON text, where an escape sequence is valid.
+    # The module `json` escapes the C0 control characters.  C1 control characters occur only inside
+    # strings of the JSON text, where an escape sequence is valid.
     return _HIGH_CONTROLS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """The visible part of a source line, with the position of a source span.
+    """The part of a source line that an error message shows, with the position of the source span.
 
     - ``text``: visible part of the line.
     - ``start``: terminal column at which the source span starts, from 0.
@@ -58,7 +58,8 @@ class Excerpt:
 
 
 class Excerpts:
-    """Reads the source lines of source spans.  Each source file is read only once.
+    """Reads the lines of source files that error messages show.  Each source file is read only
+    once.
 
     - ``sources``: path of each file name in the source spans.
     - ``width``: maximum width of an output line in terminal columns.
@@ -71,11 +72,11 @@ class Excerpts:
         self._laid_out: dict[tuple[str, int], _Line | None] = {}
 
     def gutter(self, spans: Sequence[Span]) -> int:
-        """Returns the number of columns for the line numbers of these spans."""
+        """Returns the number of terminal columns for the line numbers of the source spans."""
         return max([len(str(span.line)) for span in spans], default=1)
 
     def show(self, span: Span, gutter: int) -> Excerpt | None:
-        """Returns the first source line of a span, or ``None`` if the line cannot be read.
+        """Returns the first line of a source span, or ``None`` if the line cannot be read.
 
         - ``gutter``: number of columns for the line numbers.
         """
@@ -114,11 +115,11 @@ class Excerpts:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """The layout of a source line in a terminal.
+    """The terminal column of each character of a source line.
 
     - ``cells``: text that the terminal shows for each character.
-    - ``starts``: terminal column of each character.  The last element of ``starts`` is the column
-      after the last character.
+    - ``starts``: terminal column of each character.  The last element of ``starts`` is the terminal
+      column after the last character.
     - ``stripped``: number of characters without blanks at the end of the line.
     """
 
@@ -161,7 +162,7 @@ def _cell(character: str) -> tuple[str, int]:
 
 
 def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
-    """Cuts a source line to the maximum width, so that a source span stays visible.
+    """Shortens a source line to the maximum width, so that the source span stays visible.
 
     - ``begin``, ``end``: first terminal column of the span, and the column after the span.
     - ``width``: maximum width of the visible part in terminal columns.
@@ -178,7 +179,8 @@ def _window(line: _Line, begin: int, end: int, width: int) -> Excerpt:
     length = min(end - begin, width - 2)
     left = max(0, min(begin - (width - length) // 2, total - width + 1))
     right = left + width
-    # The visible part consists of whole characters.  At each cut, one column is reserved for `…`.
+    # The visible part of a source line consists of whole characters.  At each shortened end of the
+    # source line, one terminal column is reserved for `…`.
     first = bisect.bisect_left(line.starts, left + (left > 0))
     last = bisect.bisect_right(line.starts, right - (right < total)) - 1
     text = "".join(line.cells[first:last]).rstrip()

@@ -22,7 +22,7 @@ class UnknownCode(LookupError):
 
 
 def find_code(number_or_name: str) -> Code:
-    """Returns a diagnostic code by its number or name.
+    """Returns the diagnostic code with a number such as ``TV501`` or a name.
 
     - ``number_or_name``: ``TV501``, ``501`` or ``can-id-duplicate``, for example.
 
@@ -44,7 +44,7 @@ def find_code(number_or_name: str) -> Code:
 def page(code: Code) -> str:
     """Returns the documentation page of a diagnostic code in Markdown.
 
-    If the page is not installed, returns the summary of the code.
+    If the documentation page is not installed, returns the summary of the diagnostic code.
     """
     path = _folder() / f"{code.number}.md"
     try:
@@ -56,7 +56,7 @@ def page(code: Code) -> str:
 def explain(number_or_name: str) -> str:
     """Returns the documentation page of a diagnostic code in Markdown.
 
-    Raises ``UnknownCode`` if no code has this number or name.
+    Raises ``UnknownCode`` if no diagnostic code has this number or name.
     """
     return page(find_code(number_or_name))
 
@@ -64,8 +64,8 @@ def explain(number_or_name: str) -> str:
 def _folder() -> Path:
     """Returns the folder with the documentation pages of the diagnostic codes.
 
-    In a checkout of the repository, the pages are in the folder ``docs/diagnostics``.  An
-    installed package contains a copy of the pages.
+    In the source repository, the documentation pages are in the folder ``docs/diagnostics``.  An
+    installed package contains a copy of the documentation pages.
     """
     root = _PACKAGE.parent
     if (root / "pyproject.toml").is_file():

@@ -1,6 +1,6 @@
-"""Renders a report as text, JSON, GitHub workflow commands or SARIF.
+"""Formats a report of diagnostics as text, JSON, GitHub workflow commands or SARIF.
 
-The parameter ``sources`` contains the path of each file name in the source spans.  If
+The parameter ``sources`` maps each file name in the source spans to the path of the file.  If
 ``sources`` does not contain a file, the text output shows no source lines of the file.
 """
 
@@ -31,11 +31,12 @@ def render(
     *,
     builds: Sequence[Mapping[str, Any]] | None = None,
 ) -> str:
-    """Returns a report as a text without colours.
+    """Returns a report of diagnostics as text without colours.
 
     - ``format``: output format, one of ``FORMATS``.
     - ``sources``: path of each file name in the source spans.
-    - ``builds``: description of each build result.  Only the JSON output contains the descriptions.
+    - ``builds``: description of each build result.  Only the JSON output contains the descriptions
+      of the build results.
     """
     if format == "json":
         return render_json(report, builds=builds)
@@ -54,7 +55,7 @@ def render(
 def render_text(
     report: Report, sources: Mapping[str, Path], *, color: bool = False, width: int = 100
 ) -> str:
-    """Returns a report as text for a terminal.
+    """Returns a report of diagnostics as text for a terminal.
 
     Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The text
     of a diagnostic also contains the source lines and the hint.
@@ -82,10 +83,10 @@ class _Mark:
 
 
 def _marks(diagnostic: Diagnostic, style: str) -> list[_Mark]:
-    """Returns the marks of a diagnostic in the order of output.
+    """Returns the source spans that the output shows for a diagnostic, in the order of output.
 
-    A mark is a source span that the output shows.  Marks in the file of the diagnostic come
-    first, in the order of their lines.  Marks in other files follow.
+    Source spans in the file of the diagnostic come first, in the order of their lines.  Source
+    spans in other files follow.
     """
     span = diagnostic.span
     marks = [_Mark(span, "^", "", style)] if span is not None else []
@@ -140,11 +141,12 @@ def _text(diagnostic: Diagnostic, excerpts: Excerpts, paint: Any) -> str:
 
 
 def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = None) -> str:
-    """Returns a report as a JSON object.
+    """Returns a report of diagnostics as a JSON object.
 
-    ``errors`` and ``warnings`` are the numbers of errors and warnings.  ``diagnostics`` is the
-    list of the diagnostics in the order of file, line and column.  If ``builds`` is not ``None``,
-    the object also contains the descriptions of the build results.
+    The JSON keys ``errors`` and ``warnings`` contain the numbers of errors and warnings.  The JSON
+    key ``diagnostics`` contains the list of the diagnostics in the order of file, line and column.
+    If ``builds`` is not ``None``, the JSON object also contains the descriptions of the build
+    results.
     """
     document: dict[str, Any] = {
         "errors": len(report.errors),
@@ -188,9 +190,9 @@ _GITHUB_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity
 
 
 def render_github(report: Report) -> str:
-    """Returns a report as GitHub workflow commands.
+    """Returns a report of diagnostics as GitHub workflow commands.
 
-    GitHub shows each command as an annotation in the list of changed files.
+    GitHub shows each workflow command as an annotation in the list of changed files.
     """
     return "\n".join(_github(d) for d in report.sorted())
 

@@ -12,22 +12,24 @@ from thorvaldc.diagnostics.codes import CODES, Code
 
 
 class Severity(enum.Enum):
-    """The severity of a diagnostic."""
+    """The severity of a diagnostic: error, warning or note."""
 
     ERROR = "error"
     WARNING = "warning"
     NOTE = "note"
 
 
-# `Span` is a named tuple because every YAML value has a span.  Python creates a named tuple in
-# half the time of a frozen dataclass.
+# The class `Span` is a named tuple for speed, because every YAML value has a source span.  Python
+# creates a named tuple in half the time of a frozen dataclass.
 class Span(NamedTuple):
-    """A range of text in a file.
+    """A range of text in a source file, from a start line and column to an end line and column.
 
-    Lines and columns count from 1.  The end of the range is exclusive.
+    The line and column numbers of a source span start at 1.  The end column of a source span is
+    exclusive.
 
-    ``file`` is the path from the command line, or a path relative to it.  Messages and outputs
-    therefore do not depend on the folder of a checkout.
+    The field ``file`` is the path of the file from the command line, or a path relative to this
+    file.  With relative paths, messages and outputs do not depend on the location of the project
+    folder.
     """
 
     file: str
@@ -42,7 +44,7 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A secondary span of a diagnostic, with a text such as ``first used here``."""
+    """An additional source span of a diagnostic, with a text such as ``first used here``."""
 
     span: Span
     text: str
@@ -50,7 +52,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """A message about an input.
+    """An error, warning or note about an input file.
 
     - ``code``: diagnostic code.
     - ``message``: one sentence with the value, the limit and the unit.
@@ -71,11 +73,11 @@ class Diagnostic:
 
 
 class Report:
-    """Collects the diagnostics of a run in the order of detection."""
+    """A list of diagnostics in the order of detection, without repetitions."""
 
     def __init__(self) -> None:
-        # Maps each original diagnostic to the diagnostic with the label of `used_by`.  The
-        # original diagnostics serve to detect repetitions.
+        # Maps each original diagnostic to the diagnostic with the label of `used_by`.  The original
+        # diagnostics are stored to detect repeated diagnostics.
         self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
 
@@ -96,8 +98,9 @@ class Report:
         - ``hint``: advice for the user.
         - ``labels``: further source spans with texts.
 
-        If the report already contains an equal diagnostic, nothing is added.  For example, a
-        mistake in a module document is reported once, although a robot has nine such modules.
+        If the report already contains an equal diagnostic, the report does not change.  For
+        example, a mistake in a module document is reported once, although a robot has nine such
+        modules.
         """
         self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels)))
 
@@ -119,14 +122,14 @@ class Report:
 
     @contextlib.contextmanager
     def used_by(self, user: Label) -> Iterator[None]:
-        """Adds a label at a module instance to the diagnostics of a ``with`` block.
+        """Adds a label to all diagnostics that are reported in a ``with`` block.
 
         - ``user``: label at the module instance in the robot file.
 
-        A diagnostic in a module document gets the label ``user``, because the parameters of the
-        module instance can cause the diagnostic.  A diagnostic in the library of the project
-        gets the source span of ``user``, because the user cannot change the library.  The
-        original source span of the diagnostic becomes a label.
+        A diagnostic in a module document gets the label ``user`` at the module in the robot file,
+        because the parameters of the module can cause the diagnostic.  A diagnostic in the library
+        of the project gets the source span of ``user``, because the user cannot change the library.
+        The original source span of the diagnostic becomes a label.
         """
         outer, self._user = self._user, user
         try:
@@ -155,15 +158,15 @@ class Report:
     def sorted(self) -> list[Diagnostic]:
         """Returns the diagnostics in the order of file, line and column.
 
-        Diagnostics without a source span come last.
+        Diagnostics without a source span come last in the list.
         """
         last = Span("\U0010ffff")
         return sorted(self, key=lambda d: (d.span or last, d.code.number))
 
     def has_error_in(self, span: Span) -> bool:
-        """Returns whether the report contains an error that starts inside a source span.
+        """Returns whether the report contains an error whose source span starts inside ``span``.
 
-        Errors about unknown keys (``unknown-key``) are ignored.
+        Errors about unknown YAML keys (``unknown-key``) are ignored.
         """
         start, end = (span.line, span.column), (span.end_line, span.end_column)
         return any(
@@ -174,7 +177,9 @@ class Report:
         )
 
     def excluding_spans_of(self, earlier: Report) -> Report:
-        """Returns a report without the diagnostics at spans where ``earlier`` has an error."""
+        """Returns a report without the diagnostics at source spans at which ``earlier`` has an
+        error.
+        """
         known = {d.span for d in earlier.errors if d.span is not None}
         remaining = Report()
         remaining.extend(d for d in self if d.span not in known)

@@ -1,4 +1,4 @@
-"""Renders a report as SARIF 2.1.0, for code scanning services and editors."""
+"""Formats a report of diagnostics as SARIF 2.1.0, for code scanning services and editors."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
 
 def render_sarif(report: Report) -> str:
-    """Returns a report as a SARIF document with one run.
+    """Returns a report of diagnostics as a SARIF document with one run.
 
-    Each diagnostic code in the report is a rule of the run.  The documentation page of a code
-    is the help text of the rule.
+    In the SARIF document, each diagnostic code of the report is a rule.  The documentation page of
+    a diagnostic code is the help text of the SARIF rule.
     """
     diagnostics = report.sorted()
     codes = sorted({d.code.number: d.code for d in diagnostics}.values(), key=lambda c: c.number)

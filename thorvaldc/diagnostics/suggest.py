@@ -8,7 +8,8 @@ from collections.abc import Iterable
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
 
-    The comparison ignores upper and lower case.  The characters ``-``, ``_`` and space are equal.
+    The comparison of words ignores upper and lower case.  The comparison of words treats the
+    characters ``-``, ``_`` and space as equal.
     """
     candidates = list(dict.fromkeys(known))
     by_normal = {_normal(candidate): candidate for candidate in reversed(candidates)}
@@ -26,7 +27,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 def did_you_mean(word: str, known: Iterable[str], otherwise: str | None = None) -> str | None:
     """Returns the hint ``did you mean `x`?`` for a misspelled word.
 
-    If no known word is similar, returns ``otherwise``.
+    If no known word is similar to the misspelled word, returns the text ``otherwise``.
     """
     known_word = nearest(word, known)
     return f"did you mean `{known_word}`?" if known_word is not None else otherwise

@@ -1,6 +1,7 @@
-"""Loads the JSON Schema of each kind of document.
+"""Loads the JSON Schema of each kind of document, such as robot or scenario.
 
-Editors use a schema with local references.  The validator uses a schema without references.
+Text editors get a JSON Schema with local references.  The validator uses a JSON Schema without
+references.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def _load(name: str) -> dict[str, Any]:
 
 
 def bundle(kind: str) -> dict[str, Any]:
-    """Returns the schema of a kind of document with all shared definitions that it refers to."""
+    """Returns the JSON Schema of a kind of document, including all shared definitions."""
     definitions: dict[str, Any] = {}
 
     def with_local_references(value: Any) -> Any:
@@ -49,17 +50,18 @@ def bundle(kind: str) -> dict[str, Any]:
 
 
 def schema_text(kind: str) -> str:
-    """Returns the schema of a kind of document as JSON text without external references."""
+    """Returns the JSON Schema of a kind of document as JSON text without external references."""
     return json.dumps(bundle(kind), indent=2, ensure_ascii=False) + "\n"
 
 
 @functools.cache
 def inlined(kind: str) -> dict[str, Any]:
-    """Returns the schema of a kind of document without references.
+    """Returns the JSON Schema of a kind of document without references.
 
-    The function replaces each reference by its definition, because validation is then faster.
-    Some definitions are recursive: a parameter value can be a module, which has parameters.
-    Below the second level of a recursive definition, the returned schema allows any value.
+    Each reference (``$ref``) is replaced by its definition, because validation is then faster.
+    Some schema definitions are recursive: the value of a parameter can be a module, which has
+    parameters.  Below the second level of a recursive definition, the returned JSON Schema allows
+    any value.
     """
     common = _load("common")["$defs"]
 

@@ -1,10 +1,11 @@
-"""A fast JSON Schema validator that only decides whether a document is valid.
+"""A fast JSON Schema validator that reports only whether a document is valid.
 
-Importing the package jsonschema takes longer than compiling a robot, and nearly all documents
-are valid.  The compiler therefore uses jsonschema only to list the errors of a document that the
-fast validator rejects.  The fast validator supports only the keywords of the schemas in this
-package.  If a schema contains any other keyword, the fast validator rejects the document, and
-jsonschema then makes the decision.  Tests check that both validators agree.
+Importing the package jsonschema takes longer than compiling a robot, and nearly all documents are
+valid.  The package jsonschema is therefore loaded only to list the errors of a document that the
+fast validator rejects.  The fast validator supports only the JSON Schema keywords that the schemas
+of this package use.  If a JSON Schema contains any other keyword, the fast validator rejects the
+document, and the package jsonschema decides.  Tests check that the fast validator and the package
+jsonschema agree.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ class _UnknownKeyword(Exception):
 
 
 def passes(schema: dict[str, Any], value: Any) -> bool:
-    """Returns whether a value is valid.  Returns ``False`` if the schema has an unknown keyword.
+    """Returns whether a value matches a JSON Schema.  Returns ``False`` if the JSON Schema has an
+    unknown keyword.
 
     - ``schema``: a JSON Schema without references.
     - ``value``: the document as plain Python dicts, lists and scalars.
@@ -94,7 +96,7 @@ The third parameter is the schema that contains the keyword.
 
 
 def _for_type(kind: type | tuple[type, ...], check: _Check) -> _Check:
-    """Returns a check that accepts every value whose type is not ``kind``.
+    """Returns a check function that accepts every value that is not of the Python type ``kind``.
 
     For example, the JSON Schema keyword ``minLength`` applies only to texts.
     """

@@ -1,9 +1,9 @@
-"""Builds the CAN buses of a robot from its devices.
+"""Builds the CAN buses of a robot from its CAN devices.
 
-A bus consists of nodes with node ids, and of CAN frames with signals.  The section `can` of a
-module document defines the CAN frames of a device.  Expressions in the section `can` can use the
-node id of the device and the parameters of the motors on its channels.  The module `bus_checks`
-checks each bus.
+A CAN bus in the robot model has nodes with node ids, and CAN frames with signals.  The section
+`can` of a module document defines the CAN frames of the module.  Expressions in the section `can`
+can use the node id of the device and the parameters of the motors on its channels.  The Python
+module `bus_checks` checks each CAN bus.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
-# Bitrates of CiA 301 above the default, in bit/s.  If the robot file sets no bitrate for a bus
-# and the default is too slow, the compiler tries these bitrates.
+# Bitrates of CiA 301 above the default, in bit/s.  If the robot file sets no bitrate for a CAN bus
+# and the default bitrate is too slow, the compiler tries higher bitrates.
 FASTER = (800_000, 1_000_000)
 
 NMT_COMMANDS = tuple((command.value, command.name.lower()) for command in NmtCommand)
@@ -53,17 +53,18 @@ def build_buses(
     foreign: source.Node | None = None,
     lock: Lock | None = None,
 ) -> tuple[Bus, ...]:
-    """Builds and checks the buses of a robot with their nodes, CAN frames and signals.
+    """Builds and checks the CAN buses of a robot with their nodes, CAN frames and signals.
 
     - ``devices``: module instances with a section `can`.
-    - ``specs``: buses in the order of the robot file.  A device without a bus name is on the first
-      bus.
+    - ``specs``: buses in the order of the robot file.  A CAN device without a bus name belongs to
+      the first bus.
     - ``actuators``: motors of the robot.
     - ``sync_period``: control cycle in s.
     - ``foreign``: section `foreign_devices` of the robot file.
     - ``lock``: node ids of the last build, from the lock file.
 
-    Returns no buses for a robot without devices, or if a bitrate is not positive.
+    Returns an empty tuple if the robot has no CAN devices, or if the bitrate of a bus is not
+    positive.
     """
     for spec in specs:
         if spec.bitrate <= 0:
@@ -89,10 +90,10 @@ def build_buses(
 
 
 def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tuple[Actuator, ...]:
-    """Returns the actuators with the names of the motor controller and the channel.
+    """Returns the actuators with the names of their motor controllers and controller channels.
 
-    The attributes ``node`` and ``channel`` of an actuator contain these names.  An actuator
-    without a motor controller is returned unchanged.
+    The attributes ``node`` and ``channel`` of an actuator contain the name of the motor controller
+    and the name of the channel.  An actuator without a motor controller is returned unchanged.
     """
     drives = {
         channel.actuator: (node.name, channel.name)
@@ -110,8 +111,8 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
 def _is_present(device: Device, report: Report) -> bool:
     """Returns whether a module instance contains a CAN device.
 
-    The key `when` in the section `can` can depend on parameters.  For example, an empty battery
-    enclosure contains no CAN device.
+    The key `when` in the section `can` can depend on the parameters of the module.  For example, an
+    empty battery enclosure contains no CAN device.
     """
     present = device.scope.boolean(device.can.get("when"), True)
     if not present and device.address is not None:
@@ -148,10 +149,11 @@ def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, repo
 
 
 def _timed(bus: Bus) -> Bus:
-    """Returns the bus with its load and the response times of its CAN frames.
+    """Returns the CAN bus with its bus load and the worst-case response times of its CAN frames.
 
-    If two CAN frames have the same identifier, the response times are undefined, and the bus is
-    returned unchanged.  The module ``bus_checks`` reports the duplicate identifier.
+    If two CAN frames have the same identifier, the response times are undefined, and the CAN bus is
+    returned unchanged.  The Python module ``bus_checks`` reports duplicate identifiers of CAN
+    frames.
     """
     if len({frame.cob_id for frame in bus.frames}) < len(bus.frames):
         return bus
@@ -161,9 +163,10 @@ def _timed(bus: Bus) -> Bus:
 
 
 def _fast_enough(bus: Bus, report: Report) -> Bus:
-    """Increases the bitrate of a bus if the CAN frames exceed the load limit or their deadlines.
+    """Increases the bitrate of a CAN bus if the bus load is too high or CAN frames miss their
+    deadlines.
 
-    This function is called only for a bus whose bitrate is not in the robot file.
+    Only the bitrate of a CAN bus without a bitrate in the robot file can be increased.
     """
     faster_bus = bus
     for bitrate in FASTER:

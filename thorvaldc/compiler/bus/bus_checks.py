@@ -1,6 +1,6 @@
 """Checks the CAN buses of a robot: bitrates, heartbeats, bus load and deadlines.
 
-``check_bus`` also runs the checks of ``id_checks``.
+The function ``check_bus`` also runs the checks of the Python module ``id_checks``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 
 def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Runs all checks of one bus."""
+    """Runs all checks of one CAN bus."""
     same = check_ids(bus, placed, report)
     _check_bitrate(bus, placed, report)
     check_restricted(placed, report)
@@ -37,7 +37,7 @@ def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
 
 
 def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Reports the devices that do not support the bitrate of their bus, in one diagnostic."""
+    """Reports the CAN devices that do not support the bitrate of their bus, in one diagnostic."""
     limited = [device for device in placed if device.node.bitrates]
     unable = [device for device in limited if bus.bitrate not in device.node.bitrates]
     if not unable:
@@ -80,7 +80,7 @@ def _check_load(bus: Bus, report: Report) -> None:
 
 
 def late_frames(bus: Bus) -> list[FrameDefinition]:
-    """Returns the periodic CAN frames whose worst-case response time exceeds the deadline."""
+    """Returns the periodic CAN frames with a worst-case response time longer than the deadline."""
     return [
         frame
         for frame in bus.frames
@@ -94,7 +94,8 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
     """Checks that every periodic CAN frame meets its deadline in the worst case."""
     owners = {frame.name: device for device in placed for frame in device.frames}
     late = late_frames(bus)
-    # A load of 0 means that the load was not computed.  `_check_load` reports an overload.
+    # A bus load of 0 means that the bus load was not computed.  The function `_check_load` reports
+    # an overload of the CAN bus.
     if not late or not 0.0 < bus.load <= LOAD_LIMIT:
         return
     worst = max(late, key=lambda f: math.inf if f.response_time is None else f.response_time)
@@ -120,10 +121,10 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
 
 
 def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Checks the heartbeat time-outs of all nodes of a bus.
+    """Checks the heartbeat time-outs of all CANopen nodes of a bus.
 
-    A time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the heartbeat
-    of the master, so that the drive stops if the master stops.
+    A heartbeat time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the
+    heartbeat of the CANopen master, so that the drive stops if the master stops.
     """
     for device in placed:
         node = device.node

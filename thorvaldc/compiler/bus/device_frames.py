@@ -1,4 +1,4 @@
-"""Creates the CAN frames of a device.
+"""Creates the definitions of the CAN frames of a device.
 
 The document of a module type lists the CAN frames of the module.  The CANopen services of a
 device add further CAN frames, such as heartbeats.
@@ -35,9 +35,10 @@ NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtS
 
 
 def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
-    """Returns the motor parameters that expressions in the section `can` can use, by channel.
+    """Returns the motor parameters for expressions in the section `can`, by motor controller
+    channel.
 
-    Speeds are in rad/s, accelerations in rad/s^2 and joint limits in rad.
+    Motor speeds are in rad/s, motor accelerations in rad/s^2 and joint limits in rad.
     """
     return {
         wire.channel: {
@@ -56,12 +57,12 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
 def frames_of(
     device: Device, node_id: int, sync_period: float, report: Report
 ) -> Iterator[FrameDefinition]:
-    """Yields the CAN frames of a device.
+    """Yields the definitions of the CAN frames of a device.
 
     - ``node_id``: node id of the device.
     - ``sync_period``: control cycle in s.
 
-    Reports an error for each invalid frame, and leaves the frame out of the result.
+    Reports an error for each invalid CAN frame, and leaves the CAN frame out of the result.
     """
     scope, name = device.scope, device.name
     for key, node in entries(device.can.get("frames")):
@@ -76,7 +77,8 @@ def frames_of(
         kept = tuple(signal for signal, channel in signals if _is_wired(device, channel))
         sends = scope.text(node.get("direction"), "report") == "command"
         if sends and signals and not kept:
-            # The robot has no motor on the channels of the frame, so the frame has no content.
+            # The robot has no motor on the channels of the CAN frame, so the CAN frame has no
+            # content.
             period = None
         deadline = node.get("deadline")
         number, mapping = _pdo(device, node, length, report)
@@ -113,19 +115,19 @@ def frames_of(
 
 
 def _by_timer(cycle: float) -> float:
-    """Rounds a period (s) down to whole milliseconds.
+    """Rounds the period (s) of a CAN frame down to whole milliseconds.
 
-    The event timer of a CANopen node has a resolution of 1 ms.  A period that is rounded down
-    ensures that a report arrives in each control cycle.
+    The event timer of a CANopen PDO has a resolution of 1 ms.  The period is rounded down so that a
+    CAN frame arrives in each control cycle.
     """
     return max(math.floor(cycle * 1000 + 1e-6), 1) / 1000
 
 
 def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
-    """Returns the minimum time between two CAN frames in s.
+    """Returns the minimum time (s) between two CAN frames with the same identifier.
 
-    Returns ``None`` if the document sets no `rate` for the frame.  If the rate is not positive,
-    reports an error and returns ``None``.
+    Returns ``None`` if the module document sets no `rate` for the CAN frame.  If the rate of the
+    CAN frame is not positive, reports an error and returns ``None``.
     """
     node = frame.get("rate")
     if node is None:
@@ -150,7 +152,7 @@ def standard_frames(
 ) -> Iterator[FrameDefinition]:
     """Yields the CAN frames of the CANopen services of a device.
 
-    The COB-IDs follow the predefined connection set of CiA 301.
+    The COB-IDs of CANopen services follow the predefined connection set of CiA 301.
 
     - ``name``: name of the device.
     - ``services``: list with the names of the services in the document.
@@ -231,9 +233,9 @@ def heartbeat(
 
 
 def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]:
-    """Yields a tuple (signal, name of the channel) for each signal of a CAN frame.
+    """Yields a tuple (signal, name of the motor controller channel) for each signal of a CAN frame.
 
-    The name of the channel is ``None`` if the signal does not belong to a channel.
+    The channel name is ``None`` if the signal does not belong to a motor controller channel.
     """
     scope = device.scope
     wires = {wire.channel: wire for wire in device.wires}
@@ -246,8 +248,8 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         wired = channel is None or channel in wires
 
         def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
-            # An expression can use the parameters of the motor on a channel.  If the channel has
-            # no motor, the expression cannot be evaluated.
+            # An expression in the section `can` can use the parameters of the motor on a controller
+            # channel.  If the controller channel has no motor, the expression cannot be evaluated.
             number = get(key) if wired else None
             return (
                 otherwise if number is None else scope.quantity(number, "ratio", otherwise or 0.0)
@@ -276,12 +278,13 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
-    """Returns a signal whose offset contains the calibrated offset of the steering encoder.
+    """Returns a CAN signal whose offset includes the calibrated offset of the steering encoder.
 
-    The CAN frame contains the angle of the encoder.  The value of the signal is the position of
-    the joint: ``position = encoder + encoder_offset``.  Only this function applies the encoder
-    offset, so all users of the signal read and write joint positions.  The limits of a command
-    signal are the limits of the joint plus the encoder offset.
+    The CAN frame contains the angle that the steering encoder measures.  The value of the CAN
+    signal is the steering joint position: ``position = encoder + encoder_offset``.  The encoder
+    offset is applied only in this function, so all other code reads and writes steering joint
+    positions.  The limits of a steering command signal are the limits of the steering joint plus
+    the encoder offset.
     """
     offset = wire.actuator.encoder_offset
     low, high = signal.minimum, signal.maximum
@@ -301,8 +304,8 @@ def _pdo(
 ) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
     """Returns the number and the object mapping of a CANopen PDO.
 
-    The mapping is a tuple (index, subindex, object type) for each mapped object.  If the frame
-    is not a PDO, or if the PDO has an error, returns ``(None, ())``.
+    The PDO mapping contains a tuple (index, subindex, object type) for each mapped object.  If the
+    CAN frame is not a PDO, or if the PDO has an error, returns ``(None, ())``.
     """
     pdo_node = frame.get("pdo")
     if pdo_node is None:
@@ -383,7 +386,7 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 
 
 def _time(device: Device, node: Node, report: Report) -> float | None:
-    """Returns the time (s) in a document.
+    """Returns the value of a time (s) in a module document.
 
     If the time is not positive, reports an error and returns ``None``.
     """

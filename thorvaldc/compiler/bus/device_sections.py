@@ -40,8 +40,8 @@ class Device(NamedTuple):
     - ``can``: section `can` of the module type.
     - ``channels``: section `channels` of the module type.
     - ``wires``: connections of motors to the channels.
-    - ``address``: entry `can` of the module instance in the robot file.  The entry is an id, the
-      word ``auto`` or a mapping.
+    - ``address``: entry `can` of the module instance in the robot file.  The value of the key is an
+      id, the word ``auto`` or a mapping.
     - ``scope``: names and values for expressions in the module document.
     - ``span``: source span of the module instance in the robot file.
     """
@@ -57,7 +57,7 @@ class Device(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A device on a bus, with its node id.
+    """A device on a CAN bus, with its node id.
 
     - ``path``: path of the module instance in the robot.
     - ``bus``: name of the bus.
@@ -78,7 +78,7 @@ class Placed(NamedTuple):
 
 
 class BusSpec(NamedTuple):
-    """A bus of the robot.
+    """A CAN bus of the robot.
 
     - ``bitrate``: bitrate in bit/s.
     - ``span``: source span of the bus in the robot file.
@@ -92,19 +92,21 @@ class BusSpec(NamedTuple):
 
 
 def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    """Returns the entries of a mapping, or an empty list if the node is not a mapping."""
+    """Returns the keys and values of a YAML mapping, or an empty list if ``node`` is not a
+    mapping.
+    """
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 
 def items(node: source.Node | None) -> tuple[source.Node, ...]:
-    """Returns the elements of a list, or an empty tuple if the node is not a list."""
+    """Returns the elements of a YAML list, or an empty tuple if ``node`` is not a list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
 def integer(scope: Scope, node: source.Node | None, default: int) -> int:
-    """Returns the value of a node as a whole number.
+    """Returns a YAML value as a whole number.
 
-    If the node is missing or its value is not a whole number, returns ``default``.
+    If the YAML value is missing or is not a whole number, returns ``default``.
     """
     if node is None:
         return default
@@ -118,6 +120,6 @@ def integer(scope: Scope, node: source.Node | None, default: int) -> int:
 
 
 def listed(known: Iterable[str]) -> str:
-    """Returns a hint that lists the known names."""
+    """Returns a hint for an error message that lists the known names."""
     names = ", ".join(f"`{name}`" for name in known)
     return f"there are {names}" if names else "there are none"

@@ -1,4 +1,4 @@
-"""Reads the foreign devices of a robot.
+"""Reads the foreign CAN devices from a robot file.
 
 A foreign device is a device on a CAN bus of the robot that is not a module of the robot.
 The base driver relays only the CAN frames that the robot file declares for a foreign device.
@@ -23,7 +23,7 @@ PROTOCOL = "foreign"
 def foreign_devices(
     section: source.Node | None, specs: Sequence[BusSpec], report: Report
 ) -> list[Placed]:
-    """Returns the foreign devices of a robot with the CAN frames that the base driver relays.
+    """Returns the foreign CAN devices of a robot with the CAN frames that the base driver relays.
 
     - ``section``: section `foreign_devices` of the robot file.
     """

@@ -1,4 +1,4 @@
-"""Checks the layout of a CAN frame, and the physical range of its signals."""
+"""Checks the positions of the signals in a CAN frame, and the physical range of the signals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ ROUNDING = 1e-9
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
-    """Checks that the module has all channels that the signals of a CAN frame refer to."""
+    """Checks that the motor controller has all channels that the signals of a CAN frame refer
+    to.
+    """
     known = [name for name, _ in entries(device.channels)]
     for _, node in entries(frame.get("signals")):
         channel = node.get("channel")
@@ -33,10 +35,12 @@ def check_layout(
     signals: Sequence[tuple[Signal, str | None]],
     report: Report,
 ) -> bool:
-    """Checks the layout of a CAN frame.  Returns whether the layout is valid.
+    """Checks the positions and lengths of the signals in a CAN frame.  Returns whether the
+    positions and lengths of the signals are valid.
 
-    A frame has at most 8 bytes.  The signals must be inside the frame and must not overlap.
-    The named values of a signal must fit into its bits, and the multiplexer must be valid.
+    A CAN frame has at most 8 bytes.  The signals must be inside the CAN frame and must not overlap.
+    The named values of a CAN signal must fit into the bits of the signal, and the multiplexer must
+    be valid.
 
     - ``frame``: definition of the frame in the module document.
     - ``length``: length of the frame in bytes.
@@ -124,7 +128,9 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
-    """Checks that signals do not share bits, unless different multiplexer values select them."""
+    """Checks that CAN signals do not share bits, unless different multiplexer values select
+    them.
+    """
     if _masks_are_apart(signals):
         return True
     always: dict[int, Signal] = {}
@@ -157,9 +163,9 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
 
 
 def _masks_are_apart(signals: Sequence[Signal]) -> bool:
-    """Returns whether no two signals overlap.
+    """Returns whether the CAN frame has no overlapping signals.
 
-    The test with bit masks is fast, but does not find out which signals overlap.
+    The check with bit masks is fast, but does not find out which CAN signals overlap.
     """
     always, selected = 0, dict[int, int]()
     for signal in signals:
@@ -177,7 +183,7 @@ def _masks_are_apart(signals: Sequence[Signal]) -> bool:
 
 
 def raw_range(signal: Signal) -> tuple[int, int]:
-    """Returns the smallest and the largest raw value of a signal."""
+    """Returns the smallest and the largest raw value of a CAN signal."""
     if signal.signed:
         return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
     return 0, (1 << signal.length) - 1
@@ -186,7 +192,8 @@ def raw_range(signal: Signal) -> tuple[int, int]:
 def check_scales(
     device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
 ) -> None:
-    """Checks that each signal of a joint can represent the whole speed or angle range of the joint.
+    """Checks that each CAN signal of a joint can represent the whole speed or angle range of the
+    joint.
 
     - ``signals``: tuples (signal, name of the channel).
     """
@@ -230,7 +237,8 @@ def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
     if unit == "rad/s":
         return -wire.actuator.max_velocity, wire.actuator.max_velocity
     if unit == "rad" and wire.lower is not None and wire.upper is not None:
-        # The calibration shifts the range of the steering signal by the offset of the encoder.
+        # The calibration shifts the range of the steering signal by the offset of the steering
+        # encoder.
         offset = wire.actuator.encoder_offset
         return wire.lower + offset, wire.upper + offset
     return None

@@ -1,6 +1,6 @@
-"""Checks that the devices of a bus are told apart: node ids, serial numbers, COB-IDs and names.
+"""Checks that the node ids, serial numbers, COB-IDs and names on a CAN bus are unique.
 
-A diagnostic about two devices contains the source spans of both devices.
+A diagnostic about two CAN devices shows the source spans of both devices.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from thorvaldc.compiler.bus.node_objects import serial_number
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model.robot import Bus, FrameDefinition
 
-# First and last identifier of the ranges that CiA 301 reserves for its own services (table
-# "restricted CAN-IDs").
+# First and last identifier of each range that CiA 301 reserves (table "restricted CAN-IDs").
 RESTRICTED = (
     (0x000, 0x07F),
     (0x101, 0x180),
@@ -29,7 +28,8 @@ RESTRICTED = (
     (0x6E0, 0x6FF),
     (0x701, 0x7FF),
 )
-# COB-IDs of the CANopen services that exist on every bus, although no module declares the service.
+# COB-IDs of the CANopen services that exist on every CANopen bus without a declaration in a module
+# document.
 STANDARD = (
     (TIME_STAMP, "TIME"),
     (LSS_RESPONSE, "LSS response"),
@@ -38,9 +38,9 @@ STANDARD = (
 
 
 def check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
-    """Reports node ids that two devices of a bus use.
+    """Reports an error if two devices of a CAN bus have the same node id.
 
-    Returns the name of the second device with each duplicate id.
+    Returns the names of the devices whose node id another device already has.
     """
     first: dict[tuple[str, int], Placed] = {}
     duplicates: dict[str, None] = {}
@@ -119,9 +119,9 @@ class _Claim(NamedTuple):
 def check_cob_ids(
     bus: Bus, placed: Sequence[Placed], skipped: dict[str, None], report: Report
 ) -> None:
-    """Reports COB-IDs that two CAN frames of a bus use.
+    """Reports an error if two CAN frames of a bus have the same COB-ID.
 
-    The frames of the master and of the CANopen standard services are included.
+    The check includes the CAN frames of the CANopen master and of the CANopen standard services.
 
     - ``skipped``: names of nodes with a duplicate node id, whose frames are not checked.
     """
@@ -175,7 +175,7 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
 
 
 def check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
-    """Checks that the names of the nodes and of the CAN frames on a bus are unique.
+    """Checks that the names of nodes and CAN frames on a bus are unique.
 
     The DBC file and the base driver identify nodes and CAN frames by name.
     """

@@ -22,10 +22,10 @@ _BATTERIES = "kc_battery"
 
 
 def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
-    """Returns the injected faults of a document.
+    """Returns the injected faults that a document lists for the simulated CAN buses.
 
-    Reports an error if a fault names a bus or a device that the robot does not have, or if a
-    device does not support a fault.
+    Reports an error if an injected fault refers to an unknown bus or device, or if the device does
+    not support the fault.
     """
     scope = Scope(None, {}, Library(), report, None)
     quantities = BoundedQuantities(scope, report)
@@ -84,8 +84,8 @@ class _Reader:
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
         """Returns the bus and the device of an injected fault.
 
-        The device is ``None`` for a fault of a whole bus.  If the robot does not have the bus or
-        the device, returns ``(None, None)``.
+        The device is ``None`` for an injected fault of a whole CAN bus.  If the robot does not have
+        the CAN bus or the device, returns ``(None, None)``.
         """
         buses = self.robot.buses
         bus_node, device = node.get("bus"), node.get("node")
@@ -121,7 +121,7 @@ class _Reader:
     def _has_keys(self, node: Node, name: str, kind: FaultKind) -> bool:
         """Checks that an injected fault has all required keys and exactly one start condition.
 
-        Reports missing, conflicting and unknown keys of the injected fault.
+        Reports missing, conflicting and unknown keys of an injected fault in the YAML document.
         """
         entries = node.value if isinstance(node.value, dict) else {}
         needs = (*(("node",) if kind.node == "yes" else ()), *kind.needs)
@@ -147,7 +147,7 @@ class _Reader:
         return complete
 
     def _suits(self, node: Node, name: str, device: Device) -> bool:
-        """Checks that a device supports the injected fault ``name``."""
+        """Checks that a simulated device supports the injected fault ``name``."""
         frames = [f for bus in self.robot.buses for f in bus.frames if f.producer == device.name]
         kinds = {"heartbeat_stop": "heartbeat", "emcy": "emcy"}
         reason = ""

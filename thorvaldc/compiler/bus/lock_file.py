@@ -1,9 +1,10 @@
-"""Reads and writes the lock file of a robot.
+"""Reads and writes the lock file of a robot, which stores automatically assigned node ids.
 
-The lock file contains the node ids that the compiler chose for the devices of a robot.  With the
-lock file, a device keeps its node id when other devices are added.  The lock file of
-`robot.yaml` is `robot.lock.yaml`.  Every command reads the lock file, and the command `build`
-writes it.  The page `docs/language.md` describes the format of the lock file.
+The lock file `robot.lock.yaml` contains the node ids that the compiler chose for CAN devices.  With
+the lock file, a CAN device keeps its node id when other devices are added.  The lock file of
+`robot.yaml` is `robot.lock.yaml`.  Every command of the compiler reads the lock file, and the
+command `build` writes the lock file.  The page `docs/language.md` describes the format of the lock
+file for node ids.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def lock_path(robot: Path) -> Path:
 
 
 def read_lock(document: Node, report: Report) -> Lock:
-    """Returns the node ids in a lock file, and reports each invalid entry of the lock file."""
+    """Returns the node ids in a lock file, and reports an error for each invalid node id."""
 
     def report_error(message: str, node: Node) -> None:
         report.add(
@@ -73,7 +74,7 @@ def read_lock(document: Node, report: Report) -> Lock:
 
 
 def lock_text(robot: Robot, file: str) -> str:
-    """Returns the text of the lock file of a robot.
+    """Returns the YAML text of the lock file of a robot.
 
     - ``file``: name of the robot file, for the comment at the start of the lock file.
     """
@@ -90,10 +91,10 @@ def lock_text(robot: Robot, file: str) -> str:
 
 
 def _key(name: str) -> str:
-    """Returns a name as a YAML key.
+    """Returns the name of a device as a YAML key.
 
-    The names `true`, `false` and `null` are put in quotes, because YAML does not read them as
-    text.  All names are lower-case, so no other name needs quotes.
+    The words `true`, `false` and `null` need quotes, because YAML does not read them as text.
+    Device names have only lower-case letters, so no other YAML key needs quotes.
     """
     return f'"{name}"' if name in ("true", "false", "null") else name
 

@@ -1,6 +1,6 @@
-"""Assigns a node id to each device of a robot.
+"""Assigns a node id to each CAN device of a robot.
 
-A node id in the robot file has priority over a node id in the lock file.  A device without a
+A node id in the robot file has priority over a node id in the lock file.  A CAN device without a
 node id in the robot file and the lock file gets the lowest free node id of its range.
 """
 
@@ -31,13 +31,13 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
-# If a module document contains no `heartbeat_timeout`, a node counts as lost after this number of
-# missed heartbeats.
+# Default number of missed heartbeats after which a CANopen node counts as lost, if the module
+# document contains no `heartbeat_timeout`.
 HEARTBEATS_MISSED = 3
 
 
 class _Request(NamedTuple):
-    """The address of a device in the robot file.
+    """The requested bus and node id of a CAN device in the robot file.
 
     - ``bus``: name of the bus.
     - ``id``: requested node id, or ``None`` for `auto`.
@@ -64,7 +64,7 @@ def assign_ids(
     lock: Lock,
     report: Report,
 ) -> list[Placed]:
-    """Assigns a node id to each device, and creates the CAN frames of the device.
+    """Assigns a node id to each CAN device, and creates the CAN frames of the device.
 
     - ``devices``: devices without node ids.
     - ``foreign``: foreign devices, which already have node ids.
@@ -72,7 +72,7 @@ def assign_ids(
     - ``sync_period``: control cycle in s.
     - ``lock``: node ids of the last build.
 
-    Reports an error for a device that cannot get a node id, and leaves the device out of the
+    Reports an error for a CAN device that cannot get a node id, and leaves the device out of the
     result.
     """
     requests = [(device, _request(device, specs, report)) for device in devices]
@@ -129,10 +129,10 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
 
 
 def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report) -> str:
-    """Returns the name of the bus of a device.
+    """Returns the name of the CAN bus to which a device is connected.
 
-    A device without a bus name is on the first bus of the robot file.  An unknown bus name is an
-    error, and the function returns the first bus.
+    A CAN device without a bus name is on the first bus of the robot file.  If the name of the CAN
+    bus is unknown, reports an error and returns the first bus.
     """
     known = [spec.name for spec in specs]
     if node is None:
@@ -156,9 +156,10 @@ def _id(
     taken: Taken,
     report: Report,
 ) -> int | None:
-    """Returns the node id of a device.
+    """Returns the node id of a CAN device.
 
-    Returns ``None`` and reports an error if the requested id is out of range or no id is free.
+    Returns ``None`` and reports an error if the requested node id is out of range or no node id is
+    free.
     """
     id_space = _id_space(device)
     low, high = _id_range(device, "ids", (1, MASTER_ID))
@@ -197,7 +198,7 @@ def _pinned(
     lock: Lock,
     report: Report,
 ) -> dict[tuple[str, str, str], Pin]:
-    """Returns the valid node ids of the lock file by (bus, id space, module).
+    """Returns the valid node ids in the lock file, by the tuple (bus, id space, module).
 
     Reports a diagnostic for each invalid or unused node id of the lock file.
     """
@@ -322,9 +323,10 @@ def _node(
 
 
 def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
-    """Returns the value of a device property.
+    """Returns the value of a property of a CAN device.
 
-    A quantity is converted to SI units.  A text that is not a quantity is returned unchanged.
+    A quantity is converted to SI units.  A text that is not a quantity with a unit is returned
+    unchanged.
     """
     value = scope.evaluate(node)
     if isinstance(value, str) and not node.quoted:

@@ -1,7 +1,8 @@
 """Computes the values in the object dictionary of a CANopen node (CiA 301).
 
-The section `objects` of a module document lists values of the object dictionary.  The objects
-for the identity, the heartbeats and the PDOs follow from other sections of the module document.
+The section `objects` of a module document lists values of the object dictionary.  The object
+dictionary entries for the identity, the heartbeats and the PDOs follow from other sections of the
+module document.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node, ObjectValue
 DEVICE_TYPE, ERROR_REGISTER, SYNC_COB_ID, EMCY_COB_ID = 0x1000, 0x1001, 0x1005, 0x1014
 HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER, IDENTITY = 0x1016, 0x1017, 0x1018
 LONGEST_TIME = 0xFFFF  # longest time in ms that fits into 16 bits
-# Index of the communication parameters of the first PDO.  The index of the mapping parameters of
-# a PDO is 0x200 higher than the index of its communication parameters.
+# Index of the communication parameters of the first PDO.  In the object dictionary, the mapping
+# parameters of a PDO are 0x200 above its communication parameters.
 RPDO, TPDO = 0x1400, 0x1800
 AT_SYNC, ON_EVENT = 1, 255  # values of the PDO transmission type
 
@@ -32,9 +33,10 @@ AT_SYNC, ON_EVENT = 1, 255  # values of the PDO transmission type
 def objects_of(
     device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> tuple[ObjectValue, ...]:
-    """Returns the objects of a CANopen node in the order of their indices.
+    """Returns the object dictionary entries of a CANopen node in the order of their indices.
 
-    Returns an empty tuple if the node has no SDO service, because objects are written by SDO.
+    Returns an empty tuple if the CANopen node has no SDO service, because object dictionary entries
+    are written by SDO.
     """
     if node.id_space != CANOPEN or not any(f.kind == "sdo" for f in frames):
         return ()
@@ -56,7 +58,7 @@ def objects_of(
 
 
 def type_range(name: str) -> tuple[int, int]:
-    """Returns the smallest and the largest value of an object type.
+    """Returns the smallest and the largest value of an object dictionary data type.
 
     - ``name``: name of the type, a key of ``OBJECT_TYPES``.
     """
@@ -71,7 +73,9 @@ def _shown(index: int, subindex: int) -> str:
 
 
 def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
-    """Yields the objects in the section `objects` of a module document, with source spans."""
+    """Yields the object dictionary entries in the section `objects` of a module document, with
+    source spans.
+    """
     wired = {wire.channel for wire in device.wires}
     channels = [name for name, _ in entries(device.channels)]
     for name, node in entries(device.can.get("objects")):
@@ -169,7 +173,9 @@ def _derived(
 
 
 def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[ObjectValue]:
-    """Yields the objects with the communication and mapping parameters of a PDO."""
+    """Yields the object dictionary entries with the communication and mapping parameters of a
+    PDO.
+    """
     received = frame.producer == MASTER
     base = (RPDO if received else TPDO) + (frame.pdo or 1) - 1
     name = f"{'rpdo' if received else 'tpdo'}{frame.pdo}"
@@ -189,9 +195,9 @@ def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[Obj
 
 
 def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
-    """Yields the objects that are mapped into PDOs.
+    """Yields the object dictionary entries that are mapped into PDOs.
 
-    The name of an object is the name of the signal that has the same bits in the PDO.
+    The name of a mapped object is the name of the CAN signal with the same bits in the PDO.
     """
     for frame in frames:
         start = 0
@@ -207,7 +213,7 @@ def _mapped(frames: Sequence[FrameDefinition]) -> Iterator[ObjectValue]:
 
 
 def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
-    """Returns a time (s) in ms, as the object dictionary stores it.
+    """Converts a time from s to ms, which is the unit of times in the object dictionary.
 
     Reports an error if the time is not a whole number of milliseconds from 1 to 65535.
     """
@@ -224,9 +230,9 @@ def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
 
 
 def serial_number(text: str | None) -> int | None:
-    """Returns a serial number as an integer of 32 bits, as in object 0x1018:4.
+    """Returns a serial number as a 32-bit integer, as in object dictionary entry 0x1018:4.
 
-    Returns ``None`` if the text is not an integer of 32 bits.
+    Returns ``None`` if the serial number is not a 32-bit integer.
     """
     if text is None:
         return None

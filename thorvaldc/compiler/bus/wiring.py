@@ -1,4 +1,4 @@
-"""Collects the buses, the CAN devices and the motor connections of a robot."""
+"""Collects the CAN buses, the CAN devices and the motor connections of a robot."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEFAULT_BUS = "main"
 
 
 class Wiring(NamedTuple):
-    """Collects the CAN devices of a robot and the motors on their channels.
+    """Collects the CAN devices of a robot and the motors on the channels of motor controllers.
 
     - ``document``: robot document.
     - ``resolver``: resolver of the references to motors.
@@ -37,7 +37,7 @@ class Wiring(NamedTuple):
     report: Report
 
     def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
-        """Returns the buses of a robot.
+        """Returns the CAN buses of a robot.
 
         - ``robot``: root of the tree of module instances.
         - ``period``: control cycle of the base driver in s.

@@ -1,4 +1,6 @@
-"""Checks the connections between the motors of a robot and the channels of its controllers."""
+"""Checks the connections between the motors of a robot and the channels of the motor
+controllers.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,9 @@ from thorvaldc.model.robot import Actuator
 def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
     """Checks the connections between motors and motor controllers.
 
-    A motor can be connected to only one channel, and the channel must have the role of the motor.
-    Reports motors without a controller and controllers without a motor.
+    A motor can be connected to only one motor controller channel, and the channel must have the
+    role of the motor.  Reports motors without a motor controller, and motor controllers without a
+    motor.
     """
     owners: dict[str, tuple[Device, Wire]] = {}
     for device in devices:

@@ -1,6 +1,4 @@
-"""Checks the links and joints of added xacro files, and adds them to the kinematic tree of the
-robot.
-"""
+"""Adds the links and joints of xacro files (extras) to the kinematic tree of the robot."""
 
 from __future__ import annotations
 
@@ -245,9 +243,7 @@ class ExtrasJoiner:
         )
 
     def check_masses(self, links: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
-        """Checks that each moving link of a xacro file has a mass, including the mass of the links
-        fixed to it.
-        """
+        """Checks that each moving link, with the links fixed to it, has a mass."""
 
         def mass(name: str, visited: tuple[str, ...]) -> float:
             inertial = links[name].inertial

@@ -140,9 +140,7 @@ class ElementReader:
         )
 
     def check_content(self, element: Element) -> None:
-        """Reports a warning for each child element and attribute of a URDF element that is not in
-        ``ELEMENTS``.
-        """
+        """Reports a warning for each URDF element or attribute that is not in ``ELEMENTS``."""
         content = ELEMENTS[element.tag]
         for child in element.children:
             if child.tag in content.ignored:

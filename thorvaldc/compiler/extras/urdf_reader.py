@@ -70,8 +70,7 @@ def read_urdf(
     report: Report,
     macros: Collection[str] = (),
 ) -> UrdfParts:
-    """Converts the child elements of the URDF element ``<robot>`` to links and joints of the robot
-    model.
+    """Converts the URDF element ``<robot>`` to links and joints of the robot model.
 
     - ``module``: name that identifies the extra in the model.
     - ``load_mesh``: function that loads the mesh file of an element.  The arguments of

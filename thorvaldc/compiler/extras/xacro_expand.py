@@ -54,9 +54,7 @@ class Element:
     xml: str = ""
 
     def find(self, tag: str) -> Element | None:
-        """Returns the first XML child element with the name ``tag``, or ``None`` if there is
-        none.
-        """
+        """Returns the first XML child element with the name ``tag``, or ``None``."""
         return next((child for child in self.children if child.tag == tag), None)
 
 
@@ -161,9 +159,7 @@ class DisplayPaths:
         return os.path.normpath(os.path.join(self.display, relative)).replace(os.sep, "/")
 
     def text(self, message: str) -> str:
-        """Replaces each absolute path in a message by a path relative to the robot file or the ROS
-        package.
-        """
+        """Replaces each absolute path in a message by a relative path."""
         for package, folder in self.installed.items():
             message = message.replace(os.path.join(folder, ""), f"package://{package}/")
         prefix = os.path.join(self.display, "") if self.display else ""
@@ -290,8 +286,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]:
-    """Returns the error answer for a xacro file if the worker process ended while it expanded the
-    file.
+    """Returns the error for a xacro file during whose expansion the worker process ended.
 
     - ``received``: number of bytes of the incomplete answer.
     - ``timed_out``: whether the compiler ended the worker after ``WALL_SECONDS``.

@@ -194,8 +194,7 @@ def _span(mark: Any, lines: list[str], file: str) -> Span:
 
 
 def _tab(line: str, span: Span) -> int | None:
-    """Returns the column of the tab that causes a YAML syntax error, or ``None`` if there is no
-    tab.
+    """Returns the column of the tab that causes a YAML syntax error, or ``None``.
 
     A tab in the indentation of a YAML line or at the position of a syntax error causes the error.
     """

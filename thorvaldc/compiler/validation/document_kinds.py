@@ -36,8 +36,8 @@ _WRONG_KINDS = (
 def report_wrong_kind(document: Node, report: Report) -> bool:
     """Reports an error if a YAML document is neither a robot nor a fleet nor a scenario.
 
-    Returns whether this error is reported.  For a YAML document of a wrong kind, the schema check
-    is skipped, because errors of the robot schema would be misleading.
+    Returns ``True`` if the YAML document has a wrong kind.  For a YAML document of a wrong kind,
+    the schema check is skipped, because errors of the robot schema would be misleading.
     """
     if document.get("name") is None:
         for key, description, hint in _WRONG_KINDS:
