@@ -12,7 +12,7 @@ Subject of a diagnostic, by the first digit of the diagnostic code:
 - 8: runtime, simulation and commissioning
 - 9: files and import
 
-The number of a removed diagnostic code, such as TV501, is never used again.  The page
+The number of a removed diagnostic code is never used again for another code.  The page
 ``docs/diagnostics/<number>.md`` explains each diagnostic code.
 """
 

@@ -38,8 +38,8 @@ def printable(text: str) -> str:
 def json_text(document: Any) -> str:
     """Returns a Python value as indented JSON text without control characters."""
     text = json.dumps(document, indent=2, ensure_ascii=False)
-    # The module `json` escapes the C0 control characters.  C1 control characters occur only inside
-    # strings of the JSON text, where an escape sequence is valid.
+    # The module `json` escapes the C0 control characters.  Other control characters occur only
+    # inside strings of the JSON text, where an escape sequence is valid.
     return _HIGH_CONTROLS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
@@ -58,8 +58,7 @@ class Excerpt:
 
 
 class Excerpts:
-    """Reads the lines of source files that error messages show.  Each source file is read only
-    once.
+    """Reads the source lines for error messages.  Each source file is read only once.
 
     - ``sources``: path of each file name in the source spans.
     - ``width``: maximum width of an output line in terminal columns.

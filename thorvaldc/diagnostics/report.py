@@ -177,9 +177,7 @@ class Report:
         )
 
     def excluding_spans_of(self, earlier: Report) -> Report:
-        """Returns a report without the diagnostics at source spans at which ``earlier`` has an
-        error.
-        """
+        """Returns a report without the diagnostics about source spans with an error in ``earlier``."""
         known = {d.span for d in earlier.errors if d.span is not None}
         remaining = Report()
         remaining.extend(d for d in self if d.span not in known)

@@ -20,8 +20,7 @@ class _UnknownKeyword(Exception):
 
 
 def passes(schema: dict[str, Any], value: Any) -> bool:
-    """Returns whether a value matches a JSON Schema.  Returns ``False`` if the JSON Schema has an
-    unknown keyword.
+    """Returns whether a value matches a JSON Schema without unknown keywords.
 
     - ``schema``: a JSON Schema without references.
     - ``value``: the document as plain Python dicts, lists and scalars.
@@ -96,7 +95,7 @@ The third parameter is the schema that contains the keyword.
 
 
 def _for_type(kind: type | tuple[type, ...], check: _Check) -> _Check:
-    """Returns a check function that accepts every value that is not of the Python type ``kind``.
+    """Restricts the check of a JSON Schema keyword to values of the Python type ``kind``.
 
     For example, the JSON Schema keyword ``minLength`` applies only to texts.
     """

@@ -163,8 +163,7 @@ def _timed(bus: Bus) -> Bus:
 
 
 def _fast_enough(bus: Bus, report: Report) -> Bus:
-    """Increases the bitrate of a CAN bus if the bus load is too high or CAN frames miss their
-    deadlines.
+    """Increases the bitrate of a CAN bus if the bus load is too high or deadlines are missed.
 
     Only the bitrate of a CAN bus without a bitrate in the robot file can be increased.
     """

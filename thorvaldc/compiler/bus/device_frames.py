@@ -35,8 +35,7 @@ NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtS
 
 
 def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
-    """Returns the motor parameters for expressions in the section `can`, by motor controller
-    channel.
+    """Returns the motor parameters for expressions in the section `can`, by channel.
 
     Motor speeds are in rad/s, motor accelerations in rad/s^2 and joint limits in rad.
     """

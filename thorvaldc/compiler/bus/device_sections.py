@@ -40,8 +40,8 @@ class Device(NamedTuple):
     - ``can``: section `can` of the module type.
     - ``channels``: section `channels` of the module type.
     - ``wires``: connections of motors to the channels.
-    - ``address``: entry `can` of the module instance in the robot file.  The value of the key is an
-      id, the word ``auto`` or a mapping.
+    - ``address``: entry `can` of the module instance in the robot file.  The value of the entry
+      `can` is an id, the word ``auto`` or a mapping.
     - ``scope``: names and values for expressions in the module document.
     - ``span``: source span of the module instance in the robot file.
     """
@@ -92,9 +92,7 @@ class BusSpec(NamedTuple):
 
 
 def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    """Returns the keys and values of a YAML mapping, or an empty list if ``node`` is not a
-    mapping.
-    """
+    """Returns the keys and values of a YAML mapping, or an empty list for other values."""
     return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
 
 

@@ -14,9 +14,7 @@ ROUNDING = 1e-9
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
-    """Checks that the motor controller has all channels that the signals of a CAN frame refer
-    to.
-    """
+    """Checks that the module has all channels that its CAN signals refer to."""
     known = [name for name, _ in entries(device.channels)]
     for _, node in entries(frame.get("signals")):
         channel = node.get("channel")
@@ -35,8 +33,7 @@ def check_layout(
     signals: Sequence[tuple[Signal, str | None]],
     report: Report,
 ) -> bool:
-    """Checks the positions and lengths of the signals in a CAN frame.  Returns whether the
-    positions and lengths of the signals are valid.
+    """Returns whether the positions and lengths of the signals in a CAN frame are valid.
 
     A CAN frame has at most 8 bytes.  The signals must be inside the CAN frame and must not overlap.
     The named values of a CAN signal must fit into the bits of the signal, and the multiplexer must
@@ -128,9 +125,7 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
-    """Checks that CAN signals do not share bits, unless different multiplexer values select
-    them.
-    """
+    """Checks that the CAN signals of one multiplexer value do not share bits."""
     if _masks_are_apart(signals):
         return True
     always: dict[int, Signal] = {}
@@ -192,8 +187,7 @@ def raw_range(signal: Signal) -> tuple[int, int]:
 def check_scales(
     device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
 ) -> None:
-    """Checks that each CAN signal of a joint can represent the whole speed or angle range of the
-    joint.
+    """Checks that CAN signals can represent the whole speed or angle range of their joint.
 
     - ``signals``: tuples (signal, name of the channel).
     """

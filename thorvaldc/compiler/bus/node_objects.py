@@ -73,9 +73,7 @@ def _shown(index: int, subindex: int) -> str:
 
 
 def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
-    """Yields the object dictionary entries in the section `objects` of a module document, with
-    source spans.
-    """
+    """Yields the object dictionary entries of the section `objects`, with source spans."""
     wired = {wire.channel for wire in device.wires}
     channels = [name for name, _ in entries(device.channels)]
     for name, node in entries(device.can.get("objects")):
@@ -173,9 +171,7 @@ def _derived(
 
 
 def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[ObjectValue]:
-    """Yields the object dictionary entries with the communication and mapping parameters of a
-    PDO.
-    """
+    """Yields the object dictionary entries that configure a PDO."""
     received = frame.producer == MASTER
     base = (RPDO if received else TPDO) + (frame.pdo or 1) - 1
     name = f"{'rpdo' if received else 'tpdo'}{frame.pdo}"

@@ -1,6 +1,4 @@
-"""Checks the connections between the motors of a robot and the channels of the motor
-controllers.
-"""
+"""Checks the connections between the motors and the motor controllers of a robot."""
 
 from __future__ import annotations
 

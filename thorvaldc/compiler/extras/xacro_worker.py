@@ -217,9 +217,7 @@ class Expansion:
         return call
 
     def with_current(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps ``reqd_attrs`` of xacro, and stores the XML element whose attributes xacro
-        reads.
-        """
+        """Wraps ``reqd_attrs`` of xacro, and stores the XML element that xacro reads."""
 
         def call(node: Any, names: Any) -> Any:
             self.current = node
@@ -361,9 +359,7 @@ class Expansion:
     # -- the run -----------------------------------------------------------------
 
     def patches(self) -> dict[str, Any]:
-        """Returns the replacements for functions of the module xacro, by the name of the
-        function.
-        """
+        """Returns the replacements for functions of xacro, by the name of the function."""
         x = self.xacro
         return {
             "parse": self.parse,
@@ -381,9 +377,7 @@ class Expansion:
         }
 
     def run(self) -> dict[str, Any]:
-        """Evaluates the macros and expressions of the xacro file.  Replace the functions of xacro
-        by ``patches`` before calling this method.
-        """
+        """Evaluates the xacro file.  The caller must first apply ``patches`` to xacro."""
         path = self.entry["file"]
         arguments = _Arguments(self.entry["args"])
         self.xacro.init_stacks(path)

@@ -95,8 +95,7 @@ class Token:
 
 
 def tokenize(text: str) -> list[Token]:
-    """Returns the tokens of an expression.  The last token of the list is an end marker of the kind
-    ``END``.
+    """Returns the tokens of an expression, with an end token of the kind ``END``.
 
     Raises ``ExpressionError`` if the expression has a syntax error.
     """

@@ -287,9 +287,7 @@ class _Parser:
         raise syntax_error(f"expected a value, got `{token.text}`", token.offset)
 
     def elements(self, closing: str) -> list[Evaluate]:
-        """Parses expressions that are separated by commas, up to the closing bracket
-        ``closing``.
-        """
+        """Parses a comma-separated list of expressions up to the bracket ``closing``."""
         elements: list[Evaluate] = []
         while not self.take(closing):
             if elements:

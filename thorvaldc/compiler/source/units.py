@@ -1,5 +1,4 @@
-"""Converts quantities to floats in SI units.  A quantity is a number with a unit, such as ``650
-mm``.
+"""Converts numbers with units, such as ``650 mm``, to floats in SI units.
 
 The conversion factor of a unit to SI is an exact fraction times a power of pi.  The number before
 the unit is an integer times a power of ten.  If the unit does not contain pi, the value in SI units
@@ -145,9 +144,7 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
 
 
 def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
-    """Returns a decimal number as two integers (mantissa, exponent): number = mantissa *
-    10**exponent.
-    """
+    """Returns a number as two integers (mantissa, exponent): mantissa * 10**exponent."""
     sign, whole, fraction, only_fraction, power = number.groups()
     decimals = fraction or only_fraction or ""
     mantissa = int((whole or "") + decimals or "0")
@@ -232,8 +229,7 @@ def _parse_unit(text: str) -> Unit:
 
 
 def _parse_product(text: str, position: int, depth: int) -> tuple[Unit, int]:
-    """Parses a product of units, such as ``kg m^2``, up to the end of the text or a closing
-    parenthesis.
+    """Parses a product of units, such as ``kg m^2``, up to a closing parenthesis or the end.
 
     - ``position``: position in the text at which parsing starts.
     - ``depth``: number of parentheses that are open at this position.
@@ -328,9 +324,7 @@ def _raise_to_power(unit: Unit, power: str | None, text: str) -> Unit:
 
 
 def _multiply(a: Unit, b: Unit, sign: int, text: str) -> Unit:
-    """Returns the product of the units ``a`` and ``b`` if ``sign`` is 1, or their quotient if
-    ``sign`` is -1.
-    """
+    """Returns the unit ``a * b`` if ``sign`` is 1, or the unit ``a / b`` if ``sign`` is -1."""
     if a.offset or b.offset or max(map(abs, (*a.dimension, *b.dimension))) > 4 * _MAX_POWER:
         _raise_error(text, text)
     numerator, denominator = b.numerator, b.denominator

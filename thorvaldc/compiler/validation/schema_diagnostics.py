@@ -25,8 +25,7 @@ _ID_HINT = "a name has lower-case letters, digits and `_`, and begins with a let
 
 
 def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Report) -> None:
-    """Converts a schema error of the package jsonschema to diagnostics, and adds them to
-    ``report``.
+    """Adds the diagnostics for one error of the package jsonschema to ``report``.
 
     - ``root``: root node of the document.
     - ``reported``: source spans that already have a diagnostic.  Errors at source spans in
@@ -355,9 +354,7 @@ class _Explanation:
 
 
 def _expected(schema: dict[str, Any]) -> str:
-    """Returns a description of the types of value that a schema allows, such as ``a length or a
-    mapping``.
-    """
+    """Returns the types of value that a schema allows, such as ``a length or a mapping``."""
     quantity = schema.get("x-quantity")
     words: list[str] = []
     if quantity is not None and quantity != "any":
