@@ -1,4 +1,4 @@
-"""Diagnostic codes, source spans, reports, and renderers of reports."""
+"""Diagnostic codes, source spans, reports of diagnostics, and their output formats."""
 
 from thorvaldc.diagnostics.codes import CODES, Code
 from thorvaldc.diagnostics.report import Diagnostic, Label, Report, Severity, Span

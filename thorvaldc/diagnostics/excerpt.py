@@ -28,9 +28,9 @@ _HIGH_CONTROLS = re.compile("[\x7f-\x9f\u2028\u2029]")
 
 
 def printable(text: str) -> str:
-    """Returns a text with all line breaks and control characters escaped.
+    """Returns a text in which line breaks and control characters are replaced by escape sequences.
 
-    A text without control characters cannot change the state of a terminal.
+    Control characters in a message could change the colours or the cursor of a terminal.
     """
     return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
@@ -58,7 +58,7 @@ class Excerpt:
 
 
 class Excerpts:
-    """Reads the source lines for error messages.  Each source file is read only once.
+    """Reads the source lines for error messages.  Each source file is read from disk only once.
 
     - ``sources``: path of each file name in the source spans.
     - ``width``: maximum width of an output line in terminal columns.

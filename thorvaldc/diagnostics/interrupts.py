@@ -13,8 +13,8 @@ def uninterrupted() -> Iterator[None]:
     """Delays the signals SIGINT and SIGTERM until the end of a ``with`` block.
 
     A signal such as SIGINT is delayed only if it has a Python signal handler.  At the end of the
-    ``with`` block, the handler of the first received signal runs.  Outside the main thread the
-    context manager has no effect, because Python runs signal handlers only in the main thread.
+    ``with`` block, the handler of the first received signal runs.  Signals are not delayed outside
+    the main thread, because Python runs signal handlers only in the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,7 +1,7 @@
 """Formats a report of diagnostics as text, JSON, GitHub workflow commands or SARIF.
 
-The parameter ``sources`` maps each file name in the source spans to the path of the file.  If
-``sources`` does not contain a file, the text output shows no source lines of the file.
+The parameter ``sources`` maps each file name in the source spans to the path of the file.  If a
+file is not in ``sources``, the text output shows no source lines of the file.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def render_text(
     """Returns a report of diagnostics as text for a terminal.
 
     Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The text
-    of a diagnostic also contains the source lines and the hint.
+    of a diagnostic also contains the invalid source lines and the hint.
 
     - ``color``: whether the text contains ANSI escape sequences for colours.
     - ``width``: maximum width of a source line in terminal columns.

@@ -19,8 +19,8 @@ class Severity(enum.Enum):
     NOTE = "note"
 
 
-# The class `Span` is a named tuple for speed, because every YAML value has a source span.  Python
-# creates a named tuple in half the time of a frozen dataclass.
+# The class `Span` is a named tuple for speed, because every YAML value has a source span.  Creating
+# a Python named tuple takes half the time of creating a frozen dataclass.
 class Span(NamedTuple):
     """A range of text in a source file, from a start line and column to an end line and column.
 
@@ -76,8 +76,8 @@ class Report:
     """A list of diagnostics in the order of detection, without repetitions."""
 
     def __init__(self) -> None:
-        # Maps each original diagnostic to the diagnostic with the label of `used_by`.  The original
-        # diagnostics are stored to detect repeated diagnostics.
+        # Diagnostics of the report: original diagnostic -> diagnostic with the label of `used_by`.
+        # The original diagnostics are stored to detect repeated diagnostics.
         self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
 
@@ -90,7 +90,7 @@ class Report:
         hint: str | None = None,
         labels: Iterable[Label] = (),
     ) -> None:
-        """Adds a diagnostic to the report.
+        """Adds a new diagnostic to the report.
 
         - ``code``: name of the diagnostic code, such as ``"can-id-duplicate"``.
         - ``message``: one sentence with the value, the limit and the unit.
@@ -99,8 +99,8 @@ class Report:
         - ``labels``: further source spans with texts.
 
         If the report already contains an equal diagnostic, the report does not change.  For
-        example, a mistake in a module document is reported once, although a robot has nine such
-        modules.
+        example, a mistake in a module document is reported once, although a robot has nine modules
+        of this type.
         """
         self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels)))
 
@@ -127,9 +127,9 @@ class Report:
         - ``user``: label at the module instance in the robot file.
 
         A diagnostic in a module document gets the label ``user`` at the module in the robot file,
-        because the parameters of the module can cause the diagnostic.  A diagnostic in the library
-        of the project gets the source span of ``user``, because the user cannot change the library.
-        The original source span of the diagnostic becomes a label.
+        because the parameters of the module can cause the diagnostic.  A diagnostic in the module
+        library of Thorvald gets the source span of ``user``, because the user cannot change the
+        library.  The original source span becomes a label of the diagnostic.
         """
         outer, self._user = self._user, user
         try:
@@ -177,7 +177,7 @@ class Report:
         )
 
     def excluding_spans_of(self, earlier: Report) -> Report:
-        """Returns a report without the diagnostics about source spans with an error in ``earlier``."""
+        """Returns a report without diagnostics at the source spans of errors in ``earlier``."""
         known = {d.span for d in earlier.errors if d.span is not None}
         remaining = Report()
         remaining.extend(d for d in self if d.span not in known)

@@ -32,10 +32,10 @@ def passes(schema: dict[str, Any], value: Any) -> bool:
 
 
 def matches(pattern: str, text: str) -> bool:
-    """Returns whether a text matches a JSON Schema pattern.
+    """Returns whether a text matches a regular expression (``pattern``) of a JSON Schema.
 
-    In Python, `$` also matches before a line feed at the end of a text.  In a JSON Schema
-    pattern, `$` matches only at the end of the text.
+    In a Python regular expression, `$` also matches before a line feed at the end of a text.  In a
+    JSON Schema pattern, `$` matches only at the end of the text.
     """
     if pattern.endswith("$"):
         pattern = pattern[:-1] + r"\Z"
@@ -103,7 +103,7 @@ def _for_type(kind: type | tuple[type, ...], check: _Check) -> _Check:
 
 
 _NUMBER = (int, float)
-# Keywords of a schema that the validator ignores: annotations, and the keywords `then` and `else`,
+# JSON Schema keywords that have no check function: annotations, and the keywords `then` and `else`,
 # which the function `_if` evaluates.
 _IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
 _IGNORED |= {"x-quantity", "x-words", "x-expression", "x-verbatim"}

@@ -2,8 +2,8 @@
 
 A CAN bus in the robot model has nodes with node ids, and CAN frames with signals.  The section
 `can` of a module document defines the CAN frames of the module.  Expressions in the section `can`
-can use the node id of the device and the parameters of the motors on its channels.  The Python
-module `bus_checks` checks each CAN bus.
+can use the node id of the device and the parameters of the connected motors.  The Python module
+`bus_checks` checks each CAN bus.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
-# Bitrates of CiA 301 above the default, in bit/s.  If the robot file sets no bitrate for a CAN bus
-# and the default bitrate is too slow, the compiler tries higher bitrates.
+# Bitrates (bit/s) of CiA 301 that are higher than the default bitrate.  If the robot file sets no
+# bitrate for a CAN bus and the default bitrate is too slow, the compiler tries higher bitrates.
 FASTER = (800_000, 1_000_000)
 
 NMT_COMMANDS = tuple((command.value, command.name.lower()) for command in NmtCommand)
@@ -93,7 +93,7 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
     """Returns the actuators with the names of their motor controllers and controller channels.
 
     The attributes ``node`` and ``channel`` of an actuator contain the name of the motor controller
-    and the name of the channel.  An actuator without a motor controller is returned unchanged.
+    and the name of the channel.  Actuators that no motor controller drives are returned unchanged.
     """
     drives = {
         channel.actuator: (node.name, channel.name)
@@ -109,7 +109,7 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
 
 
 def _is_present(device: Device, report: Report) -> bool:
-    """Returns whether a module instance contains a CAN device.
+    """Returns whether a module of the robot contains a CAN device.
 
     The key `when` in the section `can` can depend on the parameters of the module.  For example, an
     empty battery enclosure contains no CAN device.

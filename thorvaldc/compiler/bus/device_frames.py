@@ -1,7 +1,7 @@
 """Creates the definitions of the CAN frames of a device.
 
-The document of a module type lists the CAN frames of the module.  The CANopen services of a
-device add further CAN frames, such as heartbeats.
+The section `can` of a module document lists the CAN frames of the module.  The CANopen services of
+a device add further CAN frames, such as heartbeats.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
     rate = scope.quantity(node, "frequency", math.nan)
     if rate > 0.0:
         return 1.0 / rate
-    if not math.isnan(rate):  # NaN means that an error of the value is already reported
+    if not math.isnan(rate):  # NaN means that an invalid rate is already reported
         report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
     return None
 
@@ -301,7 +301,7 @@ def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
 def _pdo(
     device: Device, frame: Node, length: int, report: Report
 ) -> tuple[int | None, tuple[tuple[int, int, str], ...]]:
-    """Returns the number and the object mapping of a CANopen PDO.
+    """Returns the PDO number and the PDO mapping of a CAN frame.
 
     The PDO mapping contains a tuple (index, subindex, object type) for each mapped object.  If the
     CAN frame is not a PDO, or if the PDO has an error, returns ``(None, ())``.
@@ -360,7 +360,7 @@ def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None
     value = device.scope.quantity(node, "ratio", math.nan)
     if 0 <= value <= 0x7FF and value.is_integer():
         return int(value)
-    if not math.isnan(value):  # NaN means that an error of the value is already reported
+    if not math.isnan(value):  # NaN means that an invalid COB-ID is already reported
         report.add(
             "can-cob-id-range",
             f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
@@ -387,12 +387,12 @@ def _period(device: Device, frame: Node, sync_period: float, report: Report) -> 
 def _time(device: Device, node: Node, report: Report) -> float | None:
     """Returns the value of a time (s) in a module document.
 
-    If the time is not positive, reports an error and returns ``None``.
+    If the time in the module document is not positive, reports an error and returns ``None``.
     """
     time = device.scope.quantity(node, "time", math.nan)
     if time > 0.0:
         return time
-    if not math.isnan(time):  # NaN means that an error of the value is already reported
+    if not math.isnan(time):  # NaN means that an invalid time is already reported
         report.add(
             "can-period",
             f"a frame of `{device.path}` has the period {time:g} s; it must be positive",

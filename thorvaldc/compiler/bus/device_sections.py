@@ -33,7 +33,7 @@ class Wire(NamedTuple):
 
 
 class Device(NamedTuple):
-    """A module instance whose module type has a `can` section.
+    """A module of the robot whose module document has a section `can`.
 
     - ``path``: path of the module instance in the robot.
     - ``name``: name of the device on the bus.

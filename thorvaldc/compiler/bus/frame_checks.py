@@ -125,7 +125,7 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
-    """Checks that the CAN signals of one multiplexer value do not share bits."""
+    """Checks that CAN signals share bits only if different multiplexer values select them."""
     if _masks_are_apart(signals):
         return True
     always: dict[int, Signal] = {}

@@ -64,7 +64,7 @@ def check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, N
 
 
 def check_serials(placed: Sequence[Placed], report: Report) -> None:
-    """Checks that all devices of a vendor have different serial numbers, on all buses."""
+    """Checks that all CAN devices of a vendor have different serial numbers, on all buses."""
     first: dict[tuple[int | None, int | str], Placed] = {}
     for device in placed:
         serial = device.node.serial
@@ -177,7 +177,7 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
 def check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     """Checks that the names of nodes and CAN frames on a bus are unique.
 
-    The DBC file and the base driver identify nodes and CAN frames by name.
+    The DBC file and the base driver identify CAN nodes and CAN frames by name.
     """
     spans = {frame.name: device.span for device in placed for frame in device.frames}
     seen: dict[str, FrameDefinition] = {}

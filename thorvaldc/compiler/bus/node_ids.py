@@ -325,8 +325,8 @@ def _node(
 def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
     """Returns the value of a property of a CAN device.
 
-    A quantity is converted to SI units.  A text that is not a quantity with a unit is returned
-    unchanged.
+    A quantity such as ``100 ms`` is converted to SI units.  A text that is not a quantity with a
+    unit is returned unchanged.
     """
     value = scope.evaluate(node)
     if isinstance(value, str) and not node.quoted:

@@ -1,4 +1,4 @@
-"""Loads extras.  An extra is a xacro file whose links and joints are added to the robot.
+"""Loads extras.  An extra is a xacro file that adds links and joints to a robot.
 
 The module ``xacro_expand`` evaluates the macros and expressions of a xacro file.  The module
 ``urdf_reader`` converts the expanded xacro file to links and joints.  The module ``join_extras``
@@ -110,7 +110,7 @@ def load_extras(
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """An entry of the section ``extras`` in a robot file."""
+    """An entry of the section ``extras`` in a robot file, which adds a xacro file to the robot."""
 
     node: Node
     file: Path

@@ -35,7 +35,7 @@ RGBA = tuple[float, float, float, float]
 
 # Colour of a URDF visual without a material.
 DEFAULT_COLOR: RGBA = (0.6, 0.6, 0.6, 1.0)
-# Colours of materials that many URDF files use without defining them.
+# Colours of material names that many URDF files use without a definition.
 _COMMON_COLORS: dict[str, RGBA] = {
     "black": (0.05, 0.05, 0.05, 1.0),
     "blue": (0.0, 0.0, 0.8, 1.0),

@@ -92,7 +92,7 @@ class ExpansionFailure:
 
 @dataclass(frozen=True, slots=True)
 class ExpandedFile:
-    """The result of the expansion of one xacro file.
+    """The result of expanding one xacro file: XML elements and warnings, or a failure.
 
     - ``failure``: reason why the file cannot be expanded, or ``None``.
     - ``elements``: child elements of ``<robot>``.

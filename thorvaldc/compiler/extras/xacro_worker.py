@@ -1,18 +1,18 @@
 """Expands xacro files in a separate process with limits.
 
-A xacro file contains Python expressions and can read any file.  For security, the compiler runs
-this module in a separate process.  The worker process has no environment variables, limited time
-and memory, and no right to write files.  The compiler sends one JSON request to the standard input
-of the worker process.  The worker process writes one line of JSON per xacro file to its standard
-output.  The worker imports only xacro and the standard library, because it cannot import
+A xacro file contains Python expressions and can read any file.  For security, the compiler expands
+xacro files in a separate worker process.  The worker process has no environment variables, limited
+time and memory, and no right to write files.  The compiler sends one JSON request to the standard
+input of the worker process.  The worker process writes one line of JSON per xacro file to its
+standard output.  The worker imports only xacro and the standard library, because it cannot import
 ``thorvaldc``.
 
-The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` therefore
-stores the position of each XML element as DOM user data.  A clone of an XML element keeps the
-position of the original element.  The method ``Expansion.patches`` replaces functions of xacro by
-wrappers that use these positions.  Each element of the expanded file has the line of its definition
-in a xacro file, and the macro calls that created the element.  Each error of the xacro expansion
-has the position of the XML element that causes the error.
+The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` stores the
+position of each XML element as DOM user data.  A clone of an XML element keeps the position of the
+original element.  The method ``Expansion.patches`` replaces functions of xacro by wrappers that use
+these positions.  Each element of the expanded file has the line of its definition in a xacro file,
+and the macro calls that created the element.  Each error of the xacro expansion has the position of
+the XML element that causes the error.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def find_package(
 
 
 class _PositionKeeper:
-    """A DOM user data handler that copies the position of an element to its clone."""
+    """A DOM user data handler that copies the position of an XML element to its clone."""
 
     def handle(self, operation: int, key: str, data: Any, source: Any, clone: Any) -> None:
         clone.setUserData(key, data, self)
@@ -117,7 +117,7 @@ class _Builder(expatbuilder.ExpatBuilderNS):
 
 
 class _Arguments(dict[str, str]):
-    """The arguments of a xacro file.  Records the names of the arguments that xacro reads."""
+    """Arguments of a xacro file, with a record of the argument names that xacro reads."""
 
     def __init__(self, arguments: dict[str, str]) -> None:
         super().__init__(arguments)
@@ -226,7 +226,7 @@ class Expansion:
         return call
 
     def with_calls(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps the function ``replace_node`` of xacro.
+        """Wraps the function ``replace_node`` of xacro, which inserts the result of a macro call.
 
         Stores the position of a xacro macro call in each XML element that the macro call inserts.
         """
@@ -253,7 +253,7 @@ class Expansion:
         return self.with_position(call)
 
     def recording_macro(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps the function ``grab_macro`` of xacro.
+        """Wraps the function ``grab_macro`` of xacro, which reads a macro definition.
 
         Stores the required parameters and the position of each xacro macro definition.
         """
@@ -278,7 +278,7 @@ class Expansion:
         return self.with_position(call, "called here")
 
     def with_definition(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps the method ``Table._resolve_`` of xacro.
+        """Wraps the method ``Table._resolve_`` of xacro, which evaluates a property.
 
         If a xacro property has an error, the error message also shows the definition of the
         property.
@@ -309,7 +309,7 @@ class Expansion:
         return folder
 
     def with_packages(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps the function ``abs_filename_spec`` of xacro.
+        """Wraps the function ``abs_filename_spec`` of xacro, which finds an included file.
 
         A xacro include can then have a URL that begins with ``package://`` or ``file://``.
         """
@@ -323,7 +323,7 @@ class Expansion:
         return call
 
     def with_substitutions(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps the function ``eval_extension`` of xacro.
+        """Wraps ``eval_extension`` of xacro, which evaluates a substitution ``$(...)``.
 
         The xacro substitution ``$(find)`` then calls ``find_package``.  The xacro substitution
         ``$(env)`` raises an error, because the worker process has no environment variables.
@@ -500,7 +500,7 @@ def _walk(node: Any) -> Iterator[Any]:
 
 
 def _encode(node: Any, root: Any) -> dict[str, Any]:
-    """Converts an XML element to a JSON object for the answer.
+    """Converts an XML element to a JSON object for the answer to the compiler.
 
     The JSON object of a URDF extension, such as ``<gazebo>``, contains the XML text of the element.
     """

@@ -1,6 +1,7 @@
 """Reads CSV files with a time column and columns of numbers.
 
-The first line of a CSV file contains the names of the columns.  One column has the name ``time``.
+The first line of a CSV file contains the names of the columns.  One column of the CSV file is named
+``time``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _MAX_INVALID_LINES = 10
 
 @dataclass(frozen=True, slots=True)
 class RowRules:
-    """Rules for the data lines of a CSV file.
+    """Rules for checking the data lines of a CSV file.
 
     - ``value_code``: name of the diagnostic for an invalid cell or a wrong number of cells.
     - ``time_code``: name of the diagnostic for a time that does not increase.
@@ -39,7 +40,7 @@ _RECORD_ROWS = RowRules("record-value", "record-value")
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A CSV file in memory.
+    """The content of a CSV file: first line and columns of numbers.
 
     - ``display``: name of the file in messages.
     - ``header``: first line of the file.
@@ -59,7 +60,7 @@ class Table:
 
 
 def read_table(path: Path, display: str, report: Report) -> Table | None:
-    """Reads the CSV record of a run.  Returns ``None`` if the CSV file contains an error.
+    """Reads a CSV file with the samples of a run.  Returns ``None`` if the file has an error.
 
     The value of an empty cell is nan.  An empty cell in the column ``time`` of the CSV file is an
     error.  If the last line of the CSV file is incomplete, the reader ignores the line and reports
@@ -155,7 +156,7 @@ def _value_error(
 def read_utf8(path: Path, display: str, report: Report) -> str | None:
     """Returns the text of a UTF-8 file.
 
-    If the file cannot be read, adds a diagnostic to ``report`` and returns ``None``.
+    If the file cannot be read, adds an error to ``report`` and returns ``None``.
     """
     data = read_bytes(path, display, report)
     if data is None:

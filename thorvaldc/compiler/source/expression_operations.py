@@ -3,8 +3,8 @@
 Each public function of this module returns a closure that computes the value of one part of an
 expression.  The expression parser builds a tree of closures.  The outermost closure returns the
 value of the whole expression.  The argument of a closure is the scope, which maps each known name
-to its value.  The parameter ``offset`` is the position of an operator or name in the text of the
-expression.
+to its value.  The parameter ``offset`` is the position of an operator or name in the expression,
+for error messages.
 """
 
 from __future__ import annotations
@@ -242,8 +242,8 @@ def compare(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
 
 def _is_true(symbol: str, left: Any, right: Any, offset: int) -> bool:
     if symbol in ("==", "!="):
-        # In Python, 1 equals True.  In the expressions of module documents, a number never equals a
-        # truth value.
+        # In Python, the number 1 equals the truth value True.  In the expressions of module
+        # documents, a number never equals a truth value.
         equal = isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
         return equal is (symbol == "==")
     left = _require_number(left, offset, symbol)
@@ -302,8 +302,8 @@ def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
 
 
 def _raise_to_power(base: Number, exponent: Number) -> Number:
-    # A power with a large base or exponent is computed as a float, because large powers of Python
-    # integers could take unlimited time.
+    # A power with a large base or exponent is computed as a float, because a power of large Python
+    # integers can take very long.
     if isinstance(base, int) and (
         not isinstance(exponent, int) or abs(exponent) > 64 or abs(base) > 2**31
     ):

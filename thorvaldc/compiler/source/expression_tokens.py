@@ -1,6 +1,7 @@
 """Tokenizer for the expressions of module documents.
 
-A token is a number with or without a unit, a name, a text in quotes, a keyword or an operator.
+A token of an expression is a number with or without a unit, a name, a text in quotes, a keyword or
+an operator.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ class Token:
     - ``text``: source text of the token.
     - ``offset``: position of the token in the expression, in characters from 0.
     - ``value``: number in SI, or the content of a text without its quotes.
-    - ``divisors``: unit names that follow a ``/`` in a number token.  A divisor that is also a
-      known name is ambiguous.
+    - ``divisors``: unit names that follow a ``/`` in a number token.  A divisor such as ``m`` in
+      ``20 / m`` is ambiguous if it is a unit and also a known name.
     """
 
     kind: str
@@ -128,7 +129,7 @@ def _make_token(match: re.Match[str]) -> Token:
 
 
 def _make_number(match: re.Match[str]) -> Token:
-    """Returns the token of a number with or without a unit."""
+    """Returns the token for a number with or without a unit in an expression."""
     literal, unit, offset = match["number"], match["unit"], match.start("number")
     value: Any
     if unit is None and literal.isdigit():
@@ -138,7 +139,8 @@ def _make_number(match: re.Match[str]) -> Token:
     divisors: tuple[str, ...] = ()
     if unit is not None:
         digits = literal.removesuffix(unit)
-        # The last factors after a number may be names instead of units: `20 mm / count`.
+        # The last factors after a number may be names of values instead of units, such as `count`
+        # in the expression `20 mm / count`.
         while not _is_unit(unit) and (factor := _LAST_FACTOR.search(unit, 1)):
             unit = unit[: factor.start()]
         literal = digits + unit

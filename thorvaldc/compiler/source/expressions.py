@@ -1,9 +1,10 @@
 """Parses and evaluates the expressions of module documents: ``${length / 2 - 20 mm}``.
 
-The compiler does not use Python's own parser for these expressions.  The numbers in an expression
-have units, error messages contain a position, and an expression must not execute Python code.  The
-length and the nesting depth of an expression are limited, so that parsing is always fast.  The
-parser converts an expression to a tree of closures from the module ``expression_operations``.
+The compiler does not use Python's own parser for the expressions of module documents.  The numbers
+in an expression have units, error messages contain a position, and an expression must not execute
+Python code.  The length and the nesting depth of an expression are limited, so that parsing is
+always fast.  The parser converts an expression to a tree of closures from the module
+``expression_operations``.
 
 Grammar of an expression, from the operator that binds weakest to the operator that binds strongest
 (``?``: optional part, ``*``: repeated part):
@@ -50,8 +51,8 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
 
     - ``text``: the expression, which a document contains between ``${`` and ``}``.
     - ``scope``: value of each known name.  The value of a name is a number in SI units, a truth
-      value, a text, a list or a mapping.  An expression reads an entry of a mapping as an
-      attribute: ``a.key``.
+      value, a text, a list or a mapping.  The expression ``a.key`` reads the key ``key`` of the
+      mapping ``a``.
 
     A name is looked up in ``scope`` only when the expression needs its value.  The mapping
     ``scope`` can therefore compute a value when it is read.  If ``scope`` raises ``KeyError``, the
@@ -64,9 +65,9 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
     """Evaluates the ``${...}`` expressions in a text of a module document.
 
-    If the whole text is one expression, returns the value of the expression.  If the text has other
-    parts, returns the text with each expression replaced by its value.  The attribute ``offset`` of
-    an ``ExpressionError`` is the position of the error in ``text``.
+    If the whole text is a single ``${...}`` expression, returns the value of the expression.
+    Otherwise, returns the text with each ``${...}`` expression replaced by its value.  The
+    attribute ``offset`` of an ``ExpressionError`` is the position of the error in ``text``.
     """
     parts = split_text(text)
     if not any(is_expression for _, _, is_expression in parts):
@@ -90,9 +91,10 @@ def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
 def split_text(text: str) -> tuple[tuple[str, int, bool], ...]:
     """Splits a text into its ``${...}`` expressions and the text between the expressions.
 
-    Returns a tuple (part, offset, is_expression) for each part of the text.  For an expression,
-    ``part`` is the text between ``${`` and ``}``.  ``offset`` is the position of the part in the
-    text.  Raises ``ExpressionError`` if the closing brace of an expression is missing.
+    Returns a tuple (part, offset, is_expression) for each expression and each text between
+    expressions.  For an expression, ``part`` is the text between ``${`` and ``}``.  The field
+    ``offset`` is the position of the part in the whole text.  Raises ``ExpressionError`` if the
+    closing brace of an expression is missing.
     """
     parts: list[tuple[str, int, bool]] = []
     position = 0
@@ -210,7 +212,7 @@ class _Parser:
         return operations.negate(value, count, offset) if count else value
 
     def operators(self, level: int) -> Evaluate:
-        """Parses the grammar rules ``comparison``, ``sum`` and ``product``.
+        """Parses binary operators (grammar rules ``comparison``, ``sum``, ``product``).
 
         - ``level``: index of the rule in ``_LEVELS``.
         """

@@ -12,7 +12,7 @@ def read_bytes(
 ) -> bytes | None:
     """Returns the bytes of a file.
 
-    If the file cannot be read, adds a diagnostic to ``report`` and returns ``None``.
+    If the file cannot be read, adds an error to ``report`` and returns ``None``.
 
     - ``display``: name of the file in messages.
     - ``limit``: maximum number of bytes to read.  If the limit is negative, the whole file is read.

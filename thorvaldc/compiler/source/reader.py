@@ -3,8 +3,8 @@
 The package PyYAML parses the text of a YAML document.  The module ``scalars`` converts unquoted
 YAML scalars by the core schema of YAML 1.2.  Values such as ``on`` and ``010`` are reported,
 because YAML 1.1 and YAML 1.2 interpret them differently.  If a YAML value has an error, the reader
-returns the most likely value.  Later stages of the compiler can then continue, and one run also
-reports errors of later stages.
+returns the most likely value.  With the most likely value, later stages of the compiler can
+continue and report further errors in the same run.
 """
 
 from __future__ import annotations
@@ -224,14 +224,15 @@ def _character_span(mark: Any, file: str) -> Span:
 
 
 class _Reader:
-    """Converts PyYAML nodes to ``Node`` objects.
+    """Converts the nodes of PyYAML to objects of the class ``Node``.
 
     - ``aliases``: whether the document can contain aliases.
 
     A PyYAML node with YAML aliases occurs several times in the tree of nodes.  Each PyYAML node is
-    converted only once, even if YAML aliases refer to the node.  The values inside an aliased node
-    count towards ``MAX_VALUES`` at each occurrence of the node.  The limit ``MAX_VALUES`` stops a
-    small document that expands to billions of values ("billion laughs" attack).
+    converted only once, even if YAML aliases refer to the node.  Each use of a YAML alias adds the
+    number of values in the aliased node to the total, which is limited to ``MAX_VALUES``.  The
+    limit ``MAX_VALUES`` protects against a small YAML document that expands to billions of values
+    ("billion laughs" attack).
     """
 
     def __init__(self, file: str, report: Report, aliases: bool) -> None:

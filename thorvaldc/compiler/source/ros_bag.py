@@ -47,7 +47,7 @@ def require_rosbags() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """Messages of selected topics of a ROS bag.
+    """Messages on selected topics of a ROS bag.
 
     - ``topics``: message type of every topic in the bag.
     - ``messages``: list of tuples (time, message) for each selected topic, in order of time.  The

@@ -1,4 +1,4 @@
-"""Tables of the units and the kinds of quantities that documents can use.
+"""Tables of the physical units and the kinds of quantities that YAML documents can use.
 
 The conversion factor of a unit to SI is an exact fraction times a power of pi.  The radian is a
 separate dimension in the tables of units, although it has no dimension in SI.  With a dimension for
@@ -16,7 +16,7 @@ BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 
 
 class Quantity(NamedTuple):
-    """A kind of quantity, such as a length or a torque.
+    """A kind of physical quantity, such as a length or a torque.
 
     - ``name``: name of the kind of quantity in the schemas, such as ``angular_velocity``.
     - ``article``: indefinite article of the name in messages, ``a`` or ``an``.

@@ -113,8 +113,8 @@ _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
 def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     """Returns the SI value and the unit of a quantity.
 
-    The unit is ``None`` for a number without a unit.  A number without a unit is allowed for every
-    kind of quantity.
+    If the number has no unit, the returned unit is ``None``.  A number without a unit is allowed
+    for every kind of quantity.
     """
     shown = _shorten(text)
     example = f"write a number with a unit, as in `{kind.example if kind else '650 mm'}`"
@@ -156,7 +156,7 @@ def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
 
 
 def _value(mantissa: int, exponent: int, unit: Unit, shown: str) -> float:
-    """Returns the SI value of the quantity mantissa * 10**exponent in ``unit``.
+    """Converts the number mantissa * 10**exponent from the unit ``unit`` to SI units.
 
     The value in SI units is rounded only once, except for units that contain pi.
     """
@@ -296,7 +296,7 @@ def _find_unit(name: str) -> Unit | None:
 
 
 def _scale(unit: Unit, power: int) -> Unit:
-    """Returns the unit that is 10**power times as large as ``unit``."""
+    """Returns a unit that is larger than ``unit`` by the factor 10**power."""
     numerator, denominator = unit.numerator, unit.denominator
     if power >= 0:
         numerator *= 10**power

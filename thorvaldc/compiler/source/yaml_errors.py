@@ -1,4 +1,4 @@
-"""Converts YAML syntax errors of libyaml to diagnostics with plain messages and hints.
+"""Converts YAML syntax errors of the parser libyaml to diagnostics with plain messages and hints.
 
 libyaml reports two positions of a syntax error.  The problem mark is the position at which the YAML
 parser detected a syntax error.  The context mark is the start of the YAML list, mapping or text in

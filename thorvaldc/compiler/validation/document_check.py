@@ -1,10 +1,10 @@
 """Checks documents against the JSON Schemas in ``thorvaldc/schema``.
 
-The module ``thorvaldc.schema.gate`` checks each document with a fast validator.  If the fast
-validator rejects a document, the package jsonschema lists the schema errors of the document.  The
-module ``schema_diagnostics`` converts errors of jsonschema to diagnostics with source spans.
-Quantities such as ``1.5 m/s`` are also checked for a valid number and unit.  The schema keyword
-``x-quantity`` lists the allowed kinds of quantity, such as a length.
+The module ``thorvaldc.schema.gate`` is a fast JSON Schema validator that checks each document
+first.  If the fast validator rejects a document, the package jsonschema lists the schema errors of
+the document.  The module ``schema_diagnostics`` converts errors of jsonschema to diagnostics with
+source spans.  Quantities such as ``1.5 m/s`` are also checked for a valid number and unit.  The
+schema keyword ``x-quantity`` lists the allowed kinds of quantity, such as a length.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _validator(kind: Kind) -> Any:
 
 
 def without_invalid_values(node: Node, report: Report) -> Node:
-    """Returns a copy of a document in which ``None`` replaces each invalid value.
+    """Returns a copy of a YAML document in which each invalid value is replaced by ``None``.
 
     A value of a document is invalid if ``report`` contains an error at the source span of the
     value.  Later stages of the compiler can process the copy without the invalid values, so one run
